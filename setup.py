@@ -70,7 +70,7 @@ setup(
     description="Predict and compensate the compliance errors of robotic milling (KUKA KR 270), as ROS 2 nodes.",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["kr270_milling = kr270_milling.cli:main"]
+        "console_scripts": ["kr270_milling = kr270_milling.__main__:run_program"]
         + [f"{node} = kr270_milling.live.nodes.start:start" for node in nodes]
     },
 )

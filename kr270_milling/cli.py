@@ -73,15 +73,15 @@ def main(argv: list[str] | None = None) -> int:
     if not sys.warnoptions:  # a warning of Python is no sentence for the user; the tests make every one an error
         warnings.simplefilter("ignore")
     try:
-        code = _main(sys.argv[1:])
+        code = _main(sys.argv[1:], own_process=True)
     except SystemExit as error:  # argparse, or a run that SIGTERM ends
         code = exit_code(error)
     return end_process(code)
 
 
-def _main(argv: list[str]) -> int:
+def _main(argv: list[str], own_process: bool = False) -> int:
     try:
-        _handle_interrupts()
+        _handle_interrupts(own_process)
         return _run(argv)
     except BrokenPipeError:  # the reader of the output, head for example, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -111,10 +111,11 @@ def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tup
     return code
 
 
-def _handle_interrupts() -> None:
+def _handle_interrupts(own_process: bool = False) -> None:
     """Let Ctrl-C wait for the end of a compilation or an import, some seconds at most; a second Ctrl-C does not wait.
 
-    SIGTERM ends the command as an error does, so that no unfinished file stays.
+    SIGTERM ends the command as an error does, so that no unfinished file stays. Handlers of a caller stay unchanged;
+    own_process: there is no caller, and the handler of the start (``__main__``) is replaced.
 
     An interrupted compiler stays incomplete, and compiled libraries report an interrupted import as a broken
     installation.
@@ -132,7 +133,8 @@ def _handle_interrupts() -> None:
         raise KeyboardInterrupt
 
     with contextlib.suppress(ValueError):  # only the main thread may
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        present = signal.getsignal(signal.SIGINT)
+        if present is signal.default_int_handler or (own_process and present is not signal.SIG_IGN):
             signal.signal(signal.SIGINT, interrupt)
         if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, _terminate)

@@ -1,10 +1,16 @@
-"""A simulated robot controller that runs a path with RSI: one telegram a cycle, the answer of the sensor side back."""
+"""A simulated robot controller that runs a path with RSI: one telegram a cycle, the answer of the sensor side back.
+
+``python test/rsi_controller.py TABLE.csv SECONDS PORT`` runs the path of an RSI table in this time, at 4 ms, and prints
+how many answers arrived within their cycle.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import re
 import socket
+import sys
+import time
 
 import numpy as np
 
@@ -50,6 +56,15 @@ class Controller:
         assert ipoc == self.ipoc
         return correction
 
+    def wait(self, point_mm) -> None:
+        """Wait at a point until the sensor side answers."""
+        while True:
+            self.ipoc += 4
+            self.send(telegram(self.ipoc, point_mm))
+            with contextlib.suppress(TimeoutError):
+                self.receive()
+                return
+
     def has_answer(self) -> bool:
         """Whether an unexpected answer has arrived."""
         self.socket.settimeout(0.1)
@@ -58,3 +73,34 @@ class Controller:
             return True
         self.socket.settimeout(2.0)
         return False
+
+
+def run(table, seconds: float, port: int, cycle: float = 4e-3) -> str:
+    """Run the path of a table in real time; return a sentence about the answers."""
+    place = np.genfromtxt(table, delimiter=",", names=True)
+    count = round(seconds / cycle)
+    at = np.linspace(place["time_s"][0], place["time_s"][-1], count)
+    points = np.column_stack([np.interp(at, place["time_s"], place[f"{axis}_mm"]) for axis in "XYZ"])
+    controller, applied = Controller(port, cycle), np.zeros(3)
+    controller.wait(points[0])
+    took, answered, first = np.full(count, np.inf), 0, controller.ipoc
+    begin = time.monotonic()
+    for k, point in enumerate(points):
+        time.sleep(max(0.0, begin + k * cycle - time.monotonic()))
+        sent = time.monotonic()
+        controller.ipoc += 4
+        controller.send(telegram(controller.ipoc, point, point + applied))
+        with contextlib.suppress(TimeoutError):
+            while (got := controller.receive())[0] != controller.ipoc:
+                answered += got[0] > first  # of an earlier cycle
+            took[k], applied = time.monotonic() - sent, got[1][:3]
+    there = took[np.isfinite(took)]
+    return (
+        f"{count} cycles in {time.monotonic() - begin:.1f} s: {there.size} answers within the cycle, {answered} later, "
+        f"{count - there.size - answered} never; round trip {1e3 * there.mean():.2f} ms in the mean, "
+        f"{1e3 * np.percentile(there, 99.9):.2f} ms for 99.9 %, {1e3 * there.max():.2f} ms at most"
+    )
+
+
+if __name__ == "__main__":
+    print(run(sys.argv[1], float(sys.argv[2]), int(sys.argv[3])))

@@ -186,3 +186,22 @@ def test_ctrl_c_waits_for_a_compilation_unless_it_comes_twice(tmp_path):
         timeout=30,
     )  # fmt: skip
     assert ran.stdout.split("\n") == ["still here", "now", "at once when pressed again", ""], ran.stderr
+
+
+STARTING = """
+import os, signal, sys
+
+class Press:
+    def find_spec(self, name, *_):
+        if name == "kr270_milling.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Press())
+from kr270_milling.__main__ import run_program
+run_program()
+"""
+
+
+def test_ctrl_c_before_the_command_line_is_imported_prints_one_sentence():
+    ran = subprocess.run([sys.executable, "-c", STARTING], cwd=ROOT, capture_output=True, text=True, timeout=30)
+    assert (ran.returncode, ran.stderr) == (130, "kr270_milling: interrupted\n")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -45,12 +47,14 @@ class Revised:
         )
 
 
-def compensate_recording(path, method: str | None = None, progress=None) -> list[Revised]:
-    """Return one revision per robot; ``method`` takes the place of the recorded one.
+def compensate_recording(
+    path, method: str | None = None, progress=None, remap: Mapping[str, str] = MappingProxyType({})
+) -> list[Revised]:
+    """Return one revision per robot; ``method`` takes the place of the recorded one. remap: see ``Recording``.
 
     Raises RecordingError where no pass is complete, or where the pass cannot be revised.
     """
-    with Recording(path) as recording:
+    with Recording(path, remap=remap) as recording:
         robots = Robots(recording)
         robots.feed(progress, Robot.feed_compensator)
         with robots.usable("/wrench"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from kr270_milling.base.errors import MillingError
@@ -39,11 +39,15 @@ class PassCollector:
         self.before: list[int] = []  #: of each pass: references that were published before its first pose
         self._before = 0
         self._starts = starts
+        self._clock = cell.clock
 
     def sample(self, sample: PoseSample | WrenchSample, references: int = 0) -> None:
         """Take the next pose or wrench that was checked; references: number of those that were published before."""
         passed = bisect.bisect_right(self._starts, sample.stamp)
         start = self._starts[passed - 1] if passed else 0
+        time = sample.stamp - start
+        if self._starts and not (0 <= time <= self.inbox.end_ns and self._clock.step(time) >= 0):
+            return  # of another publisher
         if start != self.inbox.start_ns:
             self.finish()  # the last wrench of the previous pass is not in the file
             self.inbox.clear()
@@ -70,7 +74,8 @@ class PassCollector:
 class EarlierRecordings:
     """The passes in the recordings that a compensator names; a recording is read when a pass of it is needed."""
 
-    def __init__(self, path: Path, namespace: str, end_ns: int):
+    def __init__(self, end_ns: int, path: Path, namespace: str, remap: Mapping[str, str]):
+        self._remap = remap
         self._path = path
         self._namespace = namespace
         self._end_ns = end_ns
@@ -105,7 +110,7 @@ class EarlierRecordings:
 
     def _passes_of(self, file: Path) -> tuple[Cell | None, list[ReceivedPass]]:
         names = {f"{self._namespace}/{name}": name for name in TOPICS}
-        with Recording(file) as recording:
+        with Recording(file, remap=self._remap) as recording:
             cell = attached_cell(recording)
             plant = attached_plant(recording, cell)
             starts = PassStarts()

@@ -7,8 +7,9 @@ recomputed together, with the cell of the recording.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
@@ -67,16 +68,17 @@ class Recomputed:
         )
 
 
-def recompute(path, progress=None) -> Recomputed:
-    """Recompute a recording; progress(messages done, of all).
+def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({})) -> Recomputed:
+    """Recompute a recording; progress(messages done, of all); remap: see ``Recording``.
 
     Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
     """
-    with Recording(path) as recording:
+    with Recording(path, remap=remap) as recording:
         _expect_this_version(recording)
         recomputed = Robots(recording)
         recomputed.feed(progress)
         recomputed.finish()
+        _expect_exchange(recording, recomputed)
         robots, cut_off = recomputed.robots.values(), recording.cut_off
         channels = {channel.topic: channel for robot in robots for channel in robot.channels.values()}
         firsts = [channel.first for channel in channels.values() if channel.first]
@@ -94,6 +96,16 @@ def _expect_this_version(recording: Recording) -> None:
     if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
         version = recording.library.partition("/")[2]
         raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
+
+
+def _expect_exchange(recording: Recording, recomputed: Robots) -> None:
+    """Raise RecordingError where the poses are those of a driver: nothing of the package computed these poses."""
+    poses = [robot.channels["tool_pose"] for robot in recomputed.robots.values() if "tool_pose" in robot.channels]
+    if poses and all(channel.refused == channel.count > 0 for channel in poses):
+        reason = (
+            "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report scores them"
+        )
+        raise RecordingError(recording.path, reason)
 
 
 def _incomplete(robot: Robot, cut_off: bool) -> Iterator[Stop]:

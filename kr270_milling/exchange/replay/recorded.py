@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +18,12 @@ from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
+from kr270_milling.exchange.replay.driven import driven_passes, rsi_pass
+from kr270_milling.exchange.replay.inputs import TYPES
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import TopicSeries, several
-from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY
 
@@ -43,6 +45,7 @@ class RecordedPass:
     lost_to_end: int  #: the same, where the pass is known to have run to the end of its reference
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
     program: str | None = None  #: text of the tool path file, where the recording carries it
+    stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
 
     def renamed(self, name: str) -> RecordedPass:
         return dataclasses.replace(self, scored=dataclasses.replace(self.scored, name=name))
@@ -52,12 +55,18 @@ class RecordedPass:
 class Content:
     """Messages of a recording that all passes need."""
 
-    topic: str  #: of the references
-    references: dict[int, bytes]  #: by their starts [ns]
+    references: dict[int, Trajectory]  #: by their starts [ns]
     targets: dict[str, Trajectory]  #: by their fingerprints, in the order of the file
     stated: dict[str, str]  #: fingerprint of a reference -> fingerprint of its target
     walls: list[float]  #: reported times of the wall clock [s], one a complete pass
     series: dict[str, TopicSeries]
+    topics: dict[str, str]  #: our names -> names in the recording
+    rsi: bool  #: an RSI session
+
+    def add_reference(self, data: bytes) -> None:
+        with contextlib.suppress(MillingError):  # the nodes refused it
+            reference = trajectory_from_bytes(data)
+            self.references.setdefault(reference.start_ns, reference)
 
     def add_target(self, data: bytes) -> None:
         with contextlib.suppress(MillingError):  # the compensator refused it
@@ -101,6 +110,8 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
         matches = [topic for topic in matches if topic in recording.topics()]
     else:
         matches = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
+        ours = [topic for topic in matches if recording.topics()[topic].type == TYPES[name]]
+        matches = ours or matches
     if len(matches) != 1:
         several = f"exists several times ({', '.join(matches)}): name a namespace" if matches else "is not recorded"
         several += f" in the namespace {namespace}" if namespace is not None else ""
@@ -116,24 +127,71 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     return passes[0]
 
 
-def passes_from_recording(path, name: str | None = None, namespace: str | None = None) -> list[RecordedPass]:
+def passes_from_recording(
+    path, name: str | None = None, namespace: str | None = None, remap: Mapping[str, str] = MappingProxyType({})
+) -> list[RecordedPass]:
     """Return every pass of a recording along the reference and the target of its time; the file is read once.
 
-    A file that was cut off gives the part that is there. Raises RecordingError where there is no pass.
+    A file that was cut off gives the part that is there. remap: see ``Recording``. Raises RecordingError where there is
+    no pass.
     """
-    with Recording(path) as recording:
+    with Recording(path, remap=remap) as recording:
         cell = attached_cell(recording)
         cells = cell, attached_plant(recording, cell)
         content = _read(recording, namespace)
         program = _program(recording, cell)
-    windows = _windows(recording, cell, content)
-    walls = content.walls if len(content.walls) == len(windows) else [float("nan")] * len(windows)
-    name = name or recording.path.stem
-    scored_passes = (_scored(recording, cells, *one, name, program) for one in zip(windows, walls, strict=True))
-    passes = [one for one in scored_passes if one is not None]
+        name = name or recording.path.stem
+        passes = [] if content.rsi else list(_exchanged(recording, cells, content, name, program))
+        passes = passes or list(_driven(recording, cells, content, name, program))
     if not passes:
-        raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
+        reason = "poses, wrenches and deflections of at least one period, or a pass of a robot with another clock"
+        raise RecordingError(recording.path, f"holds no pass: {reason}")
     return passes if len(passes) == 1 else [one.renamed(f"{name}_{n}") for n, one in enumerate(passes, 1)]
+
+
+def _exchanged(
+    recording: Recording, cells: tuple[Cell, Cell], content: Content, name: str, program: str | None
+) -> Iterator[RecordedPass]:
+    """Yield the scored passes of the simulated robot."""
+    windows = _windows(recording, cells[0], content)
+    walls = content.walls if len(content.walls) == len(windows) else [float("nan")] * len(windows)
+    for window, wall in zip(windows, walls, strict=True):
+        one = _scored(recording, cells, window, wall, name, program)
+        if one is not None:
+            yield one
+
+
+def _driven(
+    recording: Recording, cells: tuple[Cell, Cell], content: Content, name: str, program: str | None
+) -> Iterator[RecordedPass]:
+    """Yield the scored passes whose poses have the stamps of a driver. Raises RecordingError."""
+    cell, plant = cells
+    default = cell.target()
+    if content.rsi:
+        ((_, reference),) = content.references.items()
+        programmed = content.target_of(reference, reference)
+        driven = iter([rsi_pass(recording, cell, programmed, reference, content.series["tool_pose"].values[:, :3])])
+    else:
+        driven = driven_passes(recording, cell, content.topics)
+    for one in driven:
+        _check_duration(recording, cell, one.reference)
+        target = default if content.rsi else content.target_of(one.reference, default)
+        steps, tool, wrench = one.sampled(cell.clock)
+        off = tool - one.reference.sample(cell.clock.stamp(steps))
+        rows = {"tool_pose": tool, "deflection": np.hstack([off, np.zeros_like(off)]), "wrench": wrench}
+        result = _result(cells, target, one.reference, steps, rows, float("nan"))
+        ran = ScoredPass(name, one.reference, result, scored(cell, result, plant.low_frequency, target))
+        complete = one.complete and not recording.cut_off
+        stamps = "place" if content.rsi else "driver's"
+        yield RecordedPass(ran, cell, target, one.lost, one.lost, complete, program, stamps)
+
+
+def _check_duration(recording: Recording, cell: Cell, reference: Trajectory) -> int:
+    """Return the last exchange of a pass. Raises RecordingError where the reference takes too long."""
+    last = cell.clock.steps(reference.duration_ns)
+    if last > MOST_STEPS:
+        raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
+    return last
 
 
 def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]:
@@ -151,11 +209,7 @@ def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]
         passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
         if passes > 1:
             raise RecordingError(recording.path, f"does not separate its {passes} passes: they have one start")
-        try:
-            reference = trajectory_from_bytes(content.references[start])
-        except MillingError as error:
-            reason = f"a message on {content.topic} is no path of the tool: {error}"
-            raise RecordingError(recording.path, reason) from error
+        reference = content.references[start]
         windows.append(Window(reference, content.target_of(reference, cell.target()), series))
     return windows
 
@@ -166,9 +220,7 @@ def _scored(
     """Return the scored pass; None where poses, wrenches and deflections of at least one period are missing."""
     cell, plant = cells
     reference, target, series = window
-    last = cell.clock.steps(reference.duration_ns)
-    if last > MOST_STEPS:
-        raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
+    last = _check_duration(recording, cell, reference)
     recorded = {kind: _by_step(cell, one, last) for kind, one in series.items()}
     course = imperfect_course(plant, reference, 0)
     whole = recorded | {"deflection": _all_deflections(plant, reference, course, recorded)}
@@ -186,32 +238,37 @@ def _scored(
 
 def _read(recording: Recording, namespace: str | None) -> Content:
     """Return what is read for all passes."""
-    topics = {kind: topic_of(recording, kind, namespace) for kind in SERIES}
+    names = {topic.rpartition("/")[2] for topic in recording.topics()}  # a driver publishes no deflection
+    topics = {kind: topic_of(recording, kind, namespace) for kind in SERIES if kind == "tool_pose" or kind in names}
     topic = topic_of(recording, "reference_trajectory", namespace)
     if recording.topics()[topic].type != TRAJECTORY:
         raise RecordingError(recording.path, f"{topic} is no trajectory")
     space = topic.rpartition("/")[0]
-    content = Content(topic, {}, {}, {}, [], {})
+    rsi = f"{space}/correction" in recording.topics()
+    content = Content({}, {}, {}, [], {}, {**topics, "reference_trajectory": topic}, rsi)
     others: dict[str, Callable[[bytes], object]] = {
-        topic: lambda data: content.references.setdefault(stamp_of(data) or 0, data),
+        topic: content.add_reference,
         f"{space}/target_trajectory": content.add_target,
         f"{space}/compensator_state": content.add_state,
     }
     if DIAGNOSTICS in recording.topics():
-        decode = recording.decoder(DIAGNOSTICS)
-        others[DIAGNOSTICS] = lambda data: content.add_walls(_wall_times(decode(data)))
+        with contextlib.suppress(RecordingError):  # of another kind; only the wall times are missing then
+            decode = recording.decoder(DIAGNOSTICS)
+            others[DIAGNOSTICS] = lambda data: content.add_walls(_wall_times(decode, data))
     others = {name: take for name, take in others.items() if name in recording.topics()}
     series = several(recording, list(topics.values()), others)
     if not content.references:
-        raise RecordingError(recording.path, f"{topic} has no message")
-    return dataclasses.replace(content, series=dict(zip(SERIES, series, strict=True)))
+        raise RecordingError(recording.path, f"{topic} has no message that is a path of the tool")
+    none = TopicSeries(np.zeros(0, np.int64), np.zeros((0, 6)))
+    return dataclasses.replace(content, series=dict.fromkeys(SERIES, none) | dict(zip(topics, series, strict=True)))
 
 
-def _wall_times(diagnostics) -> Iterator[float]:
+def _wall_times(decode: Callable, data: bytes) -> Iterator[float]:
     """Return the wall time [s] that the robot reported."""
-    for pair in (pair for status in diagnostics.status for pair in status.values if pair.key == "wall_s"):
-        with contextlib.suppress(ValueError):
-            yield float(pair.value)
+    with contextlib.suppress(RecordingError, AttributeError):  # a message of another publisher
+        for pair in (pair for status in decode(data).status for pair in status.values if pair.key == "wall_s"):
+            with contextlib.suppress(ValueError):
+                yield float(pair.value)
 
 
 def _by_step(cell: Cell, series: TopicSeries, last: int) -> StepRows:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import contextlib
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,7 +53,7 @@ class CompensatorFeed:
     """
 
     def __init__(
-        self, cells: tuple[Cell, Cell], channels: dict[str, Channel], place: tuple[Path, str],
+        self, cells: tuple[Cell, Cell], channels: dict[str, Channel], place: tuple[Path, str, Mapping[str, str]],
         stop: Callable[[int | None, str], None], starts: Sequence[int] = (),
     ):  # fmt: skip
         self.cell, plant = cells
@@ -65,7 +65,7 @@ class CompensatorFeed:
         self._end_ns = end_of(self.cell, target)
         self._collector = PassCollector(self.cell, self._end_ns, starts)
         self._starts = starts
-        self._place = place  # of the recording: file, namespace
+        self._place = place  # of the recording: file, namespace, remap
         self._earlier: dict[int, EarlierRecordings] = {}  # by the end stamp of a pass
         self._states: list[tuple[bytes, CompensatorState]] = []
         self._references: list[bytes] = []
@@ -187,9 +187,9 @@ class CompensatorFeed:
         return self._records[stated.fingerprint]
 
     def _received(self, stated: LearnedPass, index: int | None) -> tuple[ReceivedPass, Cell | None, int]:
-        path, _ = self._place
+        path = self._place[0]
         if index is None and stated.recording != f"{path.parent.name}/{path.name}":
-            earlier = self._earlier.setdefault(self._end_ns, EarlierRecordings(*self._place, self._end_ns))
+            earlier = self._earlier.setdefault(self._end_ns, EarlierRecordings(self._end_ns, *self._place))
             return earlier.find(stated)
         passes = {
             number: received.until_wrench(stated.wrenches)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
+from kr270_milling.exchange.compensator import end_of
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.compare import Channel
 from kr270_milling.exchange.replay.feeds import CutFeed, RobotFeed
@@ -18,11 +20,12 @@ from kr270_milling.exchange.replay.inputs import INPUTS, OUTPUTS, STAMPED, TYPES
 from kr270_milling.exchange.replay.revisions import CompensatorFeed
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.stamps import PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import trajectory_from_bytes
 
 __all__ = ["Robot", "Robots", "Stop"]
+
+EXCHANGE = ("tool_pose", "wrench", "deflection", "joint_states", "clock")  # stamped with the exchanges of a pass
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,11 @@ class Robot:
 
     def __init__(
         self, recording: Recording, cells: tuple[Cell, Cell], namespace: str, channels: dict[str, Channel],
-        starts: Sequence[int],
+        ends: Mapping[int, int],
     ):  # fmt: skip
         self.cell, plant = cells
+        starts = self._starts = sorted(ends)
+        self._ends = ends  # start of a pass [ns] -> its last stamp
         self.namespace = namespace
         self.channels = channels
         self.stops: list[Stop] = []
@@ -53,7 +58,9 @@ class Robot:
         self.foreign = recording.library != f"kr270_milling/{__version__}"
         self.robot = RobotFeed(plant, channels, self._stop, starts)
         self.cut = CutFeed(plant, channels, self._stop, starts)
-        self.compensator = CompensatorFeed(cells, channels, (recording.path, namespace), self._stop, starts)
+        self.compensator = CompensatorFeed(
+            cells, channels, (recording.path, namespace, recording.remap), self._stop, starts
+        )
 
     def _stop(self, stamp_ns: int | None, reason: str) -> None:
         stop = Stop(self.namespace, stamp_ns, reason)
@@ -62,7 +69,7 @@ class Robot:
 
     def feed(self, name: str, data: bytes) -> None:
         """Take the next message of a topic, as an input and as an output."""
-        refused = name in INPUTS and not self._use(name, data)
+        refused = self._is_foreign(name, data) or (name in INPUTS and not self._use(name, data))
         if name in ("reference_trajectory", "compensator_state"):
             self.feed_compensator(name, data)
             return
@@ -75,6 +82,17 @@ class Robot:
             if name == "robot_description":
                 self.robot.description()
             self.channels[name].recorded(stamp, data, refused)
+
+    def _is_foreign(self, name: str, data: bytes) -> bool:
+        """Whether a message has no stamp of the exchange in any pass: no node uses it, as of another publisher."""
+        if name not in EXCHANGE:
+            return False
+        stamp = stamp_of(data)
+        passed = 0 if stamp is None else bisect.bisect_right(self._starts, stamp)
+        if stamp is None or not passed:
+            return stamp is None or bool(self._starts)
+        start = self._starts[passed - 1]
+        return stamp > self._ends[start] or self.cell.clock.step(stamp - start) < 0
 
     def _use(self, name: str, data: bytes) -> bool:
         """Return whether the nodes can have used a message; the recompute refuses what the live nodes refused."""
@@ -101,6 +119,8 @@ class Robot:
 
     def feed_compensator(self, name: str, data: bytes) -> None:
         """Take the next message for the compensator alone."""
+        if self._is_foreign(name, data):
+            return
         record = None
         with contextlib.suppress(MillingError):
             record = INPUTS[name](data) if name in INPUTS else None
@@ -130,14 +150,13 @@ class Robots:
         self.cell = attached_cell(recording)
         cells = self.cell, attached_plant(recording, self.cell)
         self._names = self._find_topics()
-        starts = PassStarts()
-        firsts = self._first_references(starts)
+        firsts, ends = self._read_references()
         self.robots: dict[str, Robot] = {}
         for namespace in sorted({namespace for namespace, _ in self._names.values()}):
             with self.usable(f"{namespace}/reference_trajectory"):
-                times = starts.of(f"{namespace}/reference_trajectory")
+                times = ends.get(namespace, {})
                 channels = {  # a map of the uncut part has the stamp 0 in every pass
-                    name: Channel(topic, OUTPUTS.index(name), (0,) if name == "workpiece" else times)
+                    name: Channel(topic, OUTPUTS.index(name), (0,) if name == "workpiece" else sorted(times))
                     for topic, (ns, name) in self._names.items()
                     if ns == namespace and name in OUTPUTS
                 }
@@ -158,19 +177,23 @@ class Robots:
             raise RecordingError(self.recording.path, "holds no tool_pose, wrench or reference_trajectory to recompute")
         return {t: place for t, place in places.items() if place[0] in robots}
 
-    def _first_references(self, starts: PassStarts) -> dict[str, bytes]:
-        """Return the first usable reference of each namespace; collect the starts of all references.
+    def _read_references(self) -> tuple[dict[str, bytes], dict[str, dict[int, int]]]:
+        """Return the first usable reference of each namespace, and the starts and ends [ns] of the passes.
 
-        It was latched when the recording began, and may be recorded after the first messages of the pass.
+        The first reference was latched when the recording began, and may be recorded after the first messages of the
+        pass.
         """
         firsts: dict[str, bytes] = {}
+        ends: dict[str, dict[int, int]] = {}
         references = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
+        longest = end_of(self.cell, self.cell.target())
         for message in self.recording.messages(set(references)):
             with contextlib.suppress(MillingError):
-                trajectory_from_bytes(message.data)
-                firsts.setdefault(references[message.topic], message.data)
-                starts.take(message.topic, stamp_of(message.data))
-        return firsts
+                reference, namespace = trajectory_from_bytes(message.data), references[message.topic]
+                firsts.setdefault(namespace, message.data)
+                start = reference.start_ns
+                ends.setdefault(namespace, {})[start] = start + max(longest, end_of(self.cell, reference))
+        return firsts, ends
 
     def feed(self, progress=None, feed: Callable[[Robot, str, bytes], None] = Robot.feed) -> None:
         """Feed all messages in the order of the file; ``feed`` takes the messages of a robot."""

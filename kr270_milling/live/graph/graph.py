@@ -150,17 +150,19 @@ class Graph:
             if self._signals[0] == signal.SIGTERM:
                 raise SystemExit(128 + signal.SIGTERM)
             raise KeyboardInterrupt
-        for node, child in self.children.items():
-            if not child.alive:
-                raise RunError(node, child.why_ended())
+        ended = [node for node, child in self.children.items() if not child.alive]
+        if ended:  # the others may have ended because of the first
+            first = min(ended, key=lambda node: self.children[node].ended_at)
+            raise RunError(first, self.children[first].why_ended())
+        silences = {node: self.driver.silences[node] for node in self.children if self._in_pass}
+        silent = {node: silence.seconds() for node, silence in silences.items()}
+        longest = max(silent, key=silent.__getitem__, default="")
+        if longest and silent[longest] > (QUIET if self.driver.error else LOST):  # its partners report its silence
+            raise RunError(longest, f"has not reported for {silent[longest]:.0f} s")
         if self.children and self.driver.error:
             raise RunError(*self.driver.error)
-        for node in self.children if self._in_pass else ():
-            silence = self.driver.silences[node]
-            silent = silence.seconds()
-            if silent > LOST:
-                raise RunError(node, f"has not reported for {LOST:g} s")
-            if silence.is_due(silent, QUIET):
+        for node, silence in silences.items():
+            if silence.is_due(silent[node], QUIET):
                 self.warn(f"{node}: has not reported for {QUIET:g} s; waiting")
 
     def warn(self, sentence: str) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -65,6 +67,13 @@ class Child:
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=logs,
                 env=child_environment(), start_new_session=True,
             )  # fmt: skip
+        self.ended_at = math.inf  #: [s of the monotonic clock]
+        threading.Thread(target=self._wait, daemon=True).start()
+
+    def _wait(self) -> None:
+        """Note the end at once: a runner under load looks at its processes late, and two may have ended by then."""
+        self.process.wait()
+        self.ended_at = time.monotonic()
 
     @property
     def pid(self) -> int:
@@ -72,7 +81,7 @@ class Child:
 
     @property
     def alive(self) -> bool:
-        return self.process.poll() is None
+        return self.ended_at == math.inf
 
     def why_ended(self) -> str:
         """Return why the process ended, in one sentence."""
@@ -90,7 +99,10 @@ class Child:
 
     def keep_to(self, cores: set[int]) -> None:
         """Run every present and future thread of the process on these cores only."""
-        for task in os.listdir(f"/proc/{self.pid}/task") if self.alive else ():
+        tasks: list[str] = []
+        with contextlib.suppress(OSError):  # the process has ended
+            tasks = os.listdir(f"/proc/{self.pid}/task")
+        for task in tasks:
             with contextlib.suppress(OSError):  # the thread has ended
                 os.sched_setaffinity(int(task), cores)
 

@@ -37,7 +37,7 @@ class Player(ReportingNode):
     """Publish the messages of a recording at the pace of their log times; end after the last message."""
 
     def __init__(self, options: PlayOptions, progress=None, **kwargs):
-        self.recording = Recording(options.file)
+        self.recording = Recording(options.file, remap=options.remap)
         try:
             super().__init__("player", **kwargs)
             self._prepare(options)

@@ -12,13 +12,13 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table
+from kr270_milling.path.progress import PathProgress
 
 __all__ = ["Corrector", "CorrectionTable", "CorrectionLimits", "read_corrections"]
 
 SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
 PLACE = ("X_mm", "Y_mm", "Z_mm")
 UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])
-CLOSE = 2e-5  #: [m]: of two places this equally near, the earlier one is the progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +59,10 @@ class Corrector:
 
     def __init__(self, table: CorrectionTable, limits: CorrectionLimits, cycle: float):
         """cycle [s]: 0.004 or 0.012."""
-        step = np.linalg.norm(np.diff(table.position, axis=0), axis=1)
-        moved = np.concatenate([[True], step > 0.0])  # places at rest give no direction
-        self._point = table.position[moved]
-        self._value = np.append(table.correction[:-1][moved[1:]], table.correction[-1:], axis=0)  # last one of a rest
-        self._way = np.concatenate([[0.0], np.cumsum(step[step > 0.0])])  # [m]
+        self._path = path = PathProgress(table.position, limits.reach, limits.window)
+        self._value = np.append(table.correction[:-1][path.moved[1:]], table.correction[-1:], axis=0)  # last of a rest
+        self._way = path.way
         self._limits, self._cycle = limits, cycle
-        self.progress = 0.0  #: [m] along the path
         self.applied = np.zeros(6)
         self.share = 0.0  #: of the wanted correction, 0 to 1
         self.reason = "waiting for the start of the path"  #: why the correction is what it is
@@ -73,14 +70,19 @@ class Corrector:
         self._started = False
 
     @property
+    def progress(self) -> float:
+        """Progress along the path [m]."""
+        return self._path.progress
+
+    @property
     def length(self) -> float:
         """Length of the path [m]."""
-        return float(self._way[-1])
+        return self._path.length
 
     def step(self, point: np.ndarray, cycles: int = 1) -> np.ndarray:
         """Return the correction (6,) for the commanded point [m], (3,); cycles: since the last telegram."""
         limits = self._limits
-        distance = self._advance(point)
+        distance = self._path.advance(point)
         missed = cycles > limits.missed
         near = distance <= limits.reach
         if missed:
@@ -99,25 +101,6 @@ class Corrector:
     def repeat(self) -> np.ndarray:
         """Return the correction of the last cycle, for a telegram that arrived twice."""
         return self.applied
-
-    def _advance(self, point: np.ndarray) -> float:
-        """Move the progress to the projection of the point, and return the distance [m] of the point from it."""
-        first = max(0, int(np.searchsorted(self._way, self.progress, side="right")) - 1)
-        last = min(int(np.searchsorted(self._way, self.progress + self._limits.window)), len(self._way) - 1)
-        first = min(first, len(self._way) - 2)
-        last = max(last, first + 1)
-        start, along = self._point[first:last], np.diff(self._point[first : last + 1], axis=0)
-        length = np.diff(self._way[first : last + 1])
-        share = np.clip(np.einsum("ij,ij->i", point - start, along) / length**2, 0.0, 1.0)
-        way = np.maximum(self._way[first:last] + share * length, self.progress)
-        share = (way - self._way[first:last]) / length
-        distance = np.linalg.norm(point - start - share[:, None] * along, axis=1)
-        least = np.concatenate([[np.inf], distance, [np.inf]])
-        local = (distance <= least[:-2]) & (distance <= least[2:]) & (distance <= distance.min() + CLOSE)
-        chosen = int(np.argmax(local))
-        if distance[chosen] <= self._limits.reach:
-            self.progress = float(way[chosen])
-        return float(distance[chosen])
 
     def _at_progress(self) -> np.ndarray:
         index = int(np.clip(np.searchsorted(self._way, self.progress, side="right") - 1, 0, len(self._way) - 2))

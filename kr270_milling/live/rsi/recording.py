@@ -23,11 +23,14 @@ __all__ = ["RsiRecording"]
 class RsiRecording:
     """Writes the topics ``target_trajectory``, ``reference_trajectory``, ``tool_pose``, ``correction``, ``rsi_status``.
 
-    The stamps are the counter of the robot since the first telegram. Raises RecordingError.
+    The stamps are the counter of the robot since the first telegram. attachments: name -> bytes, the cell and its
+    files. Raises RecordingError.
     """
 
-    def __init__(self, directory, table: CorrectionTable, metadata: Mapping[str, object]):
-        self._writer = BagWriter(directory, metadata=metadata)
+    def __init__(
+        self, directory, table: CorrectionTable, metadata: Mapping[str, object], attachments: Mapping[str, bytes | str]
+    ):
+        self._writer = BagWriter(directory, metadata=metadata, attachments=attachments)
         self._lock = threading.Lock()
         self._stamp = 0
         time_ns = (table.time * SECOND).round().astype("int64")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 __all__ = ["MOST", "PlayOptions"]
@@ -23,3 +24,4 @@ class PlayOptions:
     start_paused: bool = False
     clock: float | None = None  #: [Hz]
     delay: float = 0.0  #: [s]
+    remap: Mapping[str, str] = field(default_factory=dict)  #: our names -> recorded names, see ``remapping``

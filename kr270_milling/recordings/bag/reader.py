@@ -6,9 +6,11 @@ Reading needs memory for one unpacked chunk and about 100 MB more, whatever the 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
@@ -38,6 +40,7 @@ from kr270_milling.recordings.bag.records import (
     record_at,
     walk,
 )
+from kr270_milling.recordings.bag.remap import own_name
 
 __all__ = ["Attachment", "RawMessage", "RecordedTopic", "Recording"]
 
@@ -62,13 +65,17 @@ class Recording:
     ``cut_off``: its writer did not finish the file; the file is read up to its last whole chunk.
     progress: called with (bytes read, bytes in all). on_damage: receives each damage and the bytes that are skipped
     (None: the summary); reading continues after them. By default the first damage raises RecordingError.
+    remap: our names -> recorded names, see ``remapping``.
     """
 
     def __init__(
         self, path, progress: Callable[[int, int], None] | None = None,
         on_damage: Callable[[Damage, RecordPlace | None], None] | None = None,
+        remap: Mapping[str, str] = MappingProxyType({}),
     ):  # fmt: skip
         self.path = mcap_file(path)
+        self.remap = remap
+        self._recorded: set[str] = set()  # names of the topics in the file
         self.stream = open_to_read(self.path)
         self.size = os.fstat(self.stream.fileno()).st_size
         self.profile: str | None = None  #: None: the file has no header
@@ -88,6 +95,7 @@ class Recording:
             self.cut_off = self.footer is None
             with self._damage_as_error():
                 self._open(progress)
+            self._check_remap()
         except RecordingError:
             self.close()
             raise
@@ -212,19 +220,31 @@ class Recording:
         if isinstance(record, Schema):
             self.schemas[record.id] = record
         elif isinstance(record, Channel):
+            self._recorded.add(record.topic)
+            record.topic = own_name(record.topic, self.remap)
             self.channels[record.id] = record
         else:
             self._metadata[record.name] = record.metadata
+
+    def _check_remap(self) -> None:
+        for recorded in self.remap.values():
+            if not any(topic.endswith("/" + recorded.lstrip("/")) for topic in self._recorded):
+                listed = ", ".join(sorted(self._recorded)) or "no topic"
+                raise RecordingError(self.path, f"has no topic {recorded}, but {listed}")
 
     def _list_topics(self) -> dict[str, RecordedTopic]:
         topics: dict[str, RecordedTopic] = {}
         texts = {number: schema.data.decode("utf-8", "replace") for number, schema in self.schemas.items()}
         for number, channel in self.channels.items():
             name, schema = channel.topic, self.schema_of(channel)
-            count = self.counts[number] + (topics[name].count if name in topics else 0)
             text = texts.get(channel.schema_id, "")
             encoding, metadata = channel.message_encoding, channel.metadata
-            topics[name] = RecordedTopic(schema.name, count, encoding, text, schema.encoding, metadata)
+            about = RecordedTopic(schema.name, self.counts[number], encoding, text, schema.encoding, metadata)
+            other = topics.get(name)
+            if other is not None:  # a topic with two types has the type of the channel with more messages
+                chosen = other if other.count > about.count else about
+                about = dataclasses.replace(chosen, count=other.count + about.count)
+            topics[name] = about
         return topics
 
     @property

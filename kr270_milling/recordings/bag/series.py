@@ -45,12 +45,16 @@ def several(
 ) -> list[TopicSeries]:  # fmt: skip
     """Read topics of the FIXED types as arrays in one pass through the file.
 
-    others: topic -> a function that receives each message of a further topic. Raises RecordingError.
+    others: topic -> a function that receives each message of a further topic. A message that is not of the type of its
+    topic is left out. Raises RecordingError where no message of a topic can be read.
     """
     batches = {topic: _Batch(recording, topic) for topic in topics}
     receivers = {**{topic: batch.add for topic, batch in batches.items()}, **others}
+    known = recording.topics()
+    fits = {n: recording.schema_of(c).name == known[c.topic].type for n, c in recording.channels.items()}
     for message in recording.messages(set(receivers)):
-        receivers[message.topic](message.data)
+        if fits[message.channel]:
+            receivers[message.topic](message.data)
     return [batches[topic].series() for topic in topics]
 
 
@@ -60,6 +64,7 @@ class _Batch:
     def __init__(self, recording: Recording, topic: str):
         self._recording, self._topic, self._width = recording, topic, _width(recording, topic)
         self._layout: tuple = ()
+        self._refused: ValueError | None = None
         self._waiting: list[bytes] = []
         self._stamps, self._values = [np.empty(0, np.int64)], [np.empty((0, self._width))]
 
@@ -72,14 +77,20 @@ class _Batch:
     def _unpack(self) -> None:
         if not self._waiting:
             return
-        with _as_recording_error(self._recording, self._topic):
-            stamps, values = unpack_alike(self._waiting, self._width)
-        self._waiting.clear()
+        messages, self._waiting = self._waiting, []
+        try:
+            stamps, values = unpack_alike(messages, self._width)
+        except ValueError as error:  # of another publisher
+            self._refused = error
+            return
         self._stamps.append(stamps)
         self._values.append(values)
 
     def series(self) -> TopicSeries:
         self._unpack()
+        if self._refused and len(self._stamps) == 1:
+            with _as_recording_error(self._recording, self._topic):
+                raise self._refused
         result = TopicSeries(np.concatenate(self._stamps), np.concatenate(self._values))
         for column in result:
             column.setflags(write=False)

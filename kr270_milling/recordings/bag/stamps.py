@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
+from typing import NamedTuple
 
 __all__ = ["SHARED", "GapCounter", "LogTimes", "PassStarts", "Passes"]
 
@@ -42,9 +43,10 @@ class Passes:
         self._starts = starts
 
     def begins(self, stamp: int) -> bool:
-        again = self._last > 0 and (stamp == 0 or self._passed(stamp) > self._passed(self._last))
+        returned = stamp == 0 and self._last > 0 and (not self._starts or self._starts[0] == 0)
+        again = returned or (self._last > 0 and self._passed(stamp) > self._passed(self._last))
         self.number += again
-        self._returns += stamp == 0 and self._last > 0
+        self._returns += returned
         self._last = stamp
         return again
 
@@ -58,12 +60,24 @@ class Passes:
         return bisect.bisect_right(self._starts, stamp)
 
 
+class Gap(NamedTuple):
+    """The last gap of a series, with the counts before it."""
+
+    before: int
+    after: int
+    missing: int
+    gaps: int
+
+
 class GapCounter:
     """Counts the gaps in a series of stamps [ns].
 
     The period is the smallest of the first 20 differences, if all of them are multiples of it within a quarter and most
     of them equal it. A series without a period has no gaps. The time between two passes is no gap. Backward stamps and
     repeated stamps are counted separately.
+
+    A gap in which the series continues soon is none: the stamps after it belong to another publisher, and they do not
+    count while the series continues.
 
     starts: of the passes; latched: a late subscriber receives the last message again, which is no repeated stamp.
     """
@@ -75,23 +89,48 @@ class GapCounter:
         self.last: int | None = None
         self.passes = Passes(starts)
         self._differences: list[int] = []  # until the period is known
+        self._gap: Gap | None = None
+        self._other: int | None = None  # from this stamp on, messages are of another publisher
+        self._since = 0  # messages since the gap, or of the other publisher without one of the series
 
     def add(self, stamp: int) -> None:
         if self.passes.begins(stamp) or self.last is None:
-            self.last = stamp
-            return
-        difference = stamp - self.last
+            self.last, self._gap, self._other = stamp, None, None
+        elif self._other is not None and stamp >= self._other:
+            self._since += 1
+            if self._since > LEARN:  # the series itself
+                self.last, self._other = stamp, None
+        else:
+            self._since = self._since + 1 if self._other is None else 0
+            self._add(self.last, stamp)
+
+    def _add(self, last: int, stamp: int) -> None:
+        gap = self._gap if self._since <= LEARN else None
+        if gap is not None and gap.before < stamp < gap.after:
+            self.backwards += 1
+            self._gap, self._other, self._since = None, gap.after, 0
+            last, self.missing, self.gaps = gap.before, gap.missing, gap.gaps
+        difference = stamp - last
         self.repeated += difference == 0 and not self._latched
         self.backwards += difference < 0
-        if difference <= 0:
-            return
-        self.last = stamp
+        if difference > YEAR:
+            self._other, self._since = stamp, 0
+        elif difference > 0 or (difference < 0 and self.period_ns is None):
+            self.last = stamp
+            self._take(last, difference)
+
+    def _take(self, last: int, difference: int) -> None:
         if self.period_ns is not None:
+            before = Gap(last, last + difference, self.missing, self.gaps)
             self._count(difference)
-            return
-        self._differences.append(difference)
-        if len(self._differences) == LEARN:
-            self._learn()
+            if self.gaps > before.gaps:
+                self._gap, self._since = before, 0
+        elif difference < 0:  # one of both is of another publisher
+            self._differences.clear()
+        else:
+            self._differences.append(difference)
+            if len(self._differences) == LEARN:
+                self._learn()
 
     def _count(self, difference: int) -> None:
         period = self.period_ns

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from kr270_milling.base.arguments import bounded, numbers
 
 __all__ = [
-    "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "SELF_CONTAINED", "Command", "Group",
+    "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "REMAP", "SELF_CONTAINED", "Command", "Group",
     "add_command", "command", "option",
 ]  # fmt: skip
 
@@ -73,6 +73,12 @@ POSTURE = numbers(6, most=720.0)
 RECORDING = option("file FILE.mcap|DIR", "a recording, also one that was cut off")
 SELF_CONTAINED = option(
     "--self-contained", "the page contains plotly.js instead of loading plotly.min.js next to it", bool
+)
+REMAP = option(
+    "--remap NAME:=RECORDED",
+    "our topic NAME was recorded as RECORDED, as wrench:=force/measured; may be given several times",
+    default=[],
+    action="append",
 )
 REFERENCE = option("--reference FILE.csv", "run along this trajectory, as written by compensate")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from kr270_milling.base.column import TextTable
@@ -16,7 +17,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import PLANT, command, option
 from kr270_milling.show.commands.console import Answer, command_line, now, plant_of
 from kr270_milling.show.commands.progress import progress
-from kr270_milling.show.commands.run import run_passes, summary
+from kr270_milling.show.commands.run import missing_text, run_passes, summary
 
 METHODS = ("linear", "spline", "mirror", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
@@ -56,7 +57,7 @@ def run_demo(args) -> Answer:
     second = _plain(moving, INERTIA_METHODS, None, WITH)
     loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
     report = _write(result["out"], cell, passes, second, source, args)
-    return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop})
+    return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop}, missing_text(result))
 
 
 def _plain(cell, methods, plant, suffix: str = "") -> list:
@@ -87,7 +88,7 @@ def _write(directory, cell, passes, second, source, args):
     return report
 
 
-def _answer(passes, second, result: dict) -> Answer:
+def _answer(passes, second, result: dict, missing: Sequence[str] = ()) -> Answer:
     both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
     rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
@@ -97,7 +98,8 @@ def _answer(passes, second, result: dict) -> Answer:
         NEEDS,
         f"ran as: {result['ran_as']}",
         f"report: {result['report']}",
-    ])  # fmt: skip
+        *missing,
+    ], code=int(bool(missing)))  # fmt: skip
 
 
 def _row(p) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from kr270_milling.base.arguments import bounded, numbers, stretch
@@ -12,6 +13,7 @@ from kr270_milling.base.version import __version__
 from kr270_milling.show.commands.command import (
     CELL,
     POSTURE,
+    REMAP,
     SELF_CONTAINED,
     Group,
     command,
@@ -19,6 +21,7 @@ from kr270_milling.show.commands.command import (
 )
 from kr270_milling.show.commands.console import Answer, cell_of
 from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.recordings import STAMPS
 
 SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
 QUANTITIES = ("displacement", "velocity", "acceleration")
@@ -101,9 +104,9 @@ COMMANDS = {
         "identify.run_compare", "compare out/original config/paper.yaml",
         option("recording RECORDING", "of a force sensor, a tracker, or both; or WALL.csv: measured error of a wall"),
         *CELL,
-        option("--reference FILE.csv", "the pass ran along this, as written by compensate"),
-        option("--force-topic", "WrenchStamped", default="wrench"),
-        option("--pose-topic", "PoseStamped in workpiece axes", default="tool_pose"),
+        option("--reference FILE.csv", "the pass ran along this, as written by compensate (default: as recorded)"),
+        option("--pass N", "of a recording with several passes (default: the last)", bounded(1, 1000, int)),
+        REMAP,
         option("--sensor-abc A,B,C", "force sensor in the workpiece [deg]", SENSOR_ABC),
         SENSOR_ON,
         option("--plants N", "of the band of a wall, drawn from uncertainty", bounded(2, 1000, int), 16),
@@ -273,7 +276,17 @@ def run_compare(args) -> Answer:
     reference = read_csv(Path(args.reference))[0] if args.reference else None
     if Path(args.recording).suffix.lower() == ".csv":
         return _compare_wall(args, cell, reference)
-    measured = _measured(args)
+    passes = _recorded_passes(args)
+    measured, name = None, Path(args.recording).name
+    if passes:
+        number = getattr(args, "pass") or len(passes)
+        if number > len(passes):
+            raise InputError("--pass", f"{args.recording} has {len(passes)} passes")
+        chosen = passes[number - 1]
+        reference = chosen.scored.reference if reference is None else reference
+        if len(passes) > 1 or chosen.stamps != "exchange":
+            measured, name = _series_of(args, chosen.scored.result), chosen.scored.name + STAMPS[chosen.stamps]
+    measured = measured or _measured(args)
     with progress("milling") as report:
         ran = simulate(cell, reference, progress=report).result
     force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
@@ -281,7 +294,29 @@ def run_compare(args) -> Answer:
     compared = comparison.compare(
         measured, comparison.ComparedSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
     )
-    return _answer(args, comparison_outcome(compared, Path(args.recording).name, Path(args.cell).name))
+    return _answer(args, comparison_outcome(compared, name, Path(args.cell).name))
+
+
+def _recorded_passes(args) -> list:
+    """Return the passes of a recording of the nodes or of RSI; none of a recording of a sensor or a tracker alone."""
+    from kr270_milling.base.errors import RecordingError
+    from kr270_milling.exchange.replay.recorded import passes_from_recording
+    from kr270_milling.recordings.bag.remap import remapping
+
+    remap = remapping(args.remap)
+    with contextlib.suppress(RecordingError):
+        return passes_from_recording(args.recording, remap=remap)
+    return []
+
+
+def _series_of(args, ran):
+    """Return force and place of the tool in a recorded pass, a PassResult."""
+    from kr270_milling.studies.identification import comparison
+    from kr270_milling.studies.identification.cuts import turn_of
+
+    sign = -1.0 if args.sensor_on == "part" else 1.0
+    force = comparison.VectorSeries(ran.time, sign * ran.wrench[:, :3] @ turn_of(args.sensor_abc).T)
+    return comparison.ComparedSeries(force if ran.wrench.any() else None, comparison.VectorSeries(ran.time, ran.actual))
 
 
 def _compare_wall(args, cell, reference) -> Answer:
@@ -298,13 +333,18 @@ def _compare_wall(args, cell, reference) -> Answer:
 def _measured(args):
     """Read force and pose of the recording; None for a topic that it does not have."""
     from kr270_milling.recordings.bag.reader import Recording
+    from kr270_milling.recordings.bag.remap import remapping
     from kr270_milling.studies.identification import comparison
     from kr270_milling.studies.identification.cuts import Sensor, force_series, turn_of
     from kr270_milling.studies.identification.signals import pose_series
 
     with Recording(args.recording) as recording:
-        names = [topic.rpartition("/")[2] for topic in recording.topics()] + list(recording.topics())
-    sensor = Sensor(args.force_topic, turn_of(args.sensor_abc), args.sensor_on == "part")
-    force = comparison.VectorSeries(*force_series(args.recording, sensor)) if args.force_topic in names else None
-    pose = comparison.VectorSeries(*pose_series(args.recording, args.pose_topic)) if args.pose_topic in names else None
+        names = {topic.rpartition("/")[2] for topic in recording.topics()}
+    recorded = {name: name for name in names & {"wrench", "tool_pose"}} | remapping(args.remap)
+    force = pose = None
+    if topic := recorded.get("wrench"):
+        sensor = Sensor(topic, turn_of(args.sensor_abc), args.sensor_on == "part")
+        force = comparison.VectorSeries(*force_series(args.recording, sensor))
+    if topic := recorded.get("tool_pose"):
+        pose = comparison.VectorSeries(*pose_series(args.recording, topic))
     return comparison.ComparedSeries(force, pose)

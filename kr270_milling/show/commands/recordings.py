@@ -12,7 +12,7 @@ from kr270_milling.base.column import columns_of, table_of, yes
 from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.units import seconds
-from kr270_milling.show.commands.command import RECORDING, command, option
+from kr270_milling.show.commands.command import RECORDING, REMAP, command, option
 from kr270_milling.show.commands.console import Answer, command_line, now, output_directory
 from kr270_milling.show.commands.progress import progress
 
@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from kr270_milling.exchange.replay.recorded import RecordedPass
 
 
+#: what the title of the report adds for the stamps of the poses
+STAMPS = {
+    "exchange": "",
+    "driver's": "; poses at the driver's stamps",
+    "place": "; RSI: poses by their place, without the deflection",
+}
 COMMANDS = {
     "info": command(
         "recordings.run_info", "info out/pass1",
@@ -41,6 +47,7 @@ COMMANDS = {
             nargs="+",
         ),
         option("--namespace NAME", "of the robot, where a recording holds several"),
+        REMAP,
         option(
             "--out DIR",
             "where the report goes (default: in place of the report.html of the first DIR, else DIR/report; DIR of "
@@ -117,20 +124,24 @@ def run_report(args) -> Answer:
     from kr270_milling.show.report.series import write_series
 
     places = [Path(place) for place in args.recordings]
-    recorded, copies = _read(places, args.namespace)
+    recorded, copies = _read(places, args.namespace, args.remap)
     cell, passes = recorded[0].cell, [one.scored for one in recorded]
     first = places[0]
     beside = first if first.is_dir() else first.parent
     there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
     directory = output_directory(args.out or (beside if there else beside / "report"))
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
+    title += "".join(STAMPS[kind] for kind in sorted({one.stamps for one in recorded}))
     with progress("report"):
         page = write_report(
             directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
             program=recorded[0].program,
         )  # fmt: skip
         write_series(directory, cell, passes)
-    rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in recorded]
+    rows = [
+        {**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete, "stamps": one.stamps}
+        for one in recorded
+    ]
     about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
     return Answer(about, [
         table_of("Path deviation, from the recordings", _columns(), rows),
@@ -139,17 +150,19 @@ def run_report(args) -> Answer:
     ])  # fmt: skip
 
 
-def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
+def _read(places: Sequence[Path], namespace: str | None, rules: Sequence[str]) -> tuple[list[RecordedPass], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
 
     from kr270_milling.exchange.replay.recorded import passes_from_recording
+    from kr270_milling.recordings.bag.remap import remapping
 
+    remap = remapping(rules)
     paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
     names = unique_names(paths)
     recorded: list[RecordedPass] = []
     copies: list[str] = []
     with progress("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
-        read = pool.map(lambda path, name: passes_from_recording(path, name, namespace), paths, names)
+        read = pool.map(lambda path, name: passes_from_recording(path, name, namespace, remap), paths, names)
         for number, (path, passes) in enumerate(zip(paths, read, strict=True), 1):
             count(number, len(paths))
             for one in passes:
@@ -207,4 +220,4 @@ def _columns() -> tuple:
     from kr270_milling.physics.motion.scores import Scores
 
     return (("pass", "name", 0), *columns_of(Scores),
-            ("lost", "messages_lost", 0), ("complete", "complete", yes))  # fmt: skip
+            ("lost", "messages_lost", 0), ("complete", "complete", yes), ("stamps", "stamps", str))  # fmt: skip

@@ -60,9 +60,10 @@ def _play(args) -> Answer:
 
 def _recompute(args) -> Answer:
     from kr270_milling.exchange.replay.recompute import recompute
+    from kr270_milling.recordings.bag.remap import remapping
 
     with progress("recomputing") as report:
-        result = recompute(args.file, report)
+        result = recompute(args.file, report, remapping(args.remap))
     about = result.as_dict()
     rows = ({"topic": _shown(topic), **count.as_dict()} for topic, count in sorted(result.channels.items()))
     shown: list = [table_of(result.file, COLUMNS, rows)]
@@ -83,9 +84,10 @@ def _shown(value) -> str:
 
 def _compensate(args) -> Answer:
     from kr270_milling.exchange.replay.compensate import compensate_recording
+    from kr270_milling.recordings.bag.remap import remapping
 
     with progress("compensating") as report:
-        revisions = compensate_recording(args.file, args.method, report)
+        revisions = compensate_recording(args.file, args.method, report, remapping(args.remap))
     files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
     robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
     shown = []

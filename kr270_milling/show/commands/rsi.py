@@ -26,6 +26,7 @@ COMMANDS = {
         option("--reach-mm", "no correction farther from the path", bounded(0.0, 50.0, above=True), 1.0),
         option("--progress", "pose from which the place on the path is taken: RSol, or RIst minus the correction",
                choices=("rsol", "rist"), default="rsol"),
+        option("--cell CELL.yaml", "cell of the path, attached to the recording; report needs it"),
         option("--out DIR", "directory of the recording", default="rsi"),
         note="It ends when the robot is silent for 1 s. This host is not a real-time system: see live/rsi/README.md.",
     ),
@@ -45,7 +46,7 @@ def run_rsi(args) -> Answer:
     corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
     directory = fresh_directory(args.out)
     with open_socket(args.host, args.port) as connection, RsiRecording(
-        directory, table, {"command_line": command_line(args)}
+        directory, table, {"command_line": command_line(args)}, _attached(args.cell) if args.cell else {}
     ) as recording:  # fmt: skip
 
         def report(sentence: str) -> None:
@@ -74,6 +75,16 @@ def run_rsi(args) -> Answer:
         f"recording: {shown_path(directory)}",
     ]
     return Answer(result, shown, code=int(bool(counts.late or counts.missed)))
+
+
+def _attached(name: str) -> dict[str, bytes | str]:
+    """Return the cell and the files of its path as attachments."""
+    from kr270_milling.base.parameter_file import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import cell_text
+
+    cell = read_cell(find_file(name))
+    return {"cell.yaml": cell_text(cell)} | {Path(file).name: Path(file).read_bytes() for file in cell.programmed.files}
 
 
 def _table(name: str) -> Path:

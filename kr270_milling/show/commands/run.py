@@ -58,9 +58,14 @@ def run_graph(args) -> Answer:
     result = summary(ran)
     columns = (("pass", "name", 2), *columns_of(Scores), *columns_of(RunRow), ("recording", "recording", shown_path))
     table = table_of("Path deviation, four nodes and a recorder", columns, result["passes"])
+    missing = missing_text(ran)
+    return Answer(result, [table, cell.cut_text, up, *missing], code=int(bool(missing)))
+
+
+def missing_text(ran: dict) -> list[str]:
+    """Return a sentence where messages are missing in the recordings of ``run_passes``."""
     lost = sum(one.messages_lost for row in ran["passes"] for one in (row, *row.learning))
-    missing = [f"{lost} messages are missing in the recordings, see the column lost"] if lost else []
-    return Answer(result, [table, cell.cut_text, up, *missing], code=1 if lost else 0)
+    return [f"{lost} messages are missing in the recordings"] if lost else []
 
 
 def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:

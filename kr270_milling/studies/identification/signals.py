@@ -111,11 +111,11 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
 def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
     """Seconds of the stamps (n,), ascending, and the numbers (n, columns) of a topic of one of these types.
 
-    name: full, or the last part where only one topic ends so. Raises RecordingError.
+    name: full, or the last parts where only one topic ends so. Raises RecordingError.
     """
     with Recording(path) as recording:
         topics = recording.topics()
-        matches = [name] if name in topics else [topic for topic in topics if topic.rpartition("/")[2] == name]
+        matches = [name] if name in topics else [t for t in topics if t.endswith("/" + name)]
         if len(matches) != 1:
             what = f"has several topics {name} ({', '.join(matches)})" if matches else f"has no topic {name}"
             raise RecordingError(recording.path, f"{what}; it holds {', '.join(sorted(topics)) or 'nothing'}")

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import struct
 import time
 
 import numpy as np
 import pass_recording as made
 import pytest
+from foreign_cell import foreign_pass
 
 from kr270_milling.base.errors import ConfigError, RecordingError
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import cell_text
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cli import main
+from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording, passes_from_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
 
 pytestmark = made.needs_messages
@@ -176,3 +186,114 @@ def test_a_pass_is_scored_along_the_target_in_force(tmp_path):
     assert moved.complete and moved.target.position[0, 1] == shifted.position[0, 1]
     shift = (moved.scored.result.tool - plain.scored.result.tool)[:, 1]
     assert abs(moved.scored.scores.static_deviation - plain.scored.scores.static_deviation) < 1e-7 < 4e-4 < shift.min()
+
+
+# --- messages of other publishers on our topics ---
+
+
+BAD = b"\0\1\0\0abc"
+POSE_AWAY = PoseSample(0, "workpiece", np.ones(3), np.array([1.0, 0.0, 0.0, 0.0]))
+FORCE = WrenchSample(0, "workpiece", np.ones(6))
+FOREIGN = {  # topic, message, first stamp and step [ns]
+    "force sensor of another clock": ("wrench", FORCE, LATE + 10**17, 10**6),
+    "force sensor ahead of the pass": ("wrench", FORCE, LATE + 30_000_077, 10**6),
+    "force sensor behind the pass": ("wrench", FORCE, LATE - 10**10, 10**6),
+    "force without stamps": ("wrench", FORCE, 0, 0),
+    "driver ahead of the pass": ("tool_pose", POSE_AWAY, LATE + 30_000_077, 10**6),
+    "driver of another clock": ("tool_pose", POSE_AWAY, 77, 10**6),
+    **{f"bytes on {topic}": (topic, None, 0, 0) for topic in (*EXCHANGE, "reference_trajectory", "compensator_state")},
+}
+
+
+@pytest.mark.parametrize(("topic", "record", "begin", "step"), FOREIGN.values(), ids=list(FOREIGN))
+def test_messages_of_another_publisher_are_not_counted_as_missing_and_spoil_nothing(
+    tmp_path, topic, record, begin, step
+):
+    messages = []
+    for k, message in enumerate(made.one_pass(begin=LATE)):
+        messages.append(message)
+        if k % 5 == 4:
+            stamp = begin + k // 5 * step
+            data = BAD if record is None else to_bytes(record._replace(stamp=stamp))
+            messages.append(made.Message(topic, data, stamp))
+    bag = made.write(tmp_path / "r", messages)
+    with Recording(bag) as recording:
+        about = info(recording)
+    assert about["missing"] == 0
+    replayed = recompute(bag)
+    assert replayed.verdict == "identical", [replayed.first, *replayed.stops]
+    assert replayed.channels[f"/{topic}"].refused >= 90
+    (ran,) = passes_from_recording(bag)
+    (plain,) = passes_from_recording(made.write(tmp_path / "plain", made.one_pass(begin=LATE)))
+    assert ran.complete and ran.messages_lost == 0
+    np.testing.assert_equal(ran.scored.row() | {"name": ""}, plain.scored.row() | {"name": ""})
+
+
+def test_messages_of_an_unknown_type_on_our_topics_do_not_prevent_a_report(tmp_path):
+    with BagWriter(tmp_path / "r", attachments={"cell.yaml": made.cell_text()}) as writer:
+        for topic, kind in made.TYPES.items():
+            writer.add_topic(f"/{topic}", kind)
+        others = [
+            writer.add_channel(topic, schema, encoding, {})
+            for topic, schema, encoding in (
+                ("/diagnostics", ("Other", "jsonschema", b"{}"), "json"),
+                ("/wrench", ("other_msgs/msg/Force", "ros2msg", b"float64 x"), "cdr"),
+                ("/camera/tool_pose", ("", "", b""), ""),
+            )
+        ]
+        for k, message in enumerate(made.one_pass()):
+            writer.write(f"/{message.topic}", message.data, 10**9 + k)
+            if k % 50 == 0:
+                for other in others:
+                    writer.write_raw(other, b"{}", 10**9 + k, message.stamp, k)
+    assert pass_from_recording(tmp_path / "r").complete
+
+
+# --- a robot with another clock ---
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """Two passes of the paper's cell with a driver at 4 ms and a sensor at 1 kHz, and the true passes."""
+    cell = read_cell(find_file("paper.yaml"), ["compensation.method=learned"])
+    protocol = CompensatorProtocol(cell, now=lambda: LATE)
+    messages, true = made.messages(protocol.begin(cell.target())), []
+    for number in range(2):
+        true.append(simulate(cell, protocol.active.reference))
+        for sample in foreign_pass(true[-1].result, number):
+            name = "tool_pose" if isinstance(sample, PoseSample) else "wrench"
+            messages.append(made.Message(name, to_bytes(sample), sample.stamp))
+            messages += made.messages(getattr(protocol, "pose" if name == "tool_pose" else "wrench")(sample))
+    directory = tmp_path_factory.mktemp("driven") / "r"
+    kinds = {name: kind for name, kind in made.TYPES.items() if name != "deflection"}
+    with BagWriter(directory, attachments={"cell.yaml": cell_text(cell)}) as writer:
+        for name, kind in kinds.items():
+            writer.add_topic(f"/{name}", kind)
+        for k, message in enumerate(messages):
+            writer.write(f"/{message.topic}", message.data, LATE + k)
+    return directory, true
+
+
+def test_a_pass_of_a_robot_with_another_clock_is_scored_at_its_stamps(driven):
+    directory, true = driven
+    passes = passes_from_recording(directory)
+    assert [one.stamps for one in passes] == ["driver's"] * 2
+    for one, ran in zip(passes, true, strict=True):
+        assert one.complete and 2 <= one.messages_lost < 20
+        assert abs(one.scored.scores.max_deviation - ran.scores.max_deviation) < 0.5e-6
+        assert abs(one.scored.scores.static_deviation - ran.scores.static_deviation) < 0.1e-6
+        wrench = one.scored.result.wrench[-100:, :3].mean(0)
+        np.testing.assert_allclose(wrench, ran.result.wrench[-100:, :3].mean(0), atol=1.0)
+    assert passes[1].scored.scores.max_deviation < 1e-6 < 60e-6 < passes[0].scored.scores.max_deviation
+
+
+@pytest.mark.parametrize("number", ["1", "2"])
+def test_a_pass_of_a_robot_with_another_clock_is_compared_along_its_reference(driven, capsys, number):
+    assert main(["compare", str(driven[0]), "paper.yaml", "--pass", number, "--json"]) == 0
+    channels = {one["name"]: one for one in json.loads(capsys.readouterr().out)["channels"]}
+    assert abs(channels["deviation"]["gain"] - 1.0) < 0.02 and channels["deviation"]["residual_rms_um"] < 0.2
+
+
+def test_a_recording_of_a_robot_with_another_clock_is_not_recomputed(driven):
+    with pytest.raises(RecordingError, match="its poses have the stamps of a driver"):
+        recompute(driven[0])

@@ -24,8 +24,9 @@ from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph import plan
 from kr270_milling.live.graph.driver import Driver
-from kr270_milling.live.graph.graph import RunValues
+from kr270_milling.live.graph.graph import Graph, RunValues
 from kr270_milling.live.graph.plan import fresh_directory
+from kr270_milling.live.graph.processes import Child, RunError
 from kr270_milling.live.ros import topics
 from kr270_milling.recordings.bag.reader import Recording
 
@@ -130,6 +131,17 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environ
         assert row["real_time_factor"] == pytest.approx(row["duration_s"] / row["wall_s"])
     assert 0 < result["graph_up_s"] < 30
     assert not nodes_of(tmp_path)
+
+
+@pytest.mark.parametrize(("lost", "code"), [(0, 0), (1705, 1)])
+def test_a_run_whose_recording_lacks_messages_states_them_and_ends_with_1(capsys, monkeypatch, short_cell, lost, code):
+    row = plan.RunRow(RunValues(Path("o"), 1.0, (0.0,), True), simulate(short_cell), lost)
+    ran = {"graph_up_s": 1.0, "out": Path("o"), "passes": [row]}
+    monkeypatch.setattr("kr270_milling.show.commands.run.run_passes", lambda *_: ran)
+    assert main(run_words("o")) == code
+    out = capsys.readouterr().out
+    assert (f"{lost} messages are missing in the recordings" in out) == bool(lost)
+    assert f" {lost} " in next(line for line in out.splitlines() if "original" in line)
 
 
 def test_recordings_are_never_overwritten(tmp_path):
@@ -328,6 +340,32 @@ def test_the_original_pass_is_the_best_where_no_revision_helps(run):
 
 
 # --- what the runner takes from the reports of the nodes ---
+
+
+def test_of_two_nodes_that_have_ended_the_first_one_is_named(tmp_path, monkeypatch):
+    program = tmp_path / "node"  # called with: -m, module, node, seconds
+    program.write_text("#!/bin/sh\nsleep $4; echo gone; exit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    graph = Graph(None, tmp_path)
+    graph.children = {node: Child((node,), [seconds], tmp_path) for node, seconds in zip(NODES, "1092", strict=True)}
+    wait_until(lambda: sum(not child.alive for child in graph.children.values()) >= 2, 30, "the children do not end")
+    try:
+        with pytest.raises(RunError, match=r"^cutting_process: ended with exit code 1 \(gone; see "):
+            graph.check()
+    finally:
+        graph.stop()
+
+
+def test_the_node_that_is_silent_is_named_and_not_the_one_that_misses_its_messages(tmp_path):
+    graph = Graph(None, tmp_path)
+    graph.children, graph._in_pass = dict.fromkeys(NODES, SimpleNamespace(alive=True)), True
+    silences = {
+        node: SimpleNamespace(seconds=lambda s=s: s) for node, s in zip(NODES, (0.1, 3.9, 0.1, 1.2), strict=True)
+    }
+    graph.driver = SimpleNamespace(error=(NODES[0], "no wrench for 4 s"), silences=silences)
+    with pytest.raises(RunError, match="^cutting_process: has not reported for 4 s"):
+        graph.check()
 
 
 def report(pid: int, message: str, level: bytes = b"\0") -> DiagnosticArray:

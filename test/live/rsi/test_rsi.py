@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import subprocess
@@ -13,6 +14,11 @@ import pytest
 from rsi_controller import Controller, telegram
 
 from kr270_milling.base.errors import InputError, MessageError
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import cell_text
+from kr270_milling.cli import main
+from kr270_milling.decide.programs.files import write_rsi_table
 from kr270_milling.live.rsi.corrector import CorrectionLimits, CorrectionTable, Corrector, read_corrections
 from kr270_milling.live.rsi.session import RsiSession, open_socket
 from kr270_milling.live.rsi.telegram import read_telegram, write_answer
@@ -213,31 +219,44 @@ def test_a_robot_that_falls_silent_ends_the_session(running):
     assert sentences[-1] == "no telegram for 1 s"
 
 
-def test_the_command_answers_a_controller_and_records_it(tmp_path):
-    table = line(0.02)
-    rows = np.hstack([table.time[:, None], 1e3 * table.correction[:, :3], 0 * table.correction[:, :3],
-                      1e3 * table.position])  # fmt: skip
-    names = "time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg,X_mm,Y_mm,Z_mm"
-    file = tmp_path / "rsi_offsets_linear.csv"
-    np.savetxt(file, rows, delimiter=",", header=names, comments="", fmt="%.7f")
+def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path, capsys):
+    """At 50 % override; the robot follows the correction, and its arm is commanded 0.5 mm lower because of its sag."""
+    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20", "stock.grid_step_um=50"])
+    (tmp_path / "cell.yaml").write_text(cell_text(cell))
+    target = cell.target()
+    programmed = target.with_position(target.position - [0.0, 0.0, 5e-4])
+    shift = np.array([0.0, 6e-5, 0.0])
+    write_rsi_table(
+        tmp_path / "rsi_offsets_linear.csv", programmed, programmed.with_position(programmed.position + shift)
+    )
     port = _free_port()
     words = [sys.executable, "-m", "kr270_milling.cli", "rsi", str(tmp_path), "--port", str(port), "--ramp-s", "0.01",
-             "--out", str(tmp_path / "rsi"), "--json"]  # fmt: skip
+             "--out", str(tmp_path / "rsi"), "--cell", str(tmp_path / "cell.yaml"), "--json"]  # fmt: skip
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert f"127.0.0.1:{port}" in process.stderr.readline()
-    controller = Controller(port)
-    for k, point in enumerate(1e3 * table.position):
-        applied = controller.cycle(point)
-        assert k < 10 or np.abs(1e-3 * applied[:3] - table.correction[k, :3]).max() < 1e-6
+    controller, applied = Controller(port), np.zeros(6)
+    points = 1e3 * programmed.sample(np.arange(0, target.duration_ns + 1, 2_000_000))
+    for k, point in enumerate(points):
+        applied = controller.cycle(point, actual_mm=point + applied[:3])
+        assert k < 10 or np.abs(1e-3 * applied[:3] - shift).max() < 1e-6
     process.send_signal(signal.SIGINT)
     controller.socket.close()
     out, err = process.communicate(timeout=60)
-    assert f'"answered": {len(table.time)}' in out and re.search('"path_share": 1.0', out), err
+    assert f'"answered": {len(points)}' in out and re.search('"path_share": 1.0', out), err
     with Recording(tmp_path / "rsi") as recording:
         stamp, values = series(recording, "/correction")
-        np.testing.assert_array_equal(stamp, (table.time * 1e9).round())
-        np.testing.assert_allclose(values[10:, :3], table.correction[10:, :3], atol=1e-6)
+        np.testing.assert_array_equal(stamp, 4_000_000 * np.arange(len(points)))
+        np.testing.assert_allclose(values[10:, :3], np.tile(shift, (len(points) - 10, 1)), atol=1e-6)
         assert recording.topics()["/tool_pose"].count == len(stamp)
+    capsys.readouterr()
+    assert main(["report", str(tmp_path / "rsi"), "--out", str(tmp_path / "report"), "--json"]) == 0
+    (ran,) = json.loads(capsys.readouterr().out)["passes"]
+    assert (ran["stamps"], ran["complete"], ran["messages_lost"]) == ("place", True, 0)
+    assert abs(ran["static_deviation_mm"] - 0.06) < 1e-4  # the poses of the robot do not show the deflection
+    assert "RSI: poses by their place, without the deflection" in (tmp_path / "report" / "report.html").read_text()
+    assert main(["compare", str(tmp_path / "rsi"), str(tmp_path / "cell.yaml"), "--json"]) == 0
+    (channel,) = json.loads(capsys.readouterr().out)["channels"]
+    assert channel["name"] == "deviation"
 
 
 def _free_port() -> int:

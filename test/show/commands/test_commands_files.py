@@ -7,12 +7,16 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pass_recording as made
 import pytest
 from hostile import ask, refused
 
 from kr270_milling import cli
+from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cli import main
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.show.commands.recordings import unique_names
 
 pytestmark = made.needs_messages
@@ -180,3 +184,59 @@ def test_a_second_plain_demo_prints_first_that_it_replaces_the_report(tmp_path, 
     assert main(["demo", "--plain", "--out", str(tmp_path)]) == 130
     assert "holds a report already; it is replaced" in capsys.readouterr().err
     assert (tmp_path / "report.html").read_text() == "old"
+
+
+# --- a graph whose topics were remapped ---
+
+
+@pytest.fixture(scope="module")
+def remapped(tmp_path_factory):
+    """A pass of a robot in /left whose wrench was on force/measured; another sensor was on wrench."""
+    names, directory = {"wrench": "force/measured"}, tmp_path_factory.mktemp("remapped") / "r"
+    with BagWriter(directory, attachments={"cell.yaml": made.cell_text()}) as writer:
+        for name, kind in made.TYPES.items():
+            writer.add_topic(
+                f"/left/{names.get(name, name)}", kind, [made.LATCHED] if name in made.LATCHED_TOPICS else [{}]
+            )
+        writer.add_topic("/left/wrench", made.WRENCH)
+        for k, message in enumerate(made.one_pass()):
+            writer.write(f"/left/{names.get(message.topic, message.topic)}", message.data, 10**9 + k)
+        writer.write("/left/wrench", to_bytes(WrenchSample(0, "workpiece", np.ones(6))), 10**9)
+    return directory
+
+
+REMAP = ["--remap", "wrench:=force/measured"]
+
+
+@pytest.mark.parametrize(
+    "words", [["replay", "BAG", "--recompute"], ["replay", "BAG", "--compensate"], ["report", "BAG", "--out", "OUT"]]
+)
+def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_path, capsys, words):
+    words = [{"BAG": str(remapped), "OUT": str(tmp_path)}.get(word, word) for word in words]
+    assert main([*words, "--json", *REMAP]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    if "verdict" in answer:
+        assert answer["verdict"] == "identical" and answer["channels"]["/left/wrench"]["compared"] == made.STEPS
+    if "passes" in answer:
+        assert answer["passes"][0]["complete"] and not answer["passes"][0]["messages_lost"]
+
+
+def test_a_comparison_takes_the_remapped_force(remapped, tmp_path, capsys):
+    cell = tmp_path / "cell.yaml"
+    cell.write_text(made.cell_text())
+    assert main(["compare", str(remapped), str(cell), *REMAP]) == 0
+    assert "force x" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("rule", "sentence"),
+    [
+        ("wrnch:=force", "'wrnch' is not one of target_trajectory, robot_description, tool_pose, wrench, "),
+        ("wrench=force", "'wrench=force' is not NAME:=RECORDED"),
+        ("wrench:=force/other", "has no topic force/other"),
+    ],
+)
+def test_a_wrong_remapping_is_one_sentence(remapped, capsys, rule, sentence):
+    assert main(["replay", str(remapped), "--recompute", "--remap", rule]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1

@@ -52,7 +52,7 @@ def advice(comparison: Comparison) -> list[str]:
     if deviation is not None:
         weights = [float(np.abs(c.simulated).mean()) for c in forces]
         expected = float(np.average([c.line.gain for c in forces], weights=weights)) if forces else 1.0
-        if _differs(deviation.line, expected):
+        if expected > 0.0 and _differs(deviation.line, expected):
             ratio = deviation.line.gain / expected
             cause = "`identify compliance`" if forces else "`identify compliance`, or forces, which were not measured"
             sentences.append(f"the deviation is {ratio:.2f} times what the measured forces explain: {cause}")

@@ -1,0 +1,130 @@
+"""Passes whose poses have the stamps of a driver: of a robot with another clock, or of an RSI session.
+
+The passes of a robot are found as the compensator finds them. In an RSI session the place on the path decides the
+time, because override and stops change the feed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.exchange.compensator import PassInbox, end_of
+from kr270_milling.exchange.replay.inputs import INPUTS
+from kr270_milling.path.progress import PathProgress
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.recordings.bag.reader import Recording
+
+__all__ = ["DrivenPass", "driven_passes", "rsi_pass"]
+
+LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
+NEAR_END = 1e-4  # [m] from the end of the path, where an RSI session is complete
+TOPICS = ("reference_trajectory", "tool_pose", "wrench")
+
+
+class DrivenPass(NamedTuple):
+    """Poses and wrenches of one pass, at times counted from its start."""
+
+    reference: Trajectory
+    time_ns: np.ndarray  #: (n,), increasing
+    position: np.ndarray  #: tool centre [m], (n, 3)
+    wrench_ns: np.ndarray  #: (m,), ascending
+    wrench: np.ndarray  #: [N, N m], (m, 6)
+    complete: bool  #: to the end of the reference, without a gap
+
+    @property
+    def lost(self) -> int:
+        """Number of poses that are missing, by the median of the times between two poses."""
+        steps = np.diff(self.time_ns)
+        return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
+
+    def sampled(self, clock: Clock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the exchanges (k,) from the first pose to the last, and tool centre and wrench in each.
+
+        The deviation from the reference, which changes slowly, is interpolated.
+        """
+        steps = np.arange(clock.steps(self.reference.duration_ns) + 1)
+        stamps = clock.stamp(steps)
+        inside = self.complete | ((stamps >= self.time_ns[0]) & (stamps <= self.time_ns[-1]))
+        steps, stamps = steps[inside], stamps[inside]
+        off = self.position - self.reference.sample(self.time_ns)
+        tool = self.reference.sample(stamps) + _interpolated(stamps, self.time_ns, off)
+        wrench = (
+            _interpolated(stamps, self.wrench_ns, self.wrench) if self.wrench_ns.size else np.zeros((steps.size, 6))
+        )
+        return steps, tool, wrench
+
+
+def _interpolated(at: np.ndarray, time_ns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.interp(at, time_ns, column) for column in rows.T])
+
+
+def driven_passes(recording: Recording, cell: Cell, topics: Mapping[str, str]) -> Iterator[DrivenPass]:
+    """Yield the passes of a robot with another clock, in the order of the file; topics: our names -> recorded ones.
+
+    Raises RecordingError where the poses of a pass do not follow its reference.
+    """
+    names = {topic: name for name, topic in topics.items() if name in TOPICS}
+    inboxes: list[tuple[PassInbox, Trajectory]] = []
+    last = b""
+    for message in recording.messages(set(names)):
+        name = names[message.topic]
+        if name == "reference_trajectory" and message.data == last:
+            continue  # latched, received again
+        with contextlib.suppress(MillingError):  # refused by the live node as well
+            record = INPUTS[name](message.data)
+            if name == "reference_trajectory":
+                last = message.data
+                inbox = PassInbox(end_of(cell, record), 1, record.start_ns, record, cell.clock)
+                inboxes.append((inbox, record))
+            elif inboxes:
+                inbox, _ = inboxes[-1]
+                (inbox.pose if name == "tool_pose" else inbox.wrench)(record)
+    for inbox, reference in inboxes:
+        if not inbox.started or not inbox.foreign:
+            continue
+        try:
+            got = inbox.received()
+        except MillingError as error:
+            raise RecordingError(recording.path, str(error)) from error
+        if got.pose_ns.size > 1:
+            whole = inbox.at_end and int(np.diff(got.pose_ns).max()) <= LONGEST_GAP
+            yield DrivenPass(reference, got.pose_ns, got.position, got.wrench_ns, got.wrench, whole)
+
+
+def rsi_pass(
+    recording: Recording, cell: Cell, programmed: Trajectory, reference: Trajectory, place: np.ndarray
+) -> DrivenPass:
+    """Return the pass of an RSI session along the target of the cell.
+
+    programmed: what the robot program runs; it differs from the target by the sag of the arm, which the poses (n, 3)
+    [m] therefore do not contain. reference: programmed plus correction. Raises RecordingError where the session never
+    was on the path, or where its cell has another path.
+    """
+    target = cell.target()
+    if abs(programmed.duration_ns - target.duration_ns) > LONGEST_GAP:
+        reason = f"its program takes {programmed.duration_ns * 1e-9:g} s, but the path of its cell"
+        raise RecordingError(recording.path, f"{reason} {target.duration_ns * 1e-9:g} s")
+    path = PathProgress(programmed.position)
+    way = np.full(len(place), np.nan)
+    for k, point in enumerate(place):
+        if path.advance(point) <= path.reach:
+            way[k] = path.progress
+    on_path = np.flatnonzero(np.isfinite(way))
+    if on_path.size < 2 or path.progress == 0.0:
+        raise RecordingError(recording.path, "the robot was never on the path")
+    knots = path.way[np.cumsum(path.moved) - 1]
+    time = np.interp(way[on_path], knots, programmed.time_ns).astype(np.int64)
+    time, rows = np.unique(time[::-1], return_index=True)  # the last pose of a stop
+    off = place[on_path[::-1][rows]] - programmed.sample(time)
+    shift = reference.position - programmed.position
+    along = Trajectory(programmed.time_ns, target.sample(programmed.time_ns) + shift, target.quaternion[0])
+    complete = path.length - path.progress <= NEAR_END
+    none = np.zeros(0, np.int64)
+    return DrivenPass(along, time, target.sample(time) + off, none, np.zeros((0, 6)), complete)
