@@ -128,6 +128,7 @@ class CompensatorProtocol:
         inbox, self.inbox = self.inbox, copy.copy(self.inbox)
         self.inbox.clear()  # the pass is over, also if its revision fails
         received = inbox.received()
+        self.inbox.problem = inbox.problem
         number = self.passes
         self.passes += 1
         self.missing = received.missing

@@ -105,8 +105,8 @@ class PassInbox:
 
     @property
     def started(self) -> bool:
-        """Whether a pose of the pass was received."""
-        return bool(self._poses)
+        """Whether the start of the pass was received."""
+        return self.foreign or bool(self._poses)
 
     @property
     def at_end(self) -> bool:
@@ -232,6 +232,8 @@ class PassInbox:
         turned = [turn(s, poses[k].quaternion) for s, k in zip(samples, nearest, strict=True)]
         position = np.array([pose.position for pose in poses], float).reshape(-1, 3)
         if self.foreign and self._reference is not None:
+            if self._wrenches:
+                self._check_gap("wrench", self.end_ns, next(reversed(self._wrenches)))
             late = lag(self._reference, stamps, position)
             stamps, times = stamps - late, times - late
             check_follows(self._reference, stamps, position)

@@ -44,7 +44,7 @@ def checked_wrench(sample: WrenchSample, frames: Sequence[str] = (WORKPIECE, TOO
     """Return the sample; raises MessageError where its frame is none of ``frames``, or a value cannot be used."""
     if sample.frame not in frames:
         allowed = f"{', '.join(frames[:-1])} or {frames[-1]}"
-        raise MessageError(f"wrench: the frame is {sample.frame!r}, but must be {allowed} (key sensor.frame)")
+        raise MessageError(f"wrench: the frame is {sample.frame!r}, but must be {allowed}")
     _expect_finite(sample.wrench.tolist(), "wrench")
     return sample
 

@@ -18,7 +18,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
-from kr270_milling.exchange.inputs import ExchangeError, WrenchFrames
+from kr270_milling.exchange.inputs import ExchangeError, WrenchFrames, checked_wrench
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.exchange.start import lag
 from kr270_milling.path.trajectory import fingerprint
@@ -464,6 +464,10 @@ def test_an_untared_sensor_in_its_own_frame_gives_the_wrench_at_the_tip(ran):
     at_tip = frames.tared([WrenchSample(i, "ft_sensor", row) for i, row in enumerate(before)], DOWN)
     got = [at_tip(WrenchSample(0, "ft_sensor", row), quaternions[1]) for row in after]
     np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
+    with pytest.raises(
+        MessageError, match="'camera', but must be workpiece, tcp, base, base_link, flange, tool0 or ft_s"
+    ):
+        checked_wrench(WrenchSample(0, "camera", np.zeros(6)), frames.names)
     same = cell_with("mount.xyz_mm=[140, 30, -320]", "sensor.frame=tool0")
     assert WrenchFrames(same).names == ("workpiece", "tcp", "base", "base_link", "flange", "tool0")
 

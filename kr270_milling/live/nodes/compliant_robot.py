@@ -73,7 +73,7 @@ class CompliantRobot(ManagedNode):
 
     @guarded
     def _on_planner(self, msg) -> None:
-        self._ready = not Status.from_msg(msg).values["waiting_for"]
+        self._ready = not Status.from_msg(msg).values.get("waiting_for")
 
     @guarded
     def _watch_answer(self) -> None:

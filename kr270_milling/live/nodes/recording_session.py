@@ -16,7 +16,7 @@ from kr270_milling.exchange.scene import INPUTS, Derived, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, WARN, ReportingNode
 from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, PolledMessage, in_order, poll, polled_subscription
-from kr270_milling.live.ros.status import is_recorded
+from kr270_milling.live.ros.readiness import is_recorded
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
 __all__ = ["RecordingSession"]

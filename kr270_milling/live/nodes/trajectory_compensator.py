@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 
@@ -17,11 +16,11 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.names import message_class
+from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.polling import POLL_PERIOD, poll, polled_subscription
-from kr270_milling.live.ros.status import Status, subscribe_status, unmatched
+from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
 from kr270_milling.path.trajectory import fingerprint
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.recordings.messages.cdr import stamp_of
@@ -31,14 +30,12 @@ from kr270_milling.recordings.messages.codec import (
     trajectory_from_bytes,
     wrench_from_bytes,
 )
-from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.recordings.messages.topics import COMPENSATOR
 from kr270_milling.recordings.messages.viewer import path_bytes
 
 __all__ = ["TrajectoryCompensator"]
 
 METHOD = "compensation.method"
-WAIT_FOR = f"{CUT}, {ROBOT}?, {RECORDER}?"
-STARTING = "the compensator is starting"
 TARGET = "the target itself"
 LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
 WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
@@ -71,14 +68,7 @@ class TrajectoryCompensator(ReportingNode):
         )  # fmt: skip
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
-        about = "nodes that a pass waits for, separated by commas; with ?: only where the node is in the graph"
-        names = [name.strip() for name in self.declared("wait_for", WAIT_FOR, about).split(",") if name.strip()]
-        self._wait_for = {name.rstrip("?"): not name.endswith("?") for name in names}  # whether the node must be there
-        self._statuses: dict[str, Status] = {}
-        self._confirmed: set[str] = set()  # nodes with a status since all nodes were matched
-        self._partners = {n: subscribe_status(self, n, functools.partial(self._on_status, n)) for n in self._wait_for}
-        self._waiting_for = STARTING
-        self.set_values(recording="", reference="", waiting_for=self._waiting_for)
+        self.set_values(recording="", reference="")
         self.open_outlets(COMPENSATOR)
         self.subscribe(topics.RECORDING, self._on_recording)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
@@ -86,7 +76,13 @@ class TrajectoryCompensator(ReportingNode):
         self._pose = polled_subscription(self, pose.type, pose.name, self._on_pose, pose.qos)
         self._wrench = polled_subscription(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
         if self._start_topic:
-            self.create_subscription(start_type, self._start_topic, self._on_start, topics.LOOP, raw=True)
+            where = f"parameters of {self.get_fully_qualified_name()}: start_topic"
+            start = resolved_topic(self, self._start_topic, where)
+            self.create_subscription(start_type, start, self._on_start, topics.LOOP, raw=True)
+        about = "nodes that a pass waits for, separated by commas; with ?: only where the node is in the graph"
+        names = self.declared("wait_for", WAIT_FOR, about)
+        self._readiness = Readiness(self, names, (self._pose.topic_name, self._wrench.topic_name))
+        self.set_values(waiting_for=self._readiness.waiting_for)
         states = topics.JOINT_STATES
         self.create_subscription(states.type, states.name, self._on_joints, LATEST, raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -116,40 +112,8 @@ class TrajectoryCompensator(ReportingNode):
         """Take the name of the file to which the next passes are recorded."""
         self.protocol.recording = from_bytes("std_msgs/msg/String", data).text
         self.set_values(recording=self.protocol.recording)
-        self._check_ready()
+        self._readiness.check()
         self.publish_report()
-
-    @guarded
-    def _on_status(self, name: str, msg) -> None:
-        self._statuses[name] = Status.from_msg(msg)
-        self._confirmed.add(name)
-        self._check_ready()
-
-    def _check_ready(self) -> None:
-        """Publish what a pass waits for where this has changed."""
-        waiting_for = self._unready()
-        if waiting_for != self._waiting_for:
-            self._waiting_for = waiting_for
-            self.set_values(waiting_for=waiting_for)
-            self.publish_report()
-
-    def _unready(self) -> str:
-        """Return what a pass waits for, in a few words; empty when the pass may start."""
-        present = {name for name, status in self._partners.items() if status.get_publisher_count()}
-        self._statuses = {name: status for name, status in self._statuses.items() if name in present}
-        for name in (name for name, needed in self._wait_for.items() if needed and name not in present):
-            if not self._is_foreign_partner(name):
-                return f"{name} is not in the graph (parameter wait_for)"
-        if problem := unmatched({**self._statuses, self.get_name(): self.status()}):
-            self._confirmed.clear()
-            return problem
-        return next((f"no status of {name} yet" for name in sorted(present - self._confirmed)), "")
-
-    def _is_foreign_partner(self, name: str) -> bool:
-        """Return whether a node without a status publishes poses or wrenches."""
-        inputs = (self._pose.topic_name, self._wrench.topic_name)
-        infos = (info for topic in inputs for info in self.get_publishers_info_by_topic(topic))
-        return any(info.node_name == name.rpartition("/")[2] for info in infos)
 
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
         self.send(outputs)
@@ -182,6 +146,7 @@ class TrajectoryCompensator(ReportingNode):
         stamp = stamp_of(data)
         if stamp is None:
             raise MessageError(f"{self._start_topic}: the message has no stamp (parameter start_type)")
+        self._silence.end()
         self.protocol.start(stamp)
 
     @guarded
@@ -212,7 +177,7 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _watch_pass(self) -> None:
         """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
-        self._check_ready()
+        self._readiness.check()
         silent, inbox = self._silence.seconds(), self.protocol.inbox
         if inbox.problem:
             self.report(WARN, inbox.problem)
@@ -278,8 +243,8 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _send_program(self) -> str:
         """Publish the reference for a joint controller; return what was published."""
-        if self._waiting_for:
-            raise MessageError(f"the pass waits: {self._waiting_for}")
+        if self._readiness.waiting_for:
+            raise MessageError(f"the pass waits: {self._readiness.waiting_for}")
         start = self.get_clock().now().nanoseconds + int(LEAD * SECOND)
         program = self.protocol.program(self._present_joints(), start)
         self.send([("joint_trajectory", program)])

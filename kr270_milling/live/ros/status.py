@@ -1,10 +1,8 @@
-"""The status of a node for programs, one latched topic a node, and whether a pass may start by these statuses."""
+"""The status of a node for programs: one latched topic a node."""
 
 from __future__ import annotations
 
-import fnmatch
 import json
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -12,12 +10,8 @@ from rclpy.node import Node
 
 from kr270_milling.base.errors import MessageError
 from kr270_milling.live.ros import topics
-from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
-__all__ = ["Status", "is_recorded", "subscribe_status", "unmatched"]
-
-ONLY_BY_NAME = ("/rosout", "/parameter_events")
-STATUSES = tuple(f"/{node}/status" for node in (ROBOT, CUT, COMPENSATOR, RECORDER))
+__all__ = ["Status", "subscribe_status"]
 
 
 @dataclass(frozen=True)
@@ -50,37 +44,3 @@ def subscribe_status(node: Node, name: str, callback):
     """Subscribe to the status of the node ``name``, relative to the namespace of ``node``."""
     topic = topics.STATUS
     return node.create_subscription(topic.type, topic.name.replace("~", name), callback, topic.qos)
-
-
-def is_recorded(topic: str, patterns: Sequence[str]) -> bool:
-    """Return whether a recorder with these patterns (none: every topic) records a topic."""
-    if topic in patterns or topic.endswith(STATUSES):
-        return topic in patterns
-    return any(fnmatch.fnmatchcase(topic, p) for p in patterns) if patterns else topic not in ONLY_BY_NAME
-
-
-def unmatched(statuses: Mapping[str, Status]) -> str:
-    """Return what the nodes of a pass lack, in a few words; empty when the pass may start.
-
-    Every subscriber and every publisher of a topic have discovered each other, a recorder has all topics, and all nodes
-    have the same reference. statuses: by node.
-    """
-    for publisher, status in statuses.items():
-        for topic, count in status.listeners.items():
-            wanted = [node for node in statuses if node != publisher and _reads(statuses[node], topic)]
-            for node in wanted:
-                if not statuses[node].sources.get(topic):
-                    return f"{node} has not discovered a publisher of {topic}"
-            if count < len(wanted):
-                return f"{publisher} has not discovered every subscriber of {topic}"
-    for key in ("reference", "recording"):
-        values = {node: status.values[key] for node, status in statuses.items() if key in status.values}
-        if len(set(values.values())) > 1:
-            return f"not every node has the {key}: {values}"
-    return ""
-
-
-def _reads(status: Status, topic: str) -> bool:
-    """Return whether a node subscribes to a topic; ``records`` are the patterns of a recorder with an open file."""
-    patterns, left_out = status.values.get("records"), status.values.get("left_out", ())
-    return topic in status.sources or (patterns is not None and topic not in left_out and is_recorded(topic, patterns))

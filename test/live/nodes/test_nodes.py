@@ -324,6 +324,7 @@ def test_a_robot_with_its_own_clock_is_followed_and_a_far_one_is_reported(machin
     (-10.0, 1.0, "s before the start of the pass, so the pose is not used"),
     (0.2, 1.0, "no tool_pose for 0.2"),
     (0.0, 0.5, "no tool_pose for 0.8 s in mid-pass"),
+    (0.0, 0.0, "no tool_pose for 0.8 s in mid-pass"),
 ])  # fmt: skip
 def test_what_does_not_fit_the_start_message_is_reported_within_1_s(
     world, short_cell, tmp_path, ran, late, until, sentence

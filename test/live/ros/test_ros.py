@@ -28,7 +28,8 @@ from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, ReportingNode, guarded
 from kr270_milling.live.ros.parameters import declare
-from kr270_milling.live.ros.status import Status, unmatched
+from kr270_milling.live.ros.readiness import unmatched
+from kr270_milling.live.ros.status import Status
 
 ERROR = 2
 ROOT = Path(__file__).resolve().parents[3]
