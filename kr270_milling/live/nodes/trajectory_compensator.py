@@ -177,12 +177,12 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _watch_pass(self) -> None:
         """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
-        self._readiness.check()
         silent, inbox = self._silence.seconds(), self.protocol.inbox
         if inbox.problem:
             self.report(WARN, inbox.problem)
             inbox.problem = ""
         if not self.protocol.under_way:
+            self._readiness.check()
             if inbox.distance and time.monotonic() - self._report_time > REPORT_AFTER:
                 self._report_time = time.monotonic()
                 where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"

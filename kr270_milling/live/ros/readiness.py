@@ -40,7 +40,7 @@ class Readiness:
             self._confirmed.add(name)
 
     def check(self) -> None:
-        """Decide again, some ten times a second, and publish the answer in the status of the node where it has changed."""
+        """Decide again, and publish the answer in the status of the node where it has changed."""
         before, self.waiting_for = self.waiting_for, self._missing()
         if self.waiting_for != before:
             self._node.set_values(waiting_for=self.waiting_for)
