@@ -40,10 +40,12 @@ class StartSeeker:
         if self._announced or self.distance <= START_TOLERANCE:
             self.poses.append(sample)
             return None
+        if not self.poses:
+            return None
         times = np.arange(0, min(SEEK_NS, self._reference.duration_ns) + 1, SEEK_NS // 1000)
         off = np.linalg.norm(self._reference.sample(times) - sample.position, axis=1)
         nearest = int(np.argmin(off))
-        if not self.poses or off[nearest] > START_TOLERANCE:
+        if off[nearest] > START_TOLERANCE:
             self.poses.clear()
             return None
         self.poses.append(sample)
