@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.frames import TOOL, WORKPIECE
 from kr270_milling.base.samples import LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import pass_record
@@ -224,12 +225,9 @@ class PassInbox:
         """
         stamps, poses = np.array(list(self._poses), np.int64), list(self._poses.values())
         times = np.array(sorted(self._wrenches), np.int64)
-        nearest = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0).tolist()
+        nearest = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0)
         samples = [self._wrenches[stamp] for stamp in times.tolist()]
-        turn = in_workpiece_axes
-        if self._frames is not None and poses:
-            turn = self._frames.tared(self._standing, poses[0].quaternion)
-        turned = [turn(s, poses[k].quaternion) for s, k in zip(samples, nearest, strict=True)]
+        turned = self._at_tip(samples, [poses[k].quaternion for k in nearest.tolist()])
         position = np.array([pose.position for pose in poses], float).reshape(-1, 3)
         if self.foreign and self._reference is not None:
             if self._wrenches:
@@ -237,7 +235,20 @@ class PassInbox:
             late = lag(self._reference, stamps, position)
             stamps, times = stamps - late, times - late
             check_follows(self._reference, stamps, position)
-        return ReceivedPass(stamps, position, times, np.array(turned, float).reshape(-1, 6))
+        return ReceivedPass(stamps, position, times, turned)
+
+    def _at_tip(self, samples: list[WrenchSample], quaternions: list[np.ndarray]) -> np.ndarray:
+        """Return wrenches (n, 6) at the tool tip in workpiece axes; quaternions: of tcp."""
+        wrench, frames = np.array([s.wrench for s in samples], float).reshape(-1, 6), [s.frame for s in samples]
+        for frame in set(frames) - {WORKPIECE}:
+            rows = [row for row, name in enumerate(frames) if name == frame]
+            if self._frames is None or frame == TOOL:
+                wrench[rows] = [in_workpiece_axes(samples[row], quaternions[row]) for row in rows]
+                continue
+            turns = np.array([quaternions[row] for row in rows])
+            offset = self._frames.offset(self._standing, next(iter(self._poses.values())).quaternion)
+            wrench[rows] = self._frames.at_tip(frame, wrench[rows], turns, offset)
+        return wrench
 
 
 def _missing(stamps: np.ndarray) -> int:

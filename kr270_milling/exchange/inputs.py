@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -71,7 +71,7 @@ class WrenchFrames:
     def __init__(self, cell: Cell):
         flange = cell.mount.pose.inverse()
         self._sensor = cell.sensor
-        self._on_tool = {"flange": flange, "tool0": flange @ TOOL0}  # pose of each frame in tcp
+        self._on_tool = {"flange": flange, "tool0": flange @ TOOL0}  # pose in tcp
         base = cell.workpiece.pose.rotation.T  # axes of the base in those of the workpiece
         self._fixed = {"base": base, "base_link": base}
         self._gravity = base @ [0.0, 0.0, -GRAVITY]
@@ -83,36 +83,35 @@ class WrenchFrames:
         """Return whether no reading of the sensor is among the wrenches before the start."""
         return bool(self._sensor.frame) and not any(sample.frame == self._sensor.frame for sample in standing)
 
-    def tared(self, standing: Sequence[WrenchSample], quaternion: np.ndarray) -> Callable:
-        """Return a function of a wrench and of the quaternion of tcp (4,): the wrench (6,) at the tip, workpiece axes.
+    def offset(self, standing: Sequence[WrenchSample], quaternion: np.ndarray) -> np.ndarray:
+        """Return the offset of the sensor (6,): its mean reading before the start minus the weight; 0 without one.
 
-        The offset is the mean reading before the start, minus the weight. quaternion: of tcp before the start.
+        quaternion: of tcp before the start, (4,).
         """
         readings = [sample.wrench for sample in standing if sample.frame == self._sensor.frame]
-        offset = np.zeros(6)
-        if readings:
-            offset = np.mean(readings, axis=0) - self._weight(self._pose(self._sensor.frame, quaternion))
+        if not readings:
+            return np.zeros(6)
+        return np.mean(readings, axis=0) - self._weight(self._pose(self._sensor.frame, quaternion))
 
-        def at_tip(sample: WrenchSample, quaternion: np.ndarray) -> np.ndarray:
-            if sample.frame in self._fixed:
-                return moved_wrench(sample.wrench, Pose(np.zeros(3), self._fixed[sample.frame]))
-            if sample.frame not in self._on_tool:
-                return in_workpiece_axes(sample, quaternion)
-            wrench, pose = sample.wrench, self._pose(sample.frame, quaternion)
-            if sample.frame == self._sensor.frame:
-                wrench = wrench - offset - self._weight(pose)
-            return moved_wrench(wrench, pose)
+    def at_tip(self, frame: str, wrench: np.ndarray, quaternion: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        """Return wrenches (n, 6) of one of these frames at the tool tip in workpiece axes.
 
-        return at_tip
+        quaternion: of tcp, (n, 4); offset: of the sensor, (6,).
+        """
+        if frame in self._fixed:
+            return moved_wrench(wrench, Pose(np.zeros(3), self._fixed[frame]))
+        pose = self._pose(frame, quaternion)
+        if frame == self._sensor.frame:
+            wrench = wrench - offset - self._weight(pose)
+        return moved_wrench(wrench, pose)
 
     def _pose(self, frame: str, quaternion: np.ndarray) -> Pose:
         """Return the pose of a frame on the tool, in axes of the workpiece at the tool tip."""
-        rotation, on_tool = rotation_from_quaternion(quaternion), self._on_tool[frame]
-        return Pose(rotation @ on_tool.position, rotation @ on_tool.rotation)
+        return Pose(np.zeros(3), rotation_from_quaternion(quaternion)) @ self._on_tool[frame]
 
     def _weight(self, pose: Pose) -> np.ndarray:
-        """Return the reading of the sensor (6,) under the weight alone."""
-        return self._sensor.weight(pose.rotation.T @ self._gravity)
+        """Return the reading of the sensor (..., 6) under the weight alone."""
+        return self._sensor.weight(np.einsum("...ji,j->...i", pose.rotation, self._gravity))
 
 
 def _expect_finite(values: list[float], topic: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 from foreign_cell import PLACED, WALL, foreign_pass, readings
 from small_part import GCODE, small_part
 
-from kr270_milling.base.errors import MessageError
+from kr270_milling.base.errors import ConfigError, MessageError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
 from kr270_milling.base.record import find_file
 from kr270_milling.base.samples import PoseSample, WrenchSample
@@ -461,13 +461,15 @@ def test_an_untared_sensor_in_its_own_frame_gives_the_wrench_at_the_tip(ran):
     frames, tilted = WrenchFrames(cell), rotation_from_quaternion(np.array([0.9, 0.1, 0.2, 0.3]))
     true, quaternions = ran.wrench[-200:], (DOWN, quaternion_from_rotation(tilted))
     before, after = (readings(cell, wrench, q) for wrench, q in zip((0 * true, true), quaternions, strict=True))
-    at_tip = frames.tared([WrenchSample(i, "ft_sensor", row) for i, row in enumerate(before)], DOWN)
-    got = [at_tip(WrenchSample(0, "ft_sensor", row), quaternions[1]) for row in after]
+    offset = frames.offset([WrenchSample(i, "ft_sensor", row) for i, row in enumerate(before)], DOWN)
+    got = frames.at_tip("ft_sensor", after, np.tile(quaternions[1], (len(after), 1)), offset)
     np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
     with pytest.raises(
         MessageError, match="'camera', but must be workpiece, tcp, base, base_link, flange, tool0 or ft_s"
     ):
         checked_wrench(WrenchSample(0, "camera", np.zeros(6)), frames.names)
+    with pytest.raises(ConfigError, match="sensor.frame"):
+        cell_with("sensor.frame=tcp")
     same = cell_with("mount.xyz_mm=[140, 30, -320]", "sensor.frame=tool0")
     assert WrenchFrames(same).names == ("workpiece", "tcp", "base", "base_link", "flange", "tool0")
 

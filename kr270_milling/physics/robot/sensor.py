@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
 
 __all__ = ["ForceSensor", "moved_wrench"]
 
 WIDE = 5000.0  # [mm]
+TAKEN = ("workpiece", "tcp", "base", "base_link", "flange")  # frames whose wrenches are tared already
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,23 +30,27 @@ class ForceSensor(Record):
     mass_centre: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", size=3, low=-WIDE, high=WIDE,
                                         text="centre of this mass in the frame of the sensor")  # fmt: skip
 
+    def check(self) -> None:
+        if self.frame in TAKEN:
+            raise ParameterError("frame", self.frame, f"tool0 or a name other than {', '.join(TAKEN)}")
+
     @functools.cached_property
     def pose(self) -> Pose:
         """Maps coordinates of the sensor to coordinates of tool0."""
         return Pose.from_abc(self.xyz, self.abc)
 
     def weight(self, gravity: np.ndarray) -> np.ndarray:
-        """Return the reading [N, N m], (6,), under the weight alone: F = m g, M = c x m g.
+        """Return the reading [N, N m], (..., 6), under the weight alone: F = m g, M = c x m g.
 
-        gravity: (3,) [m/s^2], axes of the sensor.
+        gravity: (..., 3) [m/s^2], axes of the sensor.
         """
-        return np.concatenate([self.mass * gravity, np.cross(self.mass_centre, self.mass * gravity)])
+        return np.concatenate([self.mass * gravity, np.cross(self.mass_centre, self.mass * gravity)], axis=-1)
 
 
 def moved_wrench(wrench: np.ndarray, frame: Pose) -> np.ndarray:
-    """Return a wrench (6,) [N, N m] in the axes and at the origin of another frame: F' = R F, M' = R M + p x R F.
+    """Return wrenches (..., 6) [N, N m] in the axes and at the origin of another frame: F' = R F, M' = R M + p x R F.
 
-    frame: maps coordinates (R, p) of the frame of ``wrench`` to the other frame. (statics of a rigid body)
+    frame: maps coordinates (R, p) of the frame of ``wrench`` to the other frame (statics of a rigid body).
     """
-    force = frame.rotation @ wrench[:3]
-    return np.concatenate([force, frame.rotation @ wrench[3:] + np.cross(frame.position, force)])
+    force, moment = (np.einsum("...ij,...j->...i", frame.rotation, part) for part in (wrench[..., :3], wrench[..., 3:]))
+    return np.concatenate([force, moment + np.cross(frame.position, force)], axis=-1)
