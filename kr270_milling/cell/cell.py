@@ -29,6 +29,7 @@ from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach
 from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.robot import Arm, Mount, inverse_along, pose
+from kr270_milling.physics.robot.sensor import ForceSensor
 
 __all__ = ["Cell", "read_cell", "read_cells", "with_program"]
 
@@ -52,6 +53,7 @@ class Cell(Record):
     )
     arm: Arm
     mount: Mount
+    sensor: ForceSensor = field(default_factory=ForceSensor)
     workpiece: Workpiece
     tool: Tool
     cutting: Cutting

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from kr270_milling.base.errors import MessageError, MillingError
-from kr270_milling.base.frames import TOOL, WORKPIECE, rotation_from_quaternion
+from kr270_milling.base.frames import TOOL, TOOL0, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.cell import Cell
+from kr270_milling.physics.robot.loads import GRAVITY
+from kr270_milling.physics.robot.sensor import moved_wrench
 
-__all__ = ["ExchangeError", "Output", "checked_pose", "checked_wrench", "in_workpiece_axes"]
+__all__ = ["ExchangeError", "Output", "WrenchFrames", "checked_pose", "checked_wrench", "in_workpiece_axes"]
 
 Output = tuple[str, object]  #: topic, record
 
@@ -36,10 +40,11 @@ def checked_pose(sample: PoseSample) -> PoseSample:
     return sample
 
 
-def checked_wrench(sample: WrenchSample) -> WrenchSample:
-    """Return the sample; raises MessageError where its frame or a value cannot be used."""
-    if sample.frame not in (WORKPIECE, TOOL):
-        raise MessageError(f"wrench: the frame is {sample.frame!r}, but must be {WORKPIECE} or {TOOL}")
+def checked_wrench(sample: WrenchSample, frames: Sequence[str] = (WORKPIECE, TOOL)) -> WrenchSample:
+    """Return the sample; raises MessageError where its frame is none of ``frames``, or a value cannot be used."""
+    if sample.frame not in frames:
+        allowed = f"{', '.join(frames[:-1])} or {frames[-1]}"
+        raise MessageError(f"wrench: the frame is {sample.frame!r}, but must be {allowed}")
     _expect_finite(sample.wrench.tolist(), "wrench")
     return sample
 
@@ -54,6 +59,59 @@ def in_workpiece_axes(sample: WrenchSample, quaternion: np.ndarray) -> np.ndarra
         return wrench
     rotation_tool_to_workpiece = rotation_from_quaternion(quaternion)
     return np.concatenate([rotation_tool_to_workpiece @ wrench[:3], rotation_tool_to_workpiece @ wrench[3:]])
+
+
+class WrenchFrames:
+    """The frames in which the compensator takes a wrench, and the wrench at the tool tip in workpiece axes.
+
+    workpiece, base, base_link: axes of the frame, taken at the tool tip. tcp, flange, tool0 and ``sensor.frame``: axes
+    and origin of the frame. The readings of the sensor are tared.
+    """
+
+    def __init__(self, cell: Cell):
+        flange = cell.mount.pose.inverse()
+        self._sensor = cell.sensor
+        self._on_tool = {"flange": flange, "tool0": flange @ TOOL0}  # pose in tcp
+        base = cell.workpiece.pose.rotation.T  # axes of the base in those of the workpiece
+        self._fixed = {"base": base, "base_link": base}
+        self._gravity = base @ [0.0, 0.0, -GRAVITY]
+        if self._sensor.frame:
+            self._on_tool[self._sensor.frame] = flange @ TOOL0 @ self._sensor.pose
+        self.names = (WORKPIECE, TOOL, *self._fixed, *self._on_tool)
+
+    def untared(self, standing: Sequence[WrenchSample]) -> bool:
+        """Return whether no reading of the sensor is among the wrenches before the start."""
+        return bool(self._sensor.frame) and not any(sample.frame == self._sensor.frame for sample in standing)
+
+    def offset(self, standing: Sequence[WrenchSample], quaternion: np.ndarray) -> np.ndarray:
+        """Return the offset of the sensor (6,): its mean reading before the start minus the weight; 0 without one.
+
+        quaternion: of tcp before the start, (4,).
+        """
+        readings = [sample.wrench for sample in standing if sample.frame == self._sensor.frame]
+        if not readings:
+            return np.zeros(6)
+        return np.mean(readings, axis=0) - self._weight(self._pose(self._sensor.frame, quaternion))
+
+    def at_tip(self, frame: str, wrench: np.ndarray, quaternion: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        """Return wrenches (n, 6) of one of these frames at the tool tip in workpiece axes.
+
+        quaternion: of tcp, (n, 4); offset: of the sensor, (6,).
+        """
+        if frame in self._fixed:
+            return moved_wrench(wrench, Pose(np.zeros(3), self._fixed[frame]))
+        pose = self._pose(frame, quaternion)
+        if frame == self._sensor.frame:
+            wrench = wrench - offset - self._weight(pose)
+        return moved_wrench(wrench, pose)
+
+    def _pose(self, frame: str, quaternion: np.ndarray) -> Pose:
+        """Return the pose of a frame on the tool, in axes of the workpiece at the tool tip."""
+        return Pose(np.zeros(3), rotation_from_quaternion(quaternion)) @ self._on_tool[frame]
+
+    def _weight(self, pose: Pose) -> np.ndarray:
+        """Return the reading of the sensor (..., 6) under the weight alone."""
+        return self._sensor.weight(np.einsum("...ji,j->...i", pose.rotation, self._gravity))
 
 
 def _expect_finite(values: list[float], topic: str) -> None:

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 
 import numpy as np
 import pytest
-from foreign_cell import WALL, foreign_pass
+from foreign_cell import PLACED, WALL, foreign_pass, readings
 from small_part import GCODE, small_part
 
-from kr270_milling.base.errors import MessageError
-from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.base.errors import ConfigError, MessageError
+from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
 from kr270_milling.base.record import find_file
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
-from kr270_milling.exchange.compensator import CompensatorProtocol, lag
+from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
-from kr270_milling.exchange.inputs import ExchangeError
+from kr270_milling.exchange.inputs import ExchangeError, WrenchFrames, checked_wrench
 from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.exchange.start import lag
 from kr270_milling.path.trajectory import fingerprint
+from kr270_milling.physics.robot.sensor import moved_wrench
 
 H = 500_000  # [ns], exchange period
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
@@ -400,7 +403,7 @@ def test_the_fingerprint_of_a_pass_covers_every_message(protocol, ran, change):
 
 @pytest.mark.parametrize("bad", [
     PoseSample(0, "base_link", np.zeros(3), DOWN), PoseSample(0, "workpiece", np.full(3, np.nan), DOWN),
-    WrenchSample(0, "base_link", np.zeros(6)), WrenchSample(0, "workpiece", np.full(6, np.inf)),
+    WrenchSample(0, "camera", np.zeros(6)), WrenchSample(0, "workpiece", np.full(6, np.inf)),
 ])  # fmt: skip
 def test_unusable_samples_are_refused_and_the_pass_continues(protocol, ran, short_cell, bad):
     records = samples(ran)
@@ -429,7 +432,7 @@ def test_another_method_and_a_reset_start_from_the_target(protocol, ran, short_c
 @pytest.mark.parametrize(("noise", "bound"), [(0.0, 1e-6), (5e-6, 5e-6)])
 def test_learning_converges_with_a_robot_of_another_clock(noise, bound):
     """Poses every 4 ms with jitter, 2 % lost, force at 1 kHz; the error is at most the noise of one pose."""
-    cell = read_cell(find_file("paper.yaml"))
+    cell = read_cell(find_file("paper.yaml"), PLACED)
     cell = cell.replace(
         compensation=cell.compensation.replace(method="learned"),
         imperfections=cell.imperfections.replace(pose_noise=noise),
@@ -440,10 +443,85 @@ def test_learning_converges_with_a_robot_of_another_clock(noise, bound):
     for number in range(4):
         result = simulate(cell, protocol.active.reference).result
         errors.append(np.abs((result.actual - result.target)[result.time > cell.full_engagement, 1]).max())
-        for sample in foreign_pass(result, number, noise):
-            (protocol.pose if isinstance(sample, PoseSample) else protocol.wrench)(sample)
+        feed_stamped(protocol, foreign_pass(result, number, noise, cell))
         assert protocol.passes == number + 1 and not protocol.under_way
     assert errors[0] > 60e-6 and errors[-1] < bound
+
+
+def feed_stamped(protocol, samples) -> list:
+    outputs = []
+    for sample in samples:
+        outputs += (protocol.pose if isinstance(sample, PoseSample) else protocol.wrench)(sample)
+    return outputs
+
+
+def test_an_untared_sensor_in_its_own_frame_gives_the_wrench_at_the_tip(ran):
+    """Its offset, its weight and its lever arm are gone; the mount is off the axis, and the tool is not upright."""
+    cell = cell_with("path.length_mm=4", "mount.xyz_mm=[140, 30, -320]", "mount.abc_deg=[10, 80, 5]", *PLACED)
+    frames, tilted = WrenchFrames(cell), rotation_from_quaternion(np.array([0.9, 0.1, 0.2, 0.3]))
+    true, quaternions = ran.wrench[-200:], (DOWN, quaternion_from_rotation(tilted))
+    before, after = (readings(cell, wrench, q) for wrench, q in zip((0 * true, true), quaternions, strict=True))
+    offset = frames.offset([WrenchSample(i, "ft_sensor", row) for i, row in enumerate(before)], DOWN)
+    got = frames.at_tip("ft_sensor", after, np.tile(quaternions[1], (len(after), 1)), offset)
+    np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
+    with pytest.raises(
+        MessageError, match="'camera', but must be workpiece, tcp, base, base_link, flange, tool0 or ft_s"
+    ):
+        checked_wrench(WrenchSample(0, "camera", np.zeros(6)), frames.names)
+    with pytest.raises(ConfigError, match="sensor.frame"):
+        cell_with("sensor.frame=tcp")
+    same = cell_with("mount.xyz_mm=[140, 30, -320]", "sensor.frame=tool0")
+    assert WrenchFrames(same).names == ("workpiece", "tcp", "base", "base_link", "flange", "tool0")
+
+
+def test_a_wrench_is_moved_as_pinocchio_moves_it():
+    pin, random = pytest.importorskip("pinocchio"), np.random.default_rng(3)
+    for _ in range(5):
+        placement, wrench = pin.SE3.Random(), random.normal(size=6)
+        moved = moved_wrench(wrench, Pose(placement.translation, placement.rotation))
+        np.testing.assert_allclose(moved, placement.act(pin.Force(wrench)).vector, rtol=0, atol=1e-12)
+
+
+def test_a_message_of_the_robot_starts_its_pass_where_it_says(short_cell, ran):
+    protocol = CompensatorProtocol(short_cell, announced=True)
+    protocol.begin(short_cell.target())
+    messages = foreign_pass(ran, 0)
+    assert feed_stamped(protocol, messages[:100]) == [] and not protocol.under_way  # also on the grid of the exchange
+    protocol.start(WALL)
+    assert protocol.inbox.start_ns == WALL and protocol.inbox.foreign
+    assert [topic for topic, _ in feed_stamped(protocol, messages[100:])] == [
+        "compensator_state",
+        "reference_trajectory",
+    ]
+    np.testing.assert_allclose(protocol.active.first.wrench[:, 1].max(), ran.wrench[:, 1].max(), rtol=0.05)
+
+
+@pytest.mark.parametrize(("change", "sentence"), [
+    (lambda stamp: stamp - 10**10, "tool_pose: the stamp is 10."),
+    (lambda stamp: stamp + (stamp > WALL + 20_000_000) * 2 * 10**8, "no tool_pose for 0.2"),
+])  # fmt: skip
+def test_stamps_that_do_not_fit_are_stated(short_cell, ran, change, sentence):
+    protocol = CompensatorProtocol(short_cell, announced=True)
+    protocol.begin(short_cell.target())
+    protocol.start(WALL)
+    for sample in (sample for sample in foreign_pass(ran, 0) if sample.stamp >= WALL):
+        with contextlib.suppress(MessageError):
+            feed_stamped(protocol, [sample._replace(stamp=change(sample.stamp))])
+        if protocol.inbox.problem:
+            break
+    assert protocol.inbox.problem.startswith(sentence)
+
+
+def test_a_pass_that_does_not_follow_the_reference_is_refused(short_cell, ran):
+    """6 mm above; a wrong override leads away as well."""
+    protocol = CompensatorProtocol(short_cell, announced=True)
+    protocol.begin(short_cell.target())
+    protocol.start(WALL)
+    messages = [s for s in foreign_pass(ran, 0) if s.stamp >= WALL]
+    far = [s._replace(position=s.position + [0, 0, 6e-3]) if isinstance(s, PoseSample) else s for s in messages]
+    with pytest.raises(MessageError, match="is the override 100 %"):
+        feed_stamped(protocol, far)
+    assert not protocol.under_way and protocol.passes == 0
 
 
 def test_a_robot_of_another_clock_starts_when_it_leaves_the_first_point(protocol, ran):

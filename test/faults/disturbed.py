@@ -15,7 +15,7 @@ from kr270_milling.recordings.messages.topics import ROBOT
 
 __all__ = ["Disturbed", "Message"]
 
-WARN = b"\x01"
+WARN = 1
 
 
 class Message(NamedTuple):
@@ -68,10 +68,10 @@ class Disturbed(Graph):
     def _take_messages(self) -> None:
         """Warnings and errors since the fault."""
         for name, status in self.driver.statuses.items():
-            sentence = f"{name}: {status.message}"
+            sentence, at = f"{name}: {status.message}", self.driver.arrivals[name]
             known = any(sentence == message.sentence for message in self.messages)
-            if status.level >= WARN and status.at > self.struck_at and not known:
-                self.messages.append(Message(status.at, sentence))
+            if status.level >= WARN and at > self.struck_at and not known:
+                self.messages.append(Message(at, sentence))
 
     def warn(self, sentence: str) -> None:
         self.messages.append(Message(time.monotonic(), sentence))

@@ -1,10 +1,11 @@
-"""The node of the runner: requests lifecycle transitions, sets parameters, receives diagnostics."""
+"""The node of the runner: requests lifecycle transitions, sets parameters, receives statuses."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import rclpy
 from lifecycle_msgs.msg import Transition
@@ -18,23 +19,12 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from kr270_milling.live.graph.processes import RunError
-from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import Silence
+from kr270_milling.live.ros.status import Status, subscribe_status
 
-__all__ = ["Driver", "Status"]
+__all__ = ["Driver"]
 
-ERROR = b"\x02"
 LOOK = 0.02  # [s] between two checks of the processes while waiting
-
-
-@dataclass(frozen=True)
-class Status:
-    """Last diagnostic status of a node, and its arrival time [s of the monotonic clock]."""
-
-    level: bytes
-    message: str
-    values: dict[str, str]
-    at: float
 
 
 class Driver:
@@ -42,11 +32,11 @@ class Driver:
 
     def __init__(self, namespace: str, check: Callable[[], None]):
         self.check = check
-        self.statuses: dict[str, Status] = {}  #: by node
+        self.statuses: dict[str, Status] = {}  #: last status by node
+        self.arrivals: dict[str, float] = {}  #: of the last status [s of the monotonic clock], by node
         self.silences: dict[str, Silence] = {}  #: by node
         self.error: tuple[str, str] | None = None  #: (node, message) of the first ERROR
         self.foreign = ""  #: name of a node that another process also uses; reports of that process are ignored
-        self._expected: dict[str, tuple[str, int]] = {}  # fully qualified name -> node, process id
         self._context = Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(
@@ -55,8 +45,6 @@ class Driver:
         )  # fmt: skip
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        topic = topics.DIAGNOSTICS
-        self.node.create_subscription(topic.type, topic.name, self._on_diagnostics, topic.qos)
         self._clients: dict[str, Client] = {}
         self.namespace = self.node.get_namespace()
 
@@ -65,33 +53,24 @@ class Driver:
         return f"{self.namespace.rstrip('/')}/{node}"
 
     def expect(self, node: str, pid: int) -> None:
-        """Take the reports of this process under the name of the node from now on."""
-        self._expected[self.name_of(node)] = node, pid
+        """Take the statuses of this process under the name of the node from now on."""
         self.silences[node] = Silence()
+        subscribe_status(self.node, node, partial(self._on_status, node, pid))
 
-    def _on_diagnostics(self, msg) -> None:
-        for report in msg.status:
-            node, pid = self._expected.get(report.name, ("", 0))
-            values = {pair.key: pair.value for pair in report.values}
-            if not node:
-                continue
-            if values.get("pid") != str(pid):
-                self.foreign = report.name
-                continue
-            self.statuses[node] = Status(report.level, report.message, values, time.monotonic())
-            self.silences[node].end()
-            if report.level == ERROR and self.error is None:
-                self.error = node, report.message
+    def _on_status(self, node: str, pid: int, msg) -> None:
+        status = Status.from_msg(msg)
+        if status.pid != pid:
+            self.foreign = self.name_of(node)
+            return
+        self.statuses[node], self.arrivals[node] = status, time.monotonic()
+        self.silences[node].end()
+        if status.error and self.error is None:
+            self.error = node, status.error
 
-    def value(self, node: str, key: str) -> str:
-        """Return a value of the last report of a node; empty without a report."""
+    def value(self, node: str, key: str) -> Any:
+        """Return a value of the last status of a node; None without a status or without the value."""
         status = self.statuses.get(node)
-        return "" if status is None else status.values.get(key, "")
-
-    def counts(self, node: str, key: str) -> dict[str, int]:
-        """Return a value of the form ``topic=number topic=number ...``: ``listeners``, ``sources``, stamps [ns]."""
-        pairs = (text.rpartition("=") for text in self.value(node, key).split())
-        return {topic: int(count) for topic, _, count in pairs}
+        return None if status is None else status.values.get(key)
 
     def until(self, condition: Callable[[], object], what: str, deadline: float, node: str = "graph"):
         """Wait for a condition and return its value; raises RunError after the deadline [s]."""

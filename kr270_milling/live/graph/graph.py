@@ -25,7 +25,7 @@ from kr270_milling.live.graph.processes import (
 )
 from kr270_milling.live.ros.environment import keep_to_this_host
 from kr270_milling.live.ros.node import LOST
-from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT, TOPICS
+from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["CELL", "NOT_COMPLETE", "PLANNER", "Graph", "RunValues"]
 
@@ -178,16 +178,15 @@ class Graph:
     @property
     def repeats(self) -> bool:
         """Whether the method continues with passes until the compensator is finished."""
-        return self._value("repeats") == "True"
+        return bool(self._value("repeats"))
 
-    def _value(self, key: str, node: str = COMPENSATOR) -> str:
+    def _value(self, key: str, node: str = COMPENSATOR) -> Any:
         return self.driver.value(node, key)
 
     def run_pass(self, name: str) -> RunValues:
         """Run one pass on a fresh workpiece and record it to ``out/name``."""
         until = self.driver.until
         self.begin_recording(name)
-        until(lambda: all(map(self._has_reference, CELL)), "transfer of the reference trajectory", MATCH, ROBOT)
         revision = self._value("revision")
         self.driver.transition("activate", CUT, deadline=UP)
         self.driver.transition("activate", ROBOT, deadline=UP)
@@ -198,41 +197,21 @@ class Graph:
         wall = float(self._value("wall_s", ROBOT))
         self.driver.transition("deactivate", *CELL, deadline=UP)
         self.end_recording()
-        errors = tuple(float(e) * 1e-6 for e in self._value("remaining_error_um").split())
-        return RunValues(self.out / name, wall, errors, self._value("finished") == "True")
-
-    def _has_reference(self, node: str) -> bool:
-        """Return whether a node has received the reference of the next pass, with its start."""
-        values = [(self._value("reference", one), self._value("start_ns", one)) for one in (COMPENSATOR, node)]
-        return bool(values[0][0]) and values[0] == values[1]
+        errors = tuple(e * 1e-6 for e in self._value("remaining_error_um"))
+        return RunValues(self.out / name, wall, errors, self._value("finished"))
 
     def begin_recording(self, name: str) -> None:
-        """Set the directory of the recorder, and wait until publishers and subscribers have discovered each other."""
+        """Set the directory of the recorder, and wait until the compensator reports that a pass may start."""
         plant = self.plant
         if plant is not None:
             plant = plant.replace(imperfections=plant.imperfections.replace(first_pass=self.passes))
         self.driver.set_parameters(RECORDER, recording_parameters(self.cell, self.out, name, plant), UP)
-        end = time.monotonic() + MATCH
-        while problem := self._unmatched():
+        file, end = f"{name}/{name}.mcap", time.monotonic() + MATCH
+        while self._value("recording") != file or self._value("waiting_for"):
             self.check()
             self.driver.spin()
             if time.monotonic() > end:
-                raise RunError("graph", problem)
-        file = f"{name}/{name}.mcap"
-        self.driver.until(lambda: self._value("recording") == file, "naming the recording", MATCH, COMPENSATOR)
-
-    def _unmatched(self) -> str:
-        """Return what is not matched yet, in a few words; empty when a pass may start."""
-        counts = self.driver.counts
-        for topic in TOPICS:
-            wanted = {*topic.subscribers, RECORDER} - {topic.publisher} if topic.needed else set()
-            name = self.driver.name_of(topic.name)
-            for node in wanted:
-                if not counts(node, "sources").get(name):
-                    return f"{node} has not discovered a publisher of {name}"
-            if counts(topic.publisher, "listeners").get(name, 0) < len(wanted):
-                return f"{topic.publisher} has not discovered every subscriber of {name}"
-        return ""
+                raise RunError("graph", self._value("waiting_for") or "the compensator does not receive `recording`")
 
     def end_recording(self) -> None:
         """Close the file of the recorder, then create the next workpiece."""
@@ -240,7 +219,7 @@ class Graph:
         self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
         if not self._all_recorded():
             self.warn(f"recorder: has not received the end of the pass; {NOT_COMPLETE}")
-        elif (missing := self._value("missing", RECORDER)) != "0":
+        elif missing := self._value("missing", RECORDER):
             self.warn(f"recorder: {missing} messages of the pass were lost; {NOT_COMPLETE}")
         self.driver.set_parameters(RECORDER, {"directory": ""}, UP)
         self.passes += 1
@@ -253,8 +232,8 @@ class Graph:
 
     def _all_recorded(self) -> bool:
         """Return whether the recorder has the last message of robot and cut on each of their topics."""
-        sent = {**self.driver.counts(ROBOT, "sent_ns"), **self.driver.counts(CUT, "sent_ns")}
-        there = self.driver.counts(RECORDER, "latest_ns")
+        robot, cut, recorder = (self.driver.statuses[node].stamps_ns for node in (ROBOT, CUT, RECORDER))
+        sent, there = {**robot, **cut}, recorder
         return bool(sent) and all(there.get(topic, -1) >= stamp for topic, stamp in sent.items())
 
     def stop(self) -> None:

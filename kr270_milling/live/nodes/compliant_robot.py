@@ -14,15 +14,15 @@ from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, LOST, OK, WARN, ManagedNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
+from kr270_milling.live.ros.status import Status, subscribe_status
 from kr270_milling.path.trajectory import fingerprint
 from kr270_milling.recordings.messages.codec import trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.recordings.messages.topics import ROBOT
+from kr270_milling.recordings.messages.topics import COMPENSATOR, ROBOT
 
 __all__ = ["CompliantRobot"]
 
 RETRY = 0.5  # [s] of the wall clock without a wrench, after which the tool pose is published again
 LOOK = 0.1  # [s] of the wall clock between two checks
-SETTLE = 5  # checks without a new subscriber before a pass starts: a recorder discovers the topics
 AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
 
 
@@ -39,13 +39,14 @@ class CompliantRobot(ManagedNode):
         self._pace_timer: Timer | None = None
         self._given_up = False
         self._late: list = []  # outputs that wait for the wall clock
-        self._listeners: tuple[int, ...] = ()
-        self._unchanged = 0  # checks since the numbers of subscribers changed
         self._silence = Silence()
         self.open_outlets(ROBOT)
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
+        self._planner = subscribe_status(self, COMPENSATOR, self._on_planner)
+        self._ready = False  # as the compensator reported last
         self.create_timer(LOOK, self._watch_answer)
+        self.set_values(reference="")
         self.report(OK, "unconfigured")
 
     def configure(self) -> None:
@@ -68,17 +69,22 @@ class CompliantRobot(ManagedNode):
     @guarded
     def _on_reference(self, data: bytes) -> None:
         reference = self.protocol.reference = trajectory_from_bytes(data)
-        self.set_values(reference=fingerprint(reference), start_ns=reference.start_ns)
+        self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
+
+    @guarded
+    def _on_planner(self, msg) -> None:
+        self._ready = not Status.from_msg(msg).values.get("waiting_for")
 
     @guarded
     def _watch_answer(self) -> None:
-        """Start the pass when cut and reference are present; repeat the pose, and give up, when no wrench arrives."""
-        protocol, silent, settled = self.protocol, self._silence.seconds(), self._is_settled()
+        """Start the pass when the graph is ready; repeat the pose, and give up, when no wrench arrives."""
+        protocol, silent = self.protocol, self._silence.seconds()
         if not self.active or self._late or (protocol.started and (protocol.done or self._given_up)):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
         if not protocol.started:
-            if cut and settled and protocol.reference is not None:
+            ready = self._ready or not self._planner.get_publisher_count()
+            if cut and ready and protocol.reference is not None:
                 self._start()
             return
         if not cut and not protocol.time_ns:
@@ -91,13 +97,6 @@ class CompliantRobot(ManagedNode):
             silence = "no wrench from the cutting process: repeating the tool pose"
             self.report(WARN, silence if protocol.time_ns else "the cutting process is not active yet")
             self.send(protocol.repeat())
-
-    def _is_settled(self) -> bool:
-        """Return whether the numbers of subscribers are unchanged for ``SETTLE`` checks."""
-        listeners = tuple(outlet.get_subscription_count() for outlet in self.outlets.values())
-        self._unchanged = self._unchanged + 1 if listeners == self._listeners else 0
-        self._listeners = listeners
-        return self._unchanged >= SETTLE
 
     def _start(self) -> None:
         outputs = self.protocol.start()

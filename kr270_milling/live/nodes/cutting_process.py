@@ -33,6 +33,7 @@ class CuttingProcess(ManagedNode):
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self.create_service(Trigger, "~/publish_workpiece", self._on_request)
         self.create_timer(LOOK, self._watch_robot)
+        self.set_values(reference="")
         self.report(OK, "unconfigured")
 
     def configure(self) -> None:
@@ -78,7 +79,7 @@ class CuttingProcess(ManagedNode):
     def _on_reference(self, data: bytes) -> None:
         reference = trajectory_from_bytes(data)
         self.protocol.reference(reference)
-        self.set_values(reference=fingerprint(reference), start_ns=reference.start_ns)
+        self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
 
     @guarded
     def _watch_robot(self) -> None:

@@ -41,6 +41,7 @@ class Recorder(ReportingNode):
         self._viewers = self.declared("viewers", True, about)
         about = "record from the start; false: from the moment when directory is set"
         self.open_outlets(RECORDER)
+        self.set_values(recording="")
         autostart = self.declared("autostart", True, about)
         about = "directory of the recording, which must not contain a recording; a new value begins another recording"
         directory = self.declared("directory", "", about, read_only=False)
@@ -68,7 +69,12 @@ class Recorder(ReportingNode):
         attachments = self._read(_split(self.get_parameter("attach").value))
         writer = BagWriter(directory, attachments=attachments, metadata=metadata)
         self.session = RecordingSession(self, writer, self._topics, self._viewers)
-        self.send([("recording", Text(f"{writer.path.parent.name}/{writer.path.name}"))])
+        self._publish_name(f"{writer.path.parent.name}/{writer.path.name}")
+        self.report(OK, f"recording to {writer.path}")
+
+    def _publish_name(self, name: str) -> None:
+        self.set_values(recording=name)
+        self.send([("recording", Text(name))])
 
     def _read(self, names: list[str]) -> dict[str, bytes]:
         try:
@@ -91,7 +97,7 @@ class Recorder(ReportingNode):
     def _end(self) -> str | None:
         """End the open recording; return a sentence if that failed."""
         if self.session is not None:
-            self.send([("recording", Text(""))])
+            self._publish_name("")
             self.report(OK, "waiting for a directory")
         return self.close()
 
@@ -105,6 +111,9 @@ class Recorder(ReportingNode):
 
     def watch(self) -> dict:
         return {} if self.session is None else self.session.watch()
+
+    def stamps(self) -> dict[str, int]:
+        return {} if self.session is None else self.session.stamps()
 
     def close(self) -> str | None:
         """Close the file with the messages that have arrived; return a sentence if that failed."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fnmatch
 import functools
 import time
 from collections.abc import Sequence
@@ -15,8 +14,9 @@ from rclpy.subscription import Subscription
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.exchange.scene import INPUTS, Derived, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
-from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode
+from kr270_milling.live.ros.node import ERROR, WARN, ReportingNode
 from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, PolledMessage, in_order, poll, polled_subscription
+from kr270_milling.live.ros.readiness import is_recorded
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
 __all__ = ["RecordingSession"]
@@ -24,7 +24,6 @@ __all__ = ["RecordingSession"]
 DERIVED_QOS = QoSProfile(  # latched, so that late subscribers of a player receive them
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-ONLY_BY_NAME = ("/rosout", "/parameter_events")
 SETTLE = 20  # polls at most for messages that arrive while a recording ends
 
 
@@ -49,15 +48,11 @@ class RecordingSession:
         self._waiting: list[PolledMessage] = []  # arrived during the last poll
         self._published: set[str] = set()  # topics with a publisher
         self._left: set[str] = set()  # topics whose publisher has left
-        node.report(OK, f"recording to {writer.path}")
-
-    def _is_wanted(self, topic: str) -> bool:
-        return any(fnmatch.fnmatchcase(topic, t) for t in self._topics) if self._topics else topic not in ONLY_BY_NAME
 
     def discover(self) -> None:
         """Subscribe to new topics, close an old chunk, report publishers that have left."""
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self._subscriptions or not self._is_wanted(topic):
+            if topic in self._subscriptions or not is_recorded(topic, self._topics):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             if publishers:
@@ -81,7 +76,7 @@ class RecordingSession:
             derived += scene.take(name, data)
         for message in derived:
             name = namespace + message.topic
-            if name in self._live or (name not in self._subscriptions and self._is_wanted(name)):
+            if name in self._live or (name not in self._subscriptions and is_recorded(name, self._topics)):
                 self.writer.add_topic(name, message.type, [DERIVED_QOS])
                 self.writer.write(name, message.data, published)
                 self._show(name, message.type, message.data)
@@ -143,12 +138,17 @@ class RecordingSession:
     def watch(self) -> dict:
         """Return values for the report of the node."""
         return {
-            "file": self.writer.path,
+            "file": str(self.writer.path),
             "messages": self.writer.count,
-            "latest_ns": " ".join(f"{c.topic}={c.gaps.last}" for c in self.writer.channels.values() if c.gaps.last),
+            "records": list(self._topics),
+            "left_out": [topic for topic, subscription in self._subscriptions.items() if subscription is None],
             "missing": sum(entry.get("missing", 0) for entry in self.writer.report().values()),
             "refused": self._refused,
         }
+
+    def stamps(self) -> dict[str, int]:
+        """Return the last stamp [ns] of each recorded topic."""
+        return {c.topic: int(c.gaps.last) for c in self.writer.channels.values() if c.gaps.last}
 
     def close(self) -> str | None:
         """Write the messages that have arrived, unsubscribe, close the file; return a sentence if that failed."""

@@ -16,11 +16,14 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.polling import POLL_PERIOD, poll, polled_subscription
+from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
 from kr270_milling.path.trajectory import fingerprint
 from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import (
     from_bytes,
     pose_from_bytes,
@@ -40,8 +43,7 @@ JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
 #: reliable and best-effort publishers match; only the last message counts
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-REPORT_AFTER = 1.0  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
-GAP_NS = 100_000_000  # longest time between two poses of a pass without a report
+REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
 
@@ -57,15 +59,30 @@ class TrajectoryCompensator(ReportingNode):
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
         plant = self.declared("plant", "", about)
         cuts = read_cell(find_file(plant)) if plant else None
-        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name(), self._now_ns)
+        about = "topic of the robot whose message starts a pass, at the stamp of its header; empty: its motion"
+        self._start_topic = self.declared("start_topic", "", about)
+        about = "type of start_topic: a message with a header, or std_msgs/msg/Header"
+        start_type = message_class(self.declared("start_type", "std_msgs/msg/Header", about))
+        self.protocol = CompensatorProtocol(
+            self.cell, cuts, self.get_fully_qualified_name(), self._now_ns, announced=bool(self._start_topic)
+        )  # fmt: skip
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
+        self.set_values(recording="", reference="")
         self.open_outlets(COMPENSATOR)
         self.subscribe(topics.RECORDING, self._on_recording)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
         pose, wrench = topics.TOOL_POSE, topics.WRENCH
         self._pose = polled_subscription(self, pose.type, pose.name, self._on_pose, pose.qos)
         self._wrench = polled_subscription(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
+        if self._start_topic:
+            where = f"parameters of {self.get_fully_qualified_name()}: start_topic"
+            start = resolved_topic(self, self._start_topic, where)
+            self.create_subscription(start_type, start, self._on_start, topics.LOOP, raw=True)
+        about = "nodes that a pass waits for, separated by commas; with ?: only where the node is in the graph"
+        names = self.declared("wait_for", WAIT_FOR, about)
+        self._readiness = Readiness(self, names, (self._pose.topic_name, self._wrench.topic_name))
+        self.set_values(waiting_for=self._readiness.waiting_for)
         states = topics.JOINT_STATES
         self.create_subscription(states.type, states.name, self._on_joints, LATEST, raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -75,7 +92,6 @@ class TrajectoryCompensator(ReportingNode):
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
         self._silence = Silence()
         self._report_time = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
-        self._gap_ns = GAP_NS  # longest time without a pose that was reported
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
         self.create_timer(POLL_PERIOD, self._poll)
@@ -96,6 +112,7 @@ class TrajectoryCompensator(ReportingNode):
         """Take the name of the file to which the next passes are recorded."""
         self.protocol.recording = from_bytes("std_msgs/msg/String", data).text
         self.set_values(recording=self.protocol.recording)
+        self._readiness.check()
         self.publish_report()
 
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
@@ -109,10 +126,9 @@ class TrajectoryCompensator(ReportingNode):
             "method": state.method,
             "repeats": state.repeats,
             "passes": len(state.errors),
-            "remaining_error_um": " ".join(repr(float(e) * 1e6) for e in state.errors),
+            "remaining_error_um": [float(e) * 1e6 for e in state.errors],
             "finished": state.finished,
-            "reference": fingerprint(state.reference),
-            "start_ns": self.protocol.inbox.start_ns,
+            "reference": f"{fingerprint(state.reference)} at {self.protocol.inbox.start_ns}",
         }
         but = f", shortened by up to {state.cut_off * 1e6:.1f} um to the limit" if state.cut_off > 0.0 else ""
         if missing:
@@ -123,6 +139,15 @@ class TrajectoryCompensator(ReportingNode):
     def _poll(self) -> None:
         for message in poll((self._pose, self._wrench)):
             message.callback(message.data)
+
+    @guarded
+    def _on_start(self, data: bytes) -> None:
+        """Begin a pass at the stamp of the robot's own message."""
+        stamp = stamp_of(data)
+        if stamp is None:
+            raise MessageError(f"{self._start_topic}: the message has no stamp (parameter start_type)")
+        self._silence.end()
+        self.protocol.start(stamp)
 
     @guarded
     def _on_wrench(self, data: bytes) -> None:
@@ -141,9 +166,6 @@ class TrajectoryCompensator(ReportingNode):
         if not self.protocol.under_way or sample.stamp - inbox.start_ns != inbox.stamp_ns:
             return
         self.stamp_ns = sample.stamp
-        if inbox.gap_ns > self._gap_ns:
-            self._gap_ns = inbox.gap_ns
-            self.report(WARN, f"no tool_pose for {inbox.gap_ns * 1e-9:.3f} s of the pass")
         if self._silence.end():
             self.report(OK, "the pass continues")
         self._ended = time.monotonic() if self.protocol.at_end else None
@@ -156,12 +178,16 @@ class TrajectoryCompensator(ReportingNode):
     def _watch_pass(self) -> None:
         """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
         silent, inbox = self._silence.seconds(), self.protocol.inbox
+        if inbox.problem:
+            self.report(WARN, inbox.problem)
+            inbox.problem = ""
         if not self.protocol.under_way:
-            self._gap_ns = GAP_NS
+            self._readiness.check()
             if inbox.distance and time.monotonic() - self._report_time > REPORT_AFTER:
                 self._report_time = time.monotonic()
                 where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"
-                self.report(OK, f"waiting for the start of a pass: {where}")
+                silent_start = f"no message on {self._start_topic}; " if self._start_topic else ""
+                self.report(OK, f"waiting for the start of a pass: {silent_start}{where}")
             return
         if self.protocol.at_end:
             ended = time.monotonic() if self._ended is None else self._ended
@@ -217,6 +243,8 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _send_program(self) -> str:
         """Publish the reference for a joint controller; return what was published."""
+        if self._readiness.waiting_for:
+            raise MessageError(f"the pass waits: {self._readiness.waiting_for}")
         start = self.get_clock().now().nanoseconds + int(LEAD * SECOND)
         program = self.protocol.program(self._present_joints(), start)
         self.send([("joint_trajectory", program)])

@@ -1,4 +1,4 @@
-"""Base classes of all nodes: diagnostics, guarded callbacks, guarded lifecycle transitions."""
+"""Base classes of all nodes: status and diagnostics, guarded callbacks, guarded lifecycle transitions."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.polling import is_polled
 from kr270_milling.live.ros.rclpy_private import RobustLifecycleNode
+from kr270_milling.live.ros.status import Status
 from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.recordings.messages.topics import published_by
 
@@ -99,7 +100,7 @@ class Ending:
 
 
 class ReportingNode(Ending, Node):
-    """A node with one diagnostic status, which is published five times a second and at every change."""
+    """A node with one status, published five times a second and at every change: for programs, and in /diagnostics."""
 
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
@@ -107,9 +108,10 @@ class ReportingNode(Ending, Node):
         self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
         self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
         self.stamp_ns = 0  #: time of the pass, for messages without a stamp
-        self._level, self.message = OK, "starting"
+        self._level, self.message, self._error = OK, "starting", ""
         self._values: dict[str, object] = {}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
+        self._status_publisher = self.create_publisher(*topics.STATUS)
         self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
@@ -140,6 +142,7 @@ class ReportingNode(Ending, Node):
         """Set the node's status; log and publish a new message at once."""
         changed = (level, message) != (self._level, self.message)
         self._level, self.message = level, message
+        self._error = message if level == ERROR else self._error
         self._values.update(values)
         if changed:
             logger = self.get_logger()  # rclpy ties a severity to the calling line
@@ -172,25 +175,31 @@ class ReportingNode(Ending, Node):
         """Subscriptions that an executor serves: all but the polled ones, which EventsExecutor would take."""
         return (s for s in super().subscriptions if not is_polled(s))
 
-    def _matches(self) -> dict[str, str]:
-        """Return the matched subscribers and publishers of each topic: a pass starts when both ends are matched."""
-        listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers}
+    def stamps(self) -> dict[str, int]:
+        """Return the stamp [ns] of the last message of each topic."""
+        return {self.outlets[name].topic_name: ns for name, ns in self.sent.items() if ns}
+
+    def status(self) -> Status:
+        """Return the present status."""
+        own = {*OWN, self._status_publisher.topic_name}
+        listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers if p.topic_name not in own}
         sources = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
-        ends = {"listeners": listeners, "sources": sources}
-        return {k: " ".join(f"{t}={n}" for t, n in v.items() if t not in OWN) for k, v in ends.items()}
+        values = {**self._values, **self.watch(), "refused": self.refused}
+        return Status(
+            os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values
+        )  # fmt: skip
 
     def publish_report(self) -> None:
-        sent = " ".join(f"{self.outlets[name].topic_name}={ns}" for name, ns in self.sent.items() if ns)
-        values = {"pid": os.getpid(), **self._values, **self.watch(), **self._matches(), "sent_ns": sent}
-        values["refused"] = self.refused
-        status = DiagnosticStatus(
+        status = self.status()
+        self._status_publisher.publish(status.to_msg())
+        diagnostic = DiagnosticStatus(
             level=self._level,
             name=self.get_fully_qualified_name(),
             hardware_id=HARDWARE,
             message=self.message,
-            values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
+            values=[KeyValue(key=k, value=str(v)) for k, v in status.values.items()],
         )
-        array = DiagnosticArray(status=[status])
+        array = DiagnosticArray(status=[diagnostic])
         array.header.stamp = stamp_from_ns(self.stamp_ns)
         self._report_publisher.publish(array)
 

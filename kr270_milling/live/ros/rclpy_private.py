@@ -1,4 +1,7 @@
-"""Every name of rclpy that is not public, in one file: an update of rclpy concerns this file only."""
+"""Every name of rclpy that is not public, in one file: an update of rclpy concerns this file only.
+
+``package.xml`` has the versions of rclpy with these names: those of ROS 2 Jazzy, 7.1.
+"""
 
 from __future__ import annotations
 

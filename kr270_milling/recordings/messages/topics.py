@@ -27,28 +27,27 @@ ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "traje
 class Topic:
     """One row of the table."""
 
-    name: str  #: relative, except for /diagnostics
+    name: str  #: relative, except for /diagnostics; ~: the name of the node
     type: str  #: of the message
     record: Callable | None  #: class of the record that the message carries; None: no record
     publisher: str  #: node; empty: the user, or every node
     subscribers: tuple[str, ...] = ()  #: nodes that use the message
     latched: bool = False  #: late subscribers receive the last message
     stamped: bool = False  #: the message has the time of the pass
-    needed: bool = True  #: a graph starts a pass only when publisher, subscribers and recorder are matched
     scene: bool = False  #: input of the scene for viewers
     page: bool = False  #: input of the live page
     note: str = ""  #: for the page of the nodes
 
     @property
     def key(self) -> str:
-        """The name without its slash."""
-        return self.name.strip("/")
+        """The name without ~ and slash."""
+        return self.name.strip("~/")
 
 
 #: in the order of causes: of two differences at one time, a recompute names the one whose topic comes first
 TOPICS = (
     Topic("target_trajectory", "trajectory_msgs/msg/MultiDOFJointTrajectory", Trajectory, "", (COMPENSATOR,),
-          latched=True, needed=False, scene=True, page=True, note="default: the path of the cell file"),
+          latched=True, scene=True, page=True, note="default: the path of the cell file"),
     Topic("robot_description", "std_msgs/msg/String", Text, ROBOT, latched=True, scene=True, note="URDF"),
     Topic("tool_pose", "geometry_msgs/msg/PoseStamped", PoseSample, ROBOT, (CUT, COMPENSATOR), stamped=True,
           scene=True, page=True, note="every exchange"),
@@ -71,10 +70,12 @@ TOPICS = (
     Topic("reference_path", "nav_msgs/msg/Path", None, COMPENSATOR, latched=True, note="for viewers"),
     Topic("recording", "std_msgs/msg/String", Text, RECORDER, (COMPENSATOR,), latched=True,
           note="file that is being written; empty: none"),
-    Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "", stamped=True, needed=False,
+    Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "", stamped=True,
           note="of the command `rsi`: displacement and rotation that the controller adds"),
-    Topic("rsi_status", "std_msgs/msg/String", Text, "", needed=False, note="of the command `rsi`: one sentence"),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "", needed=False, page=True),
+    Topic("rsi_status", "std_msgs/msg/String", Text, "", note="of the command `rsi`: one sentence"),
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "", page=True, note="for people"),
+    Topic("~/status", "std_msgs/msg/String", None, "", latched=True,
+          note="JSON, for programs; not recorded: process, level, message, values, matched publishers and subscribers"),
 )  # fmt: skip
 
 
@@ -87,7 +88,7 @@ def topic_table() -> str:
     """Return the table of the page of the nodes, in Markdown."""
     rows = ["| topic (relative) | type | from → to | latched | |", "|---|---|---|---|---|"]
     for topic in TOPICS:
-        publisher = topic.publisher or ("every node" if topic.name.startswith("/") else "user")
+        publisher = topic.publisher or ("every node" if topic.name[0] in "/~" else "user")
         ends = f"{publisher} → {', '.join(topic.subscribers)}" if topic.subscribers else publisher
         kind = topic.type.replace("/msg/", "/")
         rows.append(f"| `{topic.name}` | {kind} | {ends} | {'yes' if topic.latched else ''} | {topic.note} |")

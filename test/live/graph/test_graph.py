@@ -16,8 +16,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
@@ -28,6 +26,7 @@ from kr270_milling.live.graph.graph import Graph, RunValues
 from kr270_milling.live.graph.plan import fresh_directory
 from kr270_milling.live.graph.processes import Child, RunError
 from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.status import Status
 from kr270_milling.recordings.bag.reader import Recording
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
@@ -368,20 +367,15 @@ def test_the_node_that_is_silent_is_named_and_not_the_one_that_misses_its_messag
         graph.check()
 
 
-def report(pid: int, message: str, level: bytes = b"\0") -> DiagnosticArray:
-    values = [KeyValue(key="pid", value=str(pid))]
-    status = DiagnosticStatus(name="/recorder", level=level, message=message, values=values)
-    return DiagnosticArray(status=[status])
-
-
 def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, world):
-    sent = world.partner().create_publisher(*topics.DIAGNOSTICS)
+    sent = world.partner("recorder").create_publisher(*topics.STATUS)
     driver = Driver("", lambda: None)
     try:
         driver.expect("recorder", 1)
         driver.until(sent.get_subscription_count, "matching", 60.0)
-        sent.publish(report(1, "recording"))
-        sent.publish(report(2, "the directory is there already", b"\2"))
+        sent.publish(Status(1, 0, "recording").to_msg())
+        driver.until(lambda: driver.statuses, "the report", 60.0)
+        sent.publish(Status(2, 2, "the directory is there already", "the directory is there already").to_msg())
         driver.until(lambda: driver.foreign, "the other report", 60.0)
         assert driver.statuses["recorder"].message == "recording" and driver.error is None
     finally:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foreign_cell import foreign_pass
+from foreign_cell import WALL, foreign_pass
 from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
@@ -18,15 +18,19 @@ from rclpy.qos import qos_profile_sensor_data
 from ros_messages import from_msg
 from scipy.ndimage import binary_dilation
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from kr270_milling.base.samples import PoseSample
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.live.nodes.compliant_robot import CompliantRobot
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
+from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.node import stamp_from_ns
 from kr270_milling.physics.robot.errors import ReachError
+from kr270_milling.recordings.bag.reader import Recording
 
 OK, WARN, ERROR = 0, 1, 2
 ROBOT, CUT, COMPENSATOR = "/compliant_robot", "/cutting_process", "/trajectory_compensator"
@@ -36,9 +40,9 @@ UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 class Loop:
     """Robot, cut and compensator, and a node that receives their messages; arguments: of the robot."""
 
-    def __init__(self, world, cell, directory, *arguments: str):
+    def __init__(self, world, cell, directory, *arguments: str, compensator: tuple[str, ...] = ()):
         self.world, self.cell = world, cell
-        self.compensator = world.add(TrajectoryCompensator, cell=cell, directory=directory)
+        self.compensator = world.add(TrajectoryCompensator, *compensator, cell=cell, directory=directory)
         self.cut = world.add(CuttingProcess, cell=cell, directory=directory)
         self.robot = world.add(CompliantRobot, *arguments, cell=cell, directory=directory)
         self.ear = world.partner("ear")
@@ -92,6 +96,23 @@ class Loop:
             assert sorted(self.series[topic]) == result.time_ns.tolist()
             got = np.array([self.series[topic][stamp] for stamp in result.time_ns.tolist()])
             assert np.array_equal(got, expected), topic  # bit for bit, more than the 1e-12 that is asked for
+
+
+def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_matched(world, short_cell, tmp_path):
+    wait = ("-p", "wait_for:=cutting_process, compliant_robot?, recorder")
+    loop = Loop(world, short_cell, tmp_path, compensator=wait)
+    loop.start()
+    world.step(1.0)
+    assert loop.compensator.status().values["waiting_for"] == "recorder is not in the graph (parameter wait_for)"
+    assert "the pass waits: recorder" in requested(loop.ear, world, "send_joint_trajectory").message
+    assert not loop.robot.protocol.started
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'r'}")
+    loop.revised(1)
+    assert recorder.close() is None
+    with Recording(tmp_path / "r") as recording:
+        counts = {topic: channel.count for topic, channel in recording.topics().items()}
+    assert counts["/tool_pose"] == counts["/wrench"] == simulate(short_cell).result.time_ns.size
+    assert not [topic for topic in counts if topic.endswith("/status")]
 
 
 @pytest.fixture
@@ -275,7 +296,7 @@ def ran(short_cell):
 
 @pytest.fixture
 def node(world, short_cell, tmp_path):
-    return world.add(TrajectoryCompensator, cell=short_cell, directory=tmp_path)
+    return world.add(TrajectoryCompensator, "-p", "wait_for:=partner", cell=short_cell, directory=tmp_path)
 
 
 @pytest.fixture
@@ -299,23 +320,48 @@ def test_a_robot_with_its_own_clock_is_followed_and_a_far_one_is_reported(machin
     assert machine.reference(1).duration_ns == machine.reference(0).duration_ns
 
 
+@pytest.mark.parametrize(("late", "until", "sentence"), [
+    (-10.0, 1.0, "s before the start of the pass, so the pose is not used"),
+    (0.2, 1.0, "no tool_pose for 0.2"),
+    (0.0, 0.5, "no tool_pose for 0.8 s in mid-pass"),
+    (0.0, 0.0, "no tool_pose for 0.8 s in mid-pass"),
+])  # fmt: skip
+def test_what_does_not_fit_the_start_message_is_reported_within_1_s(
+    world, short_cell, tmp_path, ran, late, until, sentence
+):
+    """Stamps before the start, a gap, no end; late: of the poses after 10 ms [s]; until: share of the poses."""
+    given = ("-p", "start_topic:=driver/start")
+    world.add(TrajectoryCompensator, *given, cell=short_cell, directory=tmp_path)
+    machine, samples = Cell(world), [s for s in foreign_pass(ran, 0) if isinstance(s, PoseSample) and s.stamp > WALL]
+    start = machine.node.create_publisher(Header, "driver/start", 10)
+    world.until(start.get_subscription_count)
+    start.publish(Header(stamp=stamp_from_ns(WALL)))
+    world.step(0.1)
+    inside = [s for s in samples if s.stamp < WALL + ran.time_ns[-1]]
+    for sample in inside[: round(until * len(inside))]:
+        shift = round(late * 1e9) * (late < 0.0 or sample.stamp > WALL + 10_000_000)
+        machine.pose.publish(pose_msg(sample.stamp + shift, sample.position, UPRIGHT))
+    machine.reports.until(COMPENSATOR, sentence, WARN, deadline=1.0)
+
+
 def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_not_before(world, machine, short_cell):
     """Names and order as a driver publishes them, best effort; a controller that comes late receives nothing."""
     target, stands = short_cell.target(), short_cell.posture + 0.1
     assert np.array_equal(machine.reference(0).position, target.position)
-    refused = requested(machine, "send_joint_trajectory")
+    refused = requested(machine.node, world, "send_joint_trajectory")
     assert not refused.success and "joint_states: no message was received" in refused.message
     states = machine.node.create_publisher(JointState, "joint_states", qos_profile_sensor_data)
     world.until(states.get_subscription_count)
     names = ["external", *(f"joint_{i}" for i in range(6, 0, -1))]
     states.publish(JointState(name=names[:-1], position=[9.0, *stands[:0:-1]]))
     world.step(0.1)
-    assert "no position of joint_1 (parameter joint_names)" in requested(machine, "send_joint_trajectory").message
+    refused = requested(machine.node, world, "send_joint_trajectory")
+    assert "no position of joint_1 (parameter joint_names)" in refused.message
     states.publish(JointState(name=names, position=[9.0, *stands[::-1]]))
     world.step(0.1)
     assert not machine.joints
     before = machine.node.get_clock().now().nanoseconds
-    assert requested(machine, "send_joint_trajectory").success
+    assert requested(machine.node, world, "send_joint_trajectory").success
     world.until(lambda: machine.joints)
     (sent,) = machine.joints
     assert 0.9e9 < messages.ns_from_stamp(sent.header.stamp) - before < 10e9
@@ -326,7 +372,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     assert all(len(point.velocities) == len(point.accelerations) == 6 for point in sent.points)
     late = world.listen(world.partner("late"), topics.JOINT_TRAJECTORY)
     world.step(1.1)
-    assert not late and "s old" in requested(machine, "send_joint_trajectory").message
+    assert not late and "s old" in requested(machine.node, world, "send_joint_trajectory").message
 
 
 def test_in_mid_pass_no_joint_trajectory_is_sent(world, machine, ran, short_cell):
@@ -335,7 +381,9 @@ def test_in_mid_pass_no_joint_trajectory_is_sent(world, machine, ran, short_cell
     machine.play(ran, range(20))
     states.publish(JointState(name=list(short_cell.joint_names), position=short_cell.posture.tolist()))
     world.step(0.1)
-    assert "a pass is under way" in requested(machine, "send_joint_trajectory").message and not machine.joints
+    assert (
+        "a pass is under way" in requested(machine.node, world, "send_joint_trajectory").message and not machine.joints
+    )
 
 
 def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, ran, short_cell):
@@ -381,14 +429,14 @@ def raised(short_cell):
 
 
 def reset(machine):
-    return requested(machine, "reset")
+    return requested(machine.node, machine.world, "reset")
 
 
-def requested(machine, service: str):
-    client = machine.node.create_client(Trigger, f"trajectory_compensator/{service}")
-    machine.world.until(client.service_is_ready)
+def requested(node, world, service: str):
+    client = node.create_client(Trigger, f"trajectory_compensator/{service}")
+    world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
-    machine.world.until(future.done)
+    world.until(future.done)
     return future.result()
 
 

@@ -26,6 +26,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.polling import PolledMessage
+from kr270_milling.live.ros.status import Status, subscribe_status
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
 
@@ -122,7 +123,7 @@ def test_vanished_publisher_is_reported_as_a_warning(world, recorder):
     partner = world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
-    world.until(lambda: "/wrench=1" in reports.last.get(NAME, {}).get("sources", ""))
+    world.until(lambda: recorder.status().sources.get("/wrench"))
     world.remove(partner)
     reports.until(NAME, "no publisher any more: /wrench", WARN, deadline=1.5)
 
@@ -161,8 +162,9 @@ def start(environment, directory, *arguments, **kwargs):
 
 def matched(world, publisher):
     """Wait until publisher and recorder have matched: each end matches separately."""
-    reports, word = world.diagnostics(world.partner("listener")), f"{publisher.topic_name}=1"
-    world.until(lambda: word in reports.last.get(NAME, {}).get("sources", "").split(), 20)
+    statuses: list = []
+    subscribe_status(world.partner("listener"), NAME, lambda msg: statuses.append(Status.from_msg(msg)))
+    world.until(lambda: statuses and statuses[-1].sources.get(publisher.topic_name), 20)
     world.until(publisher.get_subscription_count)
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,8 +28,11 @@ from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, ReportingNode, guarded
 from kr270_milling.live.ros.parameters import declare
+from kr270_milling.live.ros.readiness import unmatched
+from kr270_milling.live.ros.status import Status
 
 ERROR = 2
+ROOT = Path(__file__).resolve().parents[3]
 
 
 class Clumsy(ReportingNode):
@@ -91,6 +97,40 @@ def test_autostart_is_described_and_cannot_be_set_later_and_a_status_names_its_h
     messages = world.listen(world.partner(), topics.DIAGNOSTICS)
     world.until(lambda: messages)
     assert messages[0].status[0].hardware_id
+
+
+# --- whether a pass may start, by the statuses of its nodes ---
+
+
+def statuses(change=lambda robot, cut, rec: None) -> dict[str, Status]:
+    """A robot and a cut that are matched, and a recorder of the topic "a*"; change: what differs."""
+    robot = dict(listeners={"/a": 2, "/b": 0}, sources={"/w": 1}, values={"reference": "1"})
+    cut = dict(listeners={"/w": 1}, sources={"/a": 1}, values={"reference": "1"})
+    recorder = dict(sources={"/a": 1}, values={"records": ["/a*"], "left_out": []})
+    change(robot, cut, recorder)
+    return {name: Status(1, 0, "", **one) for name, one in (("robot", robot), ("cut", cut), ("recorder", recorder))}
+
+
+@pytest.mark.parametrize(("change", "sentence"), [
+    (lambda robot, cut, rec: None, ""),
+    (lambda robot, cut, rec: robot["listeners"].update({"/a": 1}), "robot has not discovered every subscriber"),
+    (lambda robot, cut, rec: cut["sources"].update({"/a": 0}), "cut has not discovered a publisher of /a"),
+    (lambda robot, cut, rec: rec["sources"].clear(), "recorder has not discovered a publisher of /a"),
+    (lambda robot, cut, rec: rec["values"].update(records=["/*"]), "recorder has not discovered a publisher of /b"),
+    (lambda robot, cut, rec: rec["values"].update(records=["/*"], left_out=["/b", "/w"]), ""),
+    (lambda robot, cut, rec: cut["values"].update(reference="2"), "not every node has the reference"),
+])  # fmt: skip
+def test_a_pass_may_start_when_every_end_of_every_topic_is_matched(change, sentence):
+    assert unmatched(statuses(change)).startswith(sentence) and bool(unmatched(statuses(change))) == bool(sentence)
+
+
+def test_the_private_names_of_rclpy_are_those_of_the_versions_that_the_package_requires():
+    low, high = ((ROOT / "package.xml").read_text().partition(f'{key}="')[2].partition('"')[0] for key in ("gte", "lt"))
+    installed = importlib.metadata.version("rclpy")
+    assert tuple(map(int, low.split("."))) <= tuple(map(int, installed.split("."))) < tuple(map(int, high.split(".")))
+    texts = {file.name: file.read_text() for file in (ROOT / "kr270_milling" / "live").rglob("*.py")}
+    private = re.compile(r"rclpy\.impl|_rclpy|handle\.take|\._state_machine|_LifecycleNodeMixin__")
+    assert [name for name, text in texts.items() if private.search(text)] == ["rclpy_private.py"]
 
 
 # --- Parameter records as ROS parameters ---

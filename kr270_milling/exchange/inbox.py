@@ -1,0 +1,259 @@
+"""Poses and wrenches of one pass, from its start to its end, as the compensator receives them."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.frames import TOOL, WORKPIECE
+from kr270_milling.base.samples import LearnedPass, PoseSample, WrenchSample
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import pass_record
+from kr270_milling.exchange.inputs import WrenchFrames, in_workpiece_axes
+from kr270_milling.exchange.start import StartSeeker, check_follows, lag
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.physics.motion.exchange import Clock
+
+__all__ = ["PassInbox", "ReceivedPass"]
+
+GAP_NS = 100_000_000  # longest time between two messages of a pass without a report
+
+
+@dataclass(frozen=True, eq=False)
+class ReceivedPass:
+    """Poses and wrenches of one pass in workpiece axes; a repeated stamp keeps its last message."""
+
+    pose_ns: np.ndarray  #: stamps [ns], (n,), ascending
+    position: np.ndarray  #: tool centre [m], (n, 3)
+    wrench_ns: np.ndarray  #: stamps [ns], (m,), ascending
+    wrench: np.ndarray  #: [N, N m], (m, 6)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of all arrays, hexadecimal."""
+        arrays = (self.pose_ns, self.position, self.wrench_ns, self.wrench)
+        return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+    @property
+    def missing(self) -> int:
+        """Number of poses that are missing, where poses come at one period."""
+        return _missing(self.pose_ns)
+
+    def until_wrench(self, count: int) -> ReceivedPass:
+        """Return the pass with its first ``count`` wrenches only."""
+        return ReceivedPass(self.pose_ns, self.position, self.wrench_ns[:count], self.wrench[:count])
+
+    def as_learned(self, recording: str) -> LearnedPass:
+        """Return what the compensator publishes of a pass; recording: its file."""
+        return LearnedPass(recording, self.fingerprint, self.pose_ns.size, self.wrench_ns.size)
+
+    def record(self, cell: Cell, plant: Cell | None, number: int) -> PassRecord:
+        """Return the record for a revision: wrenches interpolated to the stamps of the poses, 0 where none came.
+
+        plant: the simulated plant; the noise of its tracker in pass ``number`` is added to the poses.
+        """
+        wrench = np.zeros((self.pose_ns.size, 6))
+        if self.wrench_ns.size:
+            wrench = np.column_stack([np.interp(self.pose_ns, self.wrench_ns, axis) for axis in self.wrench.T])
+        tracker = None if plant is None else plant.imperfections
+        return pass_record(cell, self.pose_ns, self.position, wrench, tracker, number)
+
+
+class PassInbox:
+    """Collects poses and wrenches of one pass that starts at the stamp ``start_ns`` and takes ``end_ns``.
+
+    All other times are those of the pass, counted from its start. A pass is complete when pose and wrench have
+    reached the end, each as often as the exchange is iterated.
+
+    A robot with another clock starts when its tool leaves the first point of ``reference`` along the reference, or
+    with ``begin`` where its start is ``announced``; then ``start_ns`` becomes a stamp of this clock. ``clock``
+    recognises the stamps of the simulated robot. frames: of the wrenches, with those of a force sensor.
+    """
+
+    def __init__(
+        self, end_ns: int, iterations: int, start_ns: int = 0, reference: Trajectory | None = None,
+        clock: Clock | None = None, frames: WrenchFrames | None = None, announced: bool = False,
+    ):  # fmt: skip
+        self.end_ns = end_ns
+        self.start_ns = start_ns
+        self.problem = ""  #: what does not fit, in one sentence; the caller clears the sentence
+        self._reference = reference
+        self._clock = clock
+        self._frames = frames
+        self._announced = announced
+        self._iterations = iterations
+        self.clear()
+
+    def clear(self, wrenches: dict[int, WrenchSample] | None = None) -> None:
+        """Await the next pass; wrenches: those of this pass that came before its first pose."""
+        self._poses: dict[int, PoseSample] = {}  # by their stamps, ascending
+        self._wrenches: dict[int, WrenchSample] = dict(wrenches or {})
+        self._early: dict[int, WrenchSample] = {}
+        self._ignored = 0
+        self.foreign = False  #: the pass of a robot with another clock
+        self._seeker = None if self._reference is None else StartSeeker(self._reference, self._announced)
+        self._standing: list[WrenchSample] = []  # wrenches before the start
+        self._gap_ns = GAP_NS  # longest time between two messages that was reported
+        self._last_poses = self._last_wrenches = self._iterations
+
+    @property
+    def distance(self) -> float:
+        """Distance [m] of a tool that waits from the first point of the reference; 0 where no such tool is known."""
+        return 0.0 if self._seeker is None or self.started else self._seeker.distance
+
+    @property
+    def started(self) -> bool:
+        """Whether the start of the pass was received."""
+        return self.foreign or bool(self._poses)
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the pass lacks nothing but its last wrench."""
+        return self.started and self._last_poses <= 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether all messages of the pass have come."""
+        return self.at_end and self._last_wrenches <= 0
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the last pose that counts."""
+        return next(reversed(self._poses), 0)
+
+    @property
+    def ignored(self) -> int:
+        """Number of poses of a pass whose start was not received."""
+        return 0 if self._poses else self._ignored
+
+    @property
+    def has_wrench(self) -> bool:
+        """Whether a wrench of the pass was received."""
+        return bool(self._wrenches)
+
+    def pose(self, sample: PoseSample) -> None:
+        """Take a pose that was checked."""
+        time = sample.stamp - self.start_ns
+        if self.foreign:
+            self._foreign_pose(time, sample)
+            return
+        last = next(reversed(self._poses), -1)
+        if self._seeker is not None and last < 0 and self._is_foreign(time):
+            self._ignored += 1
+            start = self._seeker.pose(sample)
+            if start is not None:
+                self.begin(start)
+            return
+        if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
+            self.clear(self._early)
+            last = -1
+        unstarted = last < 0 and time != 0
+        if time != last and (time < last or last >= self.end_ns or unstarted):
+            self._ignored += 1  # older than the last one, after the end, or without the start
+            return
+        self._check_gap("tool_pose", time, last if last >= 0 else 0)
+        self._poses[time] = sample  # repeated where the exchange is iterated, or the robot asked again
+        self._last_poses -= time >= self.end_ns
+
+    def _is_foreign(self, time: int) -> bool:
+        """Whether a time is none of the simulated robot."""
+        if self._clock is None or self._announced:
+            return self._announced
+        return not 0 <= time <= self.end_ns or self._clock.step(time) < 0
+
+    def begin(self, start_ns: int) -> None:
+        """Begin the pass of a robot with another clock at a stamp [ns] of this clock."""
+        restarted, seeker = self.started, self._seeker
+        self.clear()
+        self.problem = "the robot began the pass again" if restarted else self.problem
+        self.foreign, self.start_ns = True, start_ns
+        self._last_poses = self._last_wrenches = 1
+        if seeker is None:
+            return
+        self._standing = seeker.standing(start_ns)
+        if self._frames is not None and self._frames.untared(self._standing):
+            self.problem = "no wrench of the force sensor before the start: its offset is not subtracted"
+        for pose in seeker.poses:
+            if pose.stamp >= start_ns:
+                self.pose(pose)
+        for wrench in seeker.wrenches:
+            self.wrench(wrench)
+
+    def _foreign_pose(self, time: int, sample: PoseSample) -> None:
+        """Take a pose of a pass of a robot with another clock."""
+        last = next(reversed(self._poses), 0)
+        if time < last - GAP_NS:
+            what = f"{(last - time) * 1e-9:.3f} s before {'the last one' if self._poses else 'the start of the pass'}"
+            self.problem = f"tool_pose: the stamp is {what}, so the pose is not used"
+        if time < last or last >= self.end_ns:
+            return
+        self._check_gap("tool_pose", time, last)
+        self._poses[time] = sample
+        self._last_poses -= time >= self.end_ns
+
+    def _check_gap(self, topic: str, time: int, last: int) -> None:
+        """State a gap that is longer than those before."""
+        if time - last > self._gap_ns:
+            self._gap_ns = time - last
+            self.problem = f"no {topic} for {self._gap_ns * 1e-9:.3f} s of the pass"
+
+    def wrench(self, sample: WrenchSample) -> None:
+        """Take a wrench that was checked."""
+        if self.foreign:
+            time = sample.stamp - self.start_ns
+            if time >= 0 and self._last_wrenches > 0:
+                self._check_gap("wrench", time, next(reversed(self._wrenches), time))
+                self._wrenches[time] = sample
+                self._last_wrenches -= time >= self.end_ns
+            return
+        if self._seeker is not None:
+            self._seeker.wrenches.append(sample)
+        time = sample.stamp - self.start_ns
+        if time == 0 and list(self._poses) != [0]:
+            self._early = {0: sample}  # it may overtake the pose that it answers
+        elif self._poses:
+            self._wrenches[time] = sample
+            self._last_wrenches -= time >= self.end_ns
+
+    def received(self) -> ReceivedPass:
+        """Return what has come; the wrenches of a tool frame are turned by the pose before them.
+
+        Raises MessageError where the poses of a robot with another clock are no pass along the reference.
+        """
+        stamps, poses = np.array(list(self._poses), np.int64), list(self._poses.values())
+        times = np.array(sorted(self._wrenches), np.int64)
+        nearest = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0)
+        samples = [self._wrenches[stamp] for stamp in times.tolist()]
+        turned = self._at_tip(samples, [poses[k].quaternion for k in nearest.tolist()])
+        position = np.array([pose.position for pose in poses], float).reshape(-1, 3)
+        if self.foreign and self._reference is not None:
+            if self._wrenches:
+                self._check_gap("wrench", self.end_ns, next(reversed(self._wrenches)))
+            late = lag(self._reference, stamps, position)
+            stamps, times = stamps - late, times - late
+            check_follows(self._reference, stamps, position)
+        return ReceivedPass(stamps, position, times, turned)
+
+    def _at_tip(self, samples: list[WrenchSample], quaternions: list[np.ndarray]) -> np.ndarray:
+        """Return wrenches (n, 6) at the tool tip in workpiece axes; quaternions: of tcp."""
+        wrench, frames = np.array([s.wrench for s in samples], float).reshape(-1, 6), [s.frame for s in samples]
+        for frame in set(frames) - {WORKPIECE}:
+            rows = [row for row, name in enumerate(frames) if name == frame]
+            if self._frames is None or frame == TOOL:
+                wrench[rows] = [in_workpiece_axes(samples[row], quaternions[row]) for row in rows]
+                continue
+            turns = np.array([quaternions[row] for row in rows])
+            offset = self._frames.offset(self._standing, next(iter(self._poses.values())).quaternion)
+            wrench[rows] = self._frames.at_tip(frame, wrench[rows], turns, offset)
+        return wrench
+
+
+def _missing(stamps: np.ndarray) -> int:
+    """Number of messages that are missing in a pass, where they come at one period."""
+    if stamps.size < 2:
+        return 0
+    steps = np.diff(stamps) / np.median(np.diff(stamps))
+    return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0
