@@ -70,9 +70,18 @@ class Pass(Shown, jobs.ScoredPass):
         return cls(**vars(scored), cell=cell)
 
     def __repr__(self) -> str:
-        static, most = 1e6 * self.scores.static_deviation, 1e6 * self.scores.max_deviation
-        shown = "" if np.isnan(static) else f"static {static:.2f} um, "
-        return f"<Pass {self.name}: {shown}max {most:.2f} um>"
+        shown = "" if np.isnan(self.static_deviation_um) else f"static {self.static_deviation_um:.2f} um, "
+        return f"<Pass {self.name}: {shown}max {self.max_deviation_um:.2f} um>"
+
+    @property
+    def static_deviation_um(self) -> float:
+        """Mean deviation [um] over the last quarter; NaN where the path has no single feed direction."""
+        return 1e6 * self.scores.static_deviation
+
+    @property
+    def max_deviation_um(self) -> float:
+        """Largest deviation [um] across the feed, once the tool is fully engaged."""
+        return 1e6 * self.scores.max_deviation
 
     @property
     def tolerance(self) -> tolerance.Judgement:
@@ -137,14 +146,24 @@ class Compensation(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verdict(Shown, verdicts.Verdict):
-    """What simulated robots do with a corrected trajectory: ``original`` and ``compensated`` [m], one row a robot."""
+    """What simulated robots do with a corrected trajectory: ``original_um`` and ``compensated_um``, one row a robot."""
+
+    @property
+    def original_um(self) -> np.ndarray:
+        """Errors [um] on the path as programmed, (n,); NaN where a robot fails."""
+        return 1e6 * self.original
+
+    @property
+    def compensated_um(self) -> np.ndarray:
+        """Errors [um] on the corrected trajectory, (n,); NaN where a robot fails."""
+        return 1e6 * self.compensated
 
     def sentences(self) -> list[str]:
         return [repr(self)[1:-1], self.reason]
 
     def to_frame(self) -> pandas.DataFrame:
         """The errors of each simulated robot [um], as programmed and compensated; NaN where a robot fails."""
-        return _pandas().DataFrame({"original_um": 1e6 * self.original, "compensated_um": 1e6 * self.compensated})
+        return _pandas().DataFrame({"original_um": self.original_um, "compensated_um": self.compensated_um})
 
     def tables(self) -> list[TextTable]:
         rows = [
@@ -280,7 +299,7 @@ def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
     for one in passes:
         which = f" {one.name}" if len(passes) > 1 else ""
         series = dict(zip(COLUMNS[1:], series_rows(one.result, one.cell.target()).T, strict=True))
-        deviation = 1e3 * series["path_deviation_mm"]
+        deviation = series["path_deviation_um"]
         figure.add_scatter(x=one.result.time, y=deviation, name=f"deviation{which}", row=1, col=1)
         for axis in "xyz":
             force = series[f"force_{axis}_n"]

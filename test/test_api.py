@@ -55,7 +55,7 @@ def test_the_series_are_the_same_in_frame_csv_and_figure(both, tmp_path):
     assert list(frame.columns) == list(again.columns)
     np.testing.assert_allclose(frame.to_numpy(), again.to_numpy(), rtol=1e-12, atol=1e-12)
     figure = both.original.plot()
-    np.testing.assert_allclose(figure.data[0].y, 1e3 * frame["path_deviation_mm"])
+    np.testing.assert_allclose(figure.data[0].y, frame["path_deviation_um"])
 
 
 @pytest.fixture(scope="module")

@@ -98,8 +98,8 @@ class Verdict:
             "within_tolerance": self.within,
             "failed": int(np.isnan(self.compensated).sum()),
             "recommended_method": self.recommended if len(self.methods) > 1 else None,
-            "methods": {name: [1e3 * value for value in _band(rows)] for name, rows in methods.items()},
-            **{f"{which}_mm": [1e3 * v for v in self.band(which)] for which in ("original", "compensated")},
+            "methods_um": {name: [1e6 * value for value in _band(rows)] for name, rows in methods.items()},
+            **{f"{which}_um": [1e6 * v for v in self.band(which)] for which in ("original", "compensated")},
         }
 
 
@@ -124,8 +124,8 @@ class MethodComparison:
 
     def as_dict(self) -> dict:
         """For JSON."""
-        shown = {name: 1e3 * value for name, value in self.deviations.items()}
-        return {"best": self.best, "reason": self.sentence, "path_deviation_mm": shown}
+        shown = {name: 1e6 * value for name, value in self.deviations.items()}
+        return {"best": self.best, "reason": self.sentence, "path_deviation_um": shown}
 
 
 def compare_methods(cell: Cell, original: ScoredPass) -> MethodComparison:

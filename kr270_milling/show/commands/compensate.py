@@ -5,7 +5,6 @@ Exit code 1 where the decision is ``no``; then no program is written, unless by 
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 import sys
 from pathlib import Path
@@ -141,7 +140,7 @@ def _values(cell, done) -> dict:
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     values |= {k: v for k, v in revised.row().items() if k != "name"}
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-    values["planned_max_deviation_mm"] = 1e3 * done.planned.scores.max_deviation
+    values["planned_max_deviation_um"] = 1e6 * done.planned.scores.max_deviation
     values["time_law"] = time_law(cell)
     values["original"] = {k: v for k, v in original.row().items() if k != "name"}
     values["passes"] = [ran.row() for ran in (original, revised)]
@@ -160,14 +159,18 @@ def _correction(cell, revised, by) -> dict:
     from kr270_milling.physics.compensation.revision import chord_error
 
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
-    limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
-    values = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
+    limited = [
+        {"kind": part.kind, "first": part.first, "last": part.last, "worst": part.worst, "time_s": part.time,
+         "wanted_um": 1e6 * part.wanted, "missing_um": 1e6 * part.missing, "sentence": limit_sentence(part, by)}
+        for part in by.limited
+    ]  # fmt: skip
+    values = {"largest_correction_um": 1e6 * float(size.max()), "limited": limited}
     if by.errors[1:]:
-        values["remaining_errors_mm"] = [1e3 * error for error in by.errors]
+        values["remaining_errors_um"] = [1e6 * error for error in by.errors]
     values["identified"] = by.identified and by.identified.as_dict()
     values["note"] = by.note or None
     if not by.chosen.smooth:
-        values["chord_error_mm"] = 1e3 * chord_error(cell.target())
+        values["chord_error_um"] = 1e6 * chord_error(cell.target())
     return values
 
 
@@ -321,8 +324,8 @@ def _details(cell, done, values: dict):
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
     yield (
-        f"largest deviation of the written program {um_text(1e-3 * values['max_deviation_mm'])}, of the plan "
-        f"{um_text(1e-3 * values['planned_max_deviation_mm'])}; {values['time_law']}"
+        f"largest deviation of the written program {um_text(1e-6 * values['max_deviation_um'])}, of the plan "
+        f"{um_text(1e-6 * values['planned_max_deviation_um'])}; {values['time_law']}"
     )
     if values["note"]:
         yield values["note"]
@@ -330,9 +333,9 @@ def _details(cell, done, values: dict):
         yield _identified(values["identified"])
     yield cell.cut_text
     yield joints_text(values["commanded_joints_deg"])
-    yield f"largest correction {values['largest_correction_mm']:.4f} mm"
-    if "chord_error_mm" in values:
-        yield f"LIN chords deviate from the programmed path by up to {values['chord_error_mm'] * 1e3:.2f} um"
+    yield f"largest correction {values['largest_correction_um']:.1f} um"
+    if "chord_error_um" in values:
+        yield f"LIN chords deviate from the programmed path by up to {values['chord_error_um']:.2f} um"
     yield from (*done.checked.findings_lines(), done.checked.counts)
     if values["verdict"]:
         yield from _verdict(values["verdict"])
@@ -364,7 +367,7 @@ def _features(features: dict, method: str) -> TextTable:
 
 def _verdict(verdict: dict):
     columns = ["", "5 %", "50 %", "95 %"]
-    rows = [[name, *(fixed(1e3 * v, 1, 1e6 * CONVERGED) for v in band)] for name, band in verdict["methods"].items()]
+    rows = [[name, *(fixed(v, 1, 1e6 * CONVERGED) for v in band)] for name, band in verdict["methods_um"].items()]
     yield TextTable(
         f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
     )

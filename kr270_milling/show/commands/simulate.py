@@ -143,8 +143,8 @@ def _scores(summary: dict) -> list[str]:
     x, y, z = summary["mean_force_n"]
     ringing = summary["ringing_frequency_hz"]
     return [
-        f"static deviation    {summary['static_deviation_mm'] * 1e3:10.3f} um   mean over the last quarter",
-        f"max deviation       {summary['max_deviation_mm'] * 1e3:10.3f} um   once fully engaged",
+        f"static deviation    {summary['static_deviation_um']:10.3f} um   mean over the last quarter",
+        f"max deviation       {summary['max_deviation_um']:10.3f} um   once fully engaged",
         f"low frequency       {summary['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz",
         f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes",
     ]
@@ -181,6 +181,6 @@ def _summary(cell, ran) -> dict:
         "mean_force_n": jobs.mean_force(result),
         "removed_area_mm2": result.removed_area * 1e6,
         "removed_volume_mm3": result.removed_volume * 1e9,
-        "largest_correction_um": float(result.correction.max()) * 1e6,
+        "largest_pose_correction_um": float(result.correction.max()) * 1e6,
         "ringing_damping": ran.scores.ringing_damping,
     }

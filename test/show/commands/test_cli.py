@@ -191,8 +191,8 @@ def test_stiffness_for_people_names_arm_frame_and_units(capsys):
 
 def test_simulate_prints_steps_time_force_area_and_scores(capsys, tmp_path):
     result = answer(capsys, "simulate", "paper.yaml", *SHORT, "--out", str(tmp_path))
-    assert {"steps", "wall_s", "real_time_factor", "mean_force_n", "removed_area_mm2", "static_deviation_mm",
-            "max_deviation_mm", "low_frequency_hz"} <= set(result)  # fmt: skip
+    assert {"steps", "wall_s", "real_time_factor", "mean_force_n", "removed_area_mm2", "static_deviation_um",
+            "max_deviation_um", "low_frequency_hz"} <= set(result)  # fmt: skip
     assert result["steps"] == 432 * 24 and len(result["mean_force_n"]) == 3
     assert result["real_time_factor"] == pytest.approx(0.216 / result["wall_s"])
     assert result["low_frequency_hz"] == pytest.approx(6.70, rel=0.01)
@@ -211,28 +211,28 @@ def test_compensate_writes_a_trajectory_that_simulate_runs_to_the_predicted_scor
     path = Path(result["trajectory"])
     rows = list(csv.reader(line for line in path.read_text().splitlines() if not line.startswith("#")))
     assert path.is_relative_to(tmp_path) and len(rows) == 26 and result["points"] == 25
-    assert result["method"] == "spline" and result["planned_max_deviation_mm"] < 1.1e-3  # 1.04 um, the C2 spline
-    assert result["max_deviation_mm"] < 1.4e-3  # fewer points, within program.tolerance_um of the plan
+    assert result["method"] == "spline" and result["planned_max_deviation_um"] < 1.1  # 1.04 um, the C2 spline
+    assert result["max_deviation_um"] < 1.4  # fewer points, within program.tolerance_um of the plan
     again = answer(capsys, "simulate", "paper.yaml", "--reference", str(path))
-    fewer = 5e-4  # [mm], of the points of the program, whose figure compensate prints
-    assert again["max_deviation_mm"] == pytest.approx(result["planned_max_deviation_mm"], rel=1e-6)
-    assert again["max_deviation_mm"] == pytest.approx(result["max_deviation_mm"], abs=fewer)
+    fewer = 0.5  # [um], of the points of the program, whose figure compensate prints
+    assert again["max_deviation_um"] == pytest.approx(result["planned_max_deviation_um"], rel=1e-6)
+    assert again["max_deviation_um"] == pytest.approx(result["max_deviation_um"], abs=fewer)
 
 
 def test_the_demo_prints_five_passes_and_writes_report_and_series(demo):
     result = demo.json
     assert [p["name"] for p in result["passes"]] == ["original", "linear", "spline", "mirror", "learned"]
     for ran in result["passes"]:
-        assert {"static_deviation_mm", "max_deviation_mm", "low_frequency_hz"} <= set(ran)
-    assert result["passes"][0]["static_deviation_mm"] == pytest.approx(0.0581, rel=0.01)
-    assert result["passes"][4]["max_deviation_mm"] <= 0.0005
-    moving = {p["name"]: p["max_deviation_mm"] for p in result["passes_reference_inertia"]}
+        assert {"static_deviation_um", "max_deviation_um", "low_frequency_hz"} <= set(ran)
+    assert result["passes"][0]["static_deviation_um"] == pytest.approx(58.1, rel=0.01)
+    assert result["passes"][4]["max_deviation_um"] <= 0.5
+    moving = {p["name"]: p["max_deviation_um"] for p in result["passes_reference_inertia"]}
     assert list(moving) == ["original", "linear", "spline", "mirror", "learned", "inverse"]
     # the paper's methods excite the arm (20 and 27 um by two independent calculations), the lifted model does not
-    assert moving["original"] == pytest.approx(0.0628, rel=0.01)
-    assert moving["linear"] == pytest.approx(0.020, rel=0.05) and moving["spline"] == pytest.approx(0.027, rel=0.05)
-    assert moving["mirror"] == pytest.approx(0.0055, abs=0.0005)
-    assert moving["learned"] <= 0.0001 and moving["inverse"] <= 0.0003
+    assert moving["original"] == pytest.approx(62.8, rel=0.01)
+    assert moving["linear"] == pytest.approx(20, rel=0.05) and moving["spline"] == pytest.approx(27, rel=0.05)
+    assert moving["mirror"] == pytest.approx(5.5, abs=0.5)
+    assert moving["learned"] <= 0.1 and moving["inverse"] <= 0.3
     assert "eq. (1) as printed" in demo.text and "with the inertia of the moving arm" in demo.text
     report = Path(result["report"])
     assert report.is_relative_to(result["out"]) and "<svg" in report.read_text()
