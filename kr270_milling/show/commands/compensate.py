@@ -24,10 +24,11 @@ from kr270_milling.show.commands.console import (
     now,
     plant_of,
 )
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.progress import steps, title_of, weights_of
 
 UNFINISHED = "unfinished"  #: directory of the passes of a run that has not ended
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
+SOFTER_PASS = "lower acceleration"  #: step of the report
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 
@@ -87,12 +88,13 @@ def run_compensate(args) -> Answer:
     from kr270_milling.decide.programs.rsi_context import rsi_address
     from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
-    def run(cell):
+    def run(cell, whole):
         plant = plant_of(args, cell)
         words = args.method, plant and cell_text(plant.cell)
         place = Path(args.out, UNFINISHED, cell.stage.tool if cell.stage else "")
         done = compensate(
-            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress,
+            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args),
+            progress=whole.under(title_of(cell)),
             saved=SavedPasses(place, cell, words, args.resume),
         )  # fmt: skip
         if not (done.decision.verdict or args.no_verdict):
@@ -102,17 +104,27 @@ def run_compensate(args) -> Answer:
     if args.rsi:
         rsi_address(args.rsi)  # refused before the passes are run
     source, cells = find_file(args.cell), cells_of(args)
-    with staged(args.out) as (draft, final):
-        jobs = in_turn(cells, run, lambda done: done.revised if done.checked.may_be_run else None)
+    with staged(args.out) as (draft, final), steps(weights_of(cells, lambda cell: _weights(cell, args))) as whole:
+        jobs = in_turn(
+            cells, lambda cell: run(cell, whole), lambda done: done.revised if done.checked.may_be_run else None
+        )
         several = len(jobs) > 1
         decision = DecisionOnTools.of(jobs) if several else jobs[0][1].decision
         if args.json and decision.level == CAUTION:
             print(f"warning: {decision.text}", file=sys.stderr)
-        with progress("files"):
-            values = _write(draft, final, jobs, decision, args, source)
+        whole.say("files")
+        values = _write(draft, final, jobs, decision, args, source, whole)
     shutil.rmtree(Path(args.out, UNFINISHED), ignore_errors=True)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
     return Answer(values, shown, code=decision.exit_code)
+
+
+def _weights(cell, args) -> dict:
+    """Time of the steps of one tool, in passes; the report of a tool path has one more pass."""
+    from kr270_milling.decide.compensation import weights
+
+    more = {} if cell.programmed.straight else {SOFTER_PASS: 1.0}
+    return weights(cell, args.method, _order(args)) | more
 
 
 def _order(args):
@@ -174,7 +186,7 @@ def _correction(cell, revised, by) -> dict:
     return values
 
 
-def _write(draft, final, jobs, decision, args, source) -> dict:
+def _write(draft, final, jobs, decision, args, source, whole) -> dict:
     """All files of all tools, and what ``--json`` prints; jobs: of each tool its cell and its compensation."""
     from kr270_milling.decide.decision import NO
     from kr270_milling.decide.programs.files import write_manifest
@@ -188,7 +200,7 @@ def _write(draft, final, jobs, decision, args, source) -> dict:
         tools.append(values | placed)
         texts.append(text)
         if done.parts:
-            page, part = _part_files(draft, final, cell, done, args, source, date)
+            page, part = _part_files(draft, final, cell, done, args, source, date, whole)
             pages.append(page)
             tools[-1] |= part
     manifest = str(final(write_manifest(draft, texts, decision.lines(), released)))
@@ -219,7 +231,7 @@ def _write_programs(draft, final, cell, done, lines, released, args, date: str) 
     return placed, text
 
 
-def _part_files(draft, final, cell, done, args, source, date: str) -> tuple[str, dict]:
+def _part_files(draft, final, cell, done, args, source, date: str, whole) -> tuple[str, dict]:
     """The report of one tool as text, and the final path of the predicted part."""
     from kr270_milling.decide.part import write_part
     from kr270_milling.show.report import report_text
@@ -229,7 +241,7 @@ def _part_files(draft, final, cell, done, args, source, date: str) -> tuple[str,
     page = report_text(
         cell, (done.original, revised), title=f"{title}, {cell.stage}" if cell.stage else title, source=str(source),
         command=command_line(args), date=date, parts=done.parts, decision=done.decision, checked=done.checked,
-        tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
+        tables=[_joints_table(cell, revised), _time_law_table(cell, done, whole)],
     )  # fmt: skip
     stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
     write_part(stl, cell, revised.result)
@@ -263,12 +275,12 @@ def _joints_table(cell, revised):
     return TextTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
-def _time_law_table(cell, done):
+def _time_law_table(cell, done, whole):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
     from kr270_milling.decide.programs.files import time_law
     from kr270_milling.decide.programs.written import SOFTER, softer_pass
 
-    with progress(f"{SOFTER:g} times the acceleration") as report:
+    with whole.under(title_of(cell))(SOFTER_PASS) as report:
         softer = softer_pass(cell, done.revised.reference, progress=report)
     rows = [("plan", done.planned), ("written program", done.revised)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer)] if softer else []

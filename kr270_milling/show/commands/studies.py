@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from kr270_milling.base.arguments import bounded, grid
@@ -12,7 +13,7 @@ from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import CELL, Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.progress import progress, steps
 
 STUDIES = ("dask", "distributed", "pyarrow")
 MOST = 10_000_000
@@ -87,14 +88,17 @@ def run_map(args) -> Answer:
         scale * (np.array([value]) if axis is None else np.linspace(*axis))
         for axis, value, scale in zip(given, here, scales, strict=True)
     )
-    placements = Placements(cell, path_places(cell), axes, args.chunk)
-    if len(placements) > MOST:
-        raise ParameterError("map", len(placements), f"at most {MOST} placements in all")
+    number = math.prod(len(axis) for axis in axes)
+    if number > MOST:
+        raise ParameterError("map", number, f"at most {MOST} placements in all")
     plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
-    made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
-    with progress("map") as report:
-        seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
+    with steps({"map": 1.0}) as whole:
+        with whole("pass of the cell") as report:
+            placements = Placements(cell, path_places(cell, report), axes, args.chunk)
+        made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
+        with whole("map") as report:
+            seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
     summary = Summary(axes[0], axes[1], BEST)
     for table in study.tables(placements.chunks):
         summary.add(table)

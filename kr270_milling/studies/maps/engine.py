@@ -143,10 +143,11 @@ def run_chunks(
     EngineError where the scheduler cannot be reached, has no worker or goes away.
     """
     missing, start = study.missing(count), time.monotonic()
+    first = count - len(missing)
     if scheduler is None:
         if len(missing) > SEVERAL:
             _prepare(rows_of)
-        missing = missing[_alone(study, missing, rows_of) :]
+        missing = missing[_alone(study, missing, rows_of, lambda made: progress and progress(first + made, count)) :]
     if not missing:
         return time.monotonic() - start
     done = count - len(missing)
@@ -174,11 +175,12 @@ def _prepare(rows_of: Callable[[int], bytes]) -> None:
         forkserver.ensure_running()
 
 
-def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes]) -> int:
+def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], made: Callable[[int], object]) -> int:
     """Make chunks here as long as the rest takes less than the start of a cluster; returns how many were made."""
     for k, number in enumerate(missing):
         start = time.monotonic()
         _write_whole(study.chunk(number), rows_of(number))
+        made(k + 1)
         took = time.monotonic() - start
         # the first chunk may compile, so that a short one has a second try
         if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > ALONE / 4):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -73,9 +74,9 @@ class PathPlaces:
     force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
 
 
-def path_places(cell: Cell) -> PathPlaces:
+def path_places(cell: Cell, progress: Callable[[int, int], None] | None = None) -> PathPlaces:
     """Places where the tool cuts in one pass of the cell, and REST over the whole path for its reach and limits."""
-    result = simulate(cell).result
+    result = simulate(cell, progress=progress).result
     cutting = np.flatnonzero(result.volume > 0.0)
     chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
     rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)

@@ -279,42 +279,76 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_a_count_that_starts_over_is_the_next_pass():
-    shown = Progress("learned", most=6)
-    for _ in range(3):
-        for done in (200, 400):
-            shown(done, 400)
-    assert shown.label == "learned, pass 3 of at most 6"
-    assert shown.state == "0 s so far"  # what follows the last count is not counted
-
-
-def test_without_a_count_the_time_so_far_is_shown_and_with_a_count_the_time_left(monkeypatch):
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that a test sets: ``clock[0] += 1.0``."""
     now = [10.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    shown = Progress("sweep")
-    now[0] += 4.0
-    assert shown.state == "4 s so far"
-    shown(50, 100)  # done in an earlier run, which does not count for the pace
-    now[0] += 4.0
-    shown(75, 100)
-    assert shown.state == "75 %, 4 s left"
-    shown.say("files")
-    assert (shown.label, shown.state) == ("files", "0 s so far")
-    with global_compiler_lock, ThreadPoolExecutor(1) as other:
-        assert other.submit(lambda: shown.state).result() == "0 s so far, compiling"
+    return now
+
+
+def test_one_step_states_its_share_and_the_time_left_at_the_pace_of_this_run(clock):
+    shown = Progress({"sweep": 1.0})
+    with shown("sweep") as count:
+        clock[0] += 4.0
+        assert shown.text == "4 s so far: sweep"
+        count(50, 100)  # done in an earlier run, which does not count for the pace
+        clock[0] += 4.0
+        count(75, 100)
+        assert shown.text == "75 %, 8 s left: sweep"
+        with global_compiler_lock, ThreadPoolExecutor(1) as other:
+            other.submit(shown.look).result()
+        assert shown.text.endswith("left: sweep, compiling")
+        shown.look()
+        assert shown.text.endswith("left: sweep")
+
+
+#: real seconds of the steps of a command of 100 s; a method takes 2 of at most 12 passes, "stock" counts nothing
+TOOK = {"original": [20.0], "method": [10.0, 10.0], "written": [16.0], "stock": [4.0], "verdict": [40.0]}
+WEIGHTS = {"original": 1.0, "method": 3.0, "written": 1.0, "stock": 0.1, "verdict": lambda each: min(3.0 * each, 50.0)}
+
+
+def test_the_line_of_a_command_only_grows_and_its_time_left_is_right_within_a_factor_of_2(clock):
+    shown, start, share = Progress(WEIGHTS), clock[0], 0.0
+    for name, passes in TOOK.items():
+        with shown(name, 12 if name == "method" else None) as count:
+            for seconds in passes:
+                for part in range(1, 21):
+                    clock[0] += seconds / 20
+                    if name != "stock":
+                        count(part, 20)
+                    over, left = clock[0] - start, shown.left
+                    assert shown.share >= share
+                    share = shown.share
+                    if 20.0 < over < 97.0:
+                        assert 0.5 < left / (100.0 - over) < 2.0, (name, over, left)
+    assert share == module.MOST and "pass" not in shown.text
+
+
+def test_compilation_is_left_out_of_the_pace(clock):
+    shown = Progress({"milling": 1.0})
+    with shown("milling") as count, global_compiler_lock, ThreadPoolExecutor(1) as other:
+        for _ in range(15):
+            clock[0] += 1.0
+            other.submit(shown.look).result()
+        assert shown.text == "15 s so far: milling, compiling"
+        clock[0] += 1.0
+        count(0, 4)
+        count(1, 4)
+        assert shown.left == pytest.approx(3.0)
 
 
 def test_off_a_terminal_a_line_comes_every_few_seconds_and_none_of_what_is_quick(capsys, monkeypatch):
     monkeypatch.setattr(module, "LINE_PERIOD", 0.05)
     with progress("milling") as report:
-        report(10, 100)
+        report(0, 100)
         report(50, 100)
         end = time.monotonic() + 20.0
         shown = ""
         while shown.count("\n") < 2 and time.monotonic() < end:
             time.sleep(0.01)
             shown += capsys.readouterr().err
-    assert all(re.fullmatch(r"milling: 50 %, \d+ s left", line) for line in shown.splitlines()) and shown
+    assert all(re.fullmatch(r"50 %, \d+ s left: milling", line) for line in shown.splitlines()) and shown
     monkeypatch.setattr(module, "LINE_PERIOD", 60.0)
     with progress("milling") as report:
         report(1, 100)
@@ -326,12 +360,12 @@ def test_on_a_terminal_there_is_a_bar_that_vanishes(monkeypatch):
     monkeypatch.setattr(module, "LOOK_PERIOD", 0.01)
     monkeypatch.setenv("TERM", "xterm")
     with progress("original") as report:
-        report(10, 100)
+        report(0, 100)
         report(30, 100)
         end = time.monotonic() + 20.0
-        while "original: 30 %" not in sys.stderr.getvalue() and time.monotonic() < end:
+        while "30 %, " not in sys.stderr.getvalue() and time.monotonic() < end:
             time.sleep(0.01)
-    assert "original: 30 %" in sys.stderr.getvalue()
+    assert "s left: original" in sys.stderr.getvalue()
 
 
 @pytest.mark.parametrize("width", ["20", "200"])
