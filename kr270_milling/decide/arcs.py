@@ -97,7 +97,7 @@ def arcs_along(cell: Cell, progress: Callable[[int, int], None] | None = None) -
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _engage(grid, path, heading, radius, look, met, first, last):
     """Material in the tool at every eighth place: nodes, largest depth, least and largest distance to the left.
 

@@ -120,9 +120,9 @@ class Checked:
 def check_weights(cell: Cell) -> dict[str, float]:
     """Time of each step of a check as a multiple of that of its pass.
 
-    Measured on the test piece, each tooth swept, and on a program of 30 min with the mean force of the engagement.
+    Measured on the test piece, each tooth swept, and on programs of 5 to 120 min with the mean force of the engagement.
     """
-    stock, stability = (1.5, 10.0) if cell.by_engagement else (0.05, 0.25)
+    stock, stability = (1.0, 5.0) if cell.by_engagement else (0.05, 0.25)
     return {"milling": 1.0, "stock and fixtures": stock, "stability": stability}
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from json_keys import TABLES, without_row
 from numba.core.compiler_lock import global_compiler_lock
 from scipy.spatial.transform import Rotation
 
@@ -184,6 +185,15 @@ def test_stiffness_for_people_names_arm_frame_and_units(capsys):
     assert main(["stiffness", "kr270_2.yaml", PAPER_POSTURE]) == 0
     text = capsys.readouterr().out
     assert "KR 270-2" in text and "base frame" in text and "Hz" in text and "-1.640" in text
+
+
+def test_the_page_of_json_keys_has_every_command_and_no_key_that_the_source_does_not_have():
+    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "kr270_milling").rglob("*.py"))
+    words = {word.strip("_") for word in re.findall(r"\w+", source)}
+    keys = {key for rows in TABLES.values() for key in rows if "<" not in key}
+    unit = re.compile("(_n_per_mm2?|_um|_n|s)$")  # some keys are put together from a name and a unit
+    assert set(COMMANDS) <= set(TABLES) and {key for key in keys - words if unit.sub("", key) not in words} == set()
+    assert list(without_row({"rows": 1, "best": [{"index": 1, "rowz": {}}], "more": 2}, "sweep")) == ["sweep: more"]
 
 
 # --- simulate, compensate, demo, bench ---
