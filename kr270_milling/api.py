@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -29,13 +30,15 @@ from kr270_milling.show.report import report_text
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.show.report.study_page import figure_of, fragment, points, write_page
 from kr270_milling.studies.maps.lobes import lobes
+from kr270_milling.studies.maps.placements import Placements, grid_axes, path_places
+from kr270_milling.studies.maps.sweep import Axis, Sweep
 
 if TYPE_CHECKING:
     import pandas
     import plotly.graph_objects
 
-__all__ = ["Compensation", "Lobes", "Pass", "Verdict", "check", "compensate", "read_cell", "read_recording", "simulate",
-           "stability", "verdict"]  # fmt: skip
+__all__ = ["Compensation", "Lobes", "Pass", "Verdict", "check", "compensate", "placements", "read_cell",
+           "read_recording", "simulate", "stability", "sweep", "verdict"]  # fmt: skip
 
 
 class Shown:
@@ -267,6 +270,37 @@ def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobe
     return Lobes(tuple(lobes(cell, [float(speed) * np.pi / 30.0 for speed in speeds_rpm], arm)))
 
 
+def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) -> pandas.DataFrame:
+    """Full passes of the cell of a parameter file with other values of any keys, every combination; one row a pass.
+
+    assignments: as of ``read_cell``; vary: values by key. Columns as of the command ``sweep``, units in their names;
+    ``error`` states why a row failed. Raises ConfigError, ParameterError, and MissingExtra without pandas.
+
+    >>> sweep("paper.yaml", vary={"path.depth_of_cut_mm": [0.2, 0.5, 1.0]})["max_deviation_um"].tolist()
+    """
+    frames = _pandas()
+    read_cell(path, *assignments)  # what no row could run is refused before the passes
+    axes = [Axis(key, tuple(v if isinstance(v, str) else float(v) for v in values)) for key, values in vary.items()]
+    rows = Sweep(str(find_file(str(path)).resolve()), assignments, tuple(axes))
+    with ThreadPoolExecutor(verdicts.cores()) as pool:
+        return frames.DataFrame(list(pool.map(rows.row, range(len(rows)))))
+
+
+def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, tool_turn_deg=None) -> pandas.DataFrame:
+    """Reach, limits and predicted error of the workpiece elsewhere: the rows of the command ``map``, 8 a placement.
+
+    x_mm, y_mm, z_mm: values of the workpiece's origin on base_link; turn_deg: of the workpiece; tool_turn_deg: of the
+    tool about its axis; default: where the workpiece is. One row for each branch of the arm. Raises ParameterError,
+    and MissingExtra without pandas.
+
+    >>> placements(cell, x_mm=range(1200, 1801, 100)).query("feasible").nsmallest(5, "error_max_um")
+    """
+    frames = _pandas()
+    axes = grid_axes(cell, (x_mm, y_mm, z_mm, turn_deg, tool_turn_deg))
+    grid = Placements(cell, path_places(cell), axes)
+    return frames.DataFrame(grid.columns(0, len(grid)))
+
+
 def read_recording(path, namespace: str | None = None) -> Pass:
     """The pass of a recording (.mcap or its directory); raises RecordingError.
 
@@ -281,7 +315,7 @@ def read_recording(path, namespace: str | None = None) -> Pass:
 
 
 def _pandas():
-    require_extra("to_frame", "studies", "pandas")
+    require_extra("a frame", "studies", "pandas")
     import pandas
 
     return pandas

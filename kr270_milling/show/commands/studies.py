@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from kr270_milling.base.arguments import bounded, grid
@@ -76,22 +75,21 @@ def run_map(args) -> Answer:
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.show.report.placements import write_map
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.placements import PlacementRow, Placements, Summary, path_places, write_cells
+    from kr270_milling.studies.maps.placements import (
+        PlacementRow,
+        Placements,
+        Summary,
+        grid_axes,
+        path_places,
+        write_cells,
+    )
 
     if args.along is not None:
         return _along(args)
     source = find_file(args.cell).resolve()
     cell = read_cell(source, args.set)
-    here = [*(1e3 * cell.workpiece.xyz).tolist(), 0.0, 0.0]
     given = [args.x, args.y, args.z, args.turn, args.tool_turn]
-    scales = [1e-3] * 3 + [np.pi / 180.0] * 2
-    axes = tuple(
-        scale * (np.array([value]) if axis is None else np.linspace(*axis))
-        for axis, value, scale in zip(given, here, scales, strict=True)
-    )
-    number = math.prod(len(axis) for axis in axes)
-    if number > MOST:
-        raise ParameterError("map", number, f"at most {MOST} placements in all")
+    axes = grid_axes(cell, [None if axis is None else np.linspace(*axis) for axis in given])
     plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
     with steps({"map": 1.0}) as whole:
