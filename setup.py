@@ -48,6 +48,8 @@ setup(
             "pyarrow>=14",
             "pandas>=2.0",
             "pyuff>=2.4",
+            "nbclient>=0.10",
+            "ipykernel>=6.29",
             "pytest>=7.4",
             "setuptools>=64",
             "wheel",

@@ -13,12 +13,22 @@ from typing import TYPE_CHECKING
 from kr270_milling.base.version import __version__
 
 if TYPE_CHECKING:
-    from kr270_milling.api import check, compensate, read_cell, read_recording, simulate, stability, verdict
+    from kr270_milling.api import (
+        check,
+        compensate,
+        placements,
+        read_cell,
+        read_recording,
+        simulate,
+        stability,
+        sweep,
+        verdict,
+    )
     from kr270_milling.path.trajectory import Trajectory
 
 __all__ = [
-    "Trajectory", "__version__", "check", "compensate", "read_cell", "read_recording", "simulate", "stability",
-    "verdict",
+    "Trajectory", "__version__", "check", "compensate", "placements", "read_cell", "read_recording", "simulate",
+    "stability", "sweep", "verdict",
 ]  # fmt: skip
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -29,13 +30,15 @@ from kr270_milling.show.report import report_text
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.show.report.study_page import figure_of, fragment, points, write_page
 from kr270_milling.studies.maps.lobes import lobes
+from kr270_milling.studies.maps.placements import Placements, grid_axes, path_places
+from kr270_milling.studies.maps.sweep import Axis, Sweep
 
 if TYPE_CHECKING:
     import pandas
     import plotly.graph_objects
 
-__all__ = ["Compensation", "Lobes", "Pass", "Verdict", "check", "compensate", "read_cell", "read_recording", "simulate",
-           "stability", "verdict"]  # fmt: skip
+__all__ = ["Compensation", "Lobes", "Pass", "Verdict", "check", "compensate", "placements", "read_cell",
+           "read_recording", "simulate", "stability", "sweep", "verdict"]  # fmt: skip
 
 
 class Shown:
@@ -70,9 +73,18 @@ class Pass(Shown, jobs.ScoredPass):
         return cls(**vars(scored), cell=cell)
 
     def __repr__(self) -> str:
-        static, most = 1e6 * self.scores.static_deviation, 1e6 * self.scores.max_deviation
-        shown = "" if np.isnan(static) else f"static {static:.2f} um, "
-        return f"<Pass {self.name}: {shown}max {most:.2f} um>"
+        shown = "" if np.isnan(self.static_deviation_um) else f"static {self.static_deviation_um:.2f} um, "
+        return f"<Pass {self.name}: {shown}max {self.max_deviation_um:.2f} um>"
+
+    @property
+    def static_deviation_um(self) -> float:
+        """Mean deviation [um] over the last quarter; NaN where the path has no single feed direction."""
+        return 1e6 * self.scores.static_deviation
+
+    @property
+    def max_deviation_um(self) -> float:
+        """Largest deviation [um] across the feed, once the tool is fully engaged."""
+        return 1e6 * self.scores.max_deviation
 
     @property
     def tolerance(self) -> tolerance.Judgement:
@@ -141,14 +153,24 @@ class Compensation(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verdict(Shown, verdicts.Verdict):
-    """What simulated robots do with a corrected trajectory: ``original`` and ``compensated`` [m], one row a robot."""
+    """What simulated robots do with a corrected trajectory: ``original_um`` and ``compensated_um``, one row a robot."""
+
+    @property
+    def original_um(self) -> np.ndarray:
+        """Errors [um] on the path as programmed, (n,); NaN where a robot fails."""
+        return 1e6 * self.original
+
+    @property
+    def compensated_um(self) -> np.ndarray:
+        """Errors [um] on the corrected trajectory, (n,); NaN where a robot fails."""
+        return 1e6 * self.compensated
 
     def sentences(self) -> list[str]:
         return [repr(self)[1:-1], self.reason]
 
     def to_frame(self) -> pandas.DataFrame:
         """The errors of each simulated robot [um], as programmed and compensated; NaN where a robot fails."""
-        return _pandas().DataFrame({"original_um": 1e6 * self.original, "compensated_um": 1e6 * self.compensated})
+        return _pandas().DataFrame({"original_um": self.original_um, "compensated_um": self.compensated_um})
 
     def tables(self) -> list[TextTable]:
         rows = [
@@ -252,6 +274,37 @@ def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobe
     return Lobes(tuple(lobes(cell, [float(speed) * np.pi / 30.0 for speed in speeds_rpm], arm)))
 
 
+def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) -> pandas.DataFrame:
+    """Full passes of the cell of a parameter file with other values of any keys, every combination; one row a pass.
+
+    assignments: as of ``read_cell``; vary: values by key. Columns as of the command ``sweep``, units in their names;
+    ``error`` states why a row failed. Raises ConfigError, ParameterError, and MissingExtra without pandas.
+
+    >>> sweep("paper.yaml", vary={"path.depth_of_cut_mm": [0.2, 0.5, 1.0]})["max_deviation_um"].tolist()
+    """
+    frames = _pandas()
+    read_cell(path, *assignments)  # what no row could run is refused before the passes
+    axes = [Axis(key, tuple(v if isinstance(v, str) else float(v) for v in values)) for key, values in vary.items()]
+    rows = Sweep(str(find_file(str(path)).resolve()), assignments, tuple(axes))
+    with ThreadPoolExecutor(verdicts.cores()) as pool:
+        return frames.DataFrame(list(pool.map(rows.row, range(len(rows)))))
+
+
+def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, tool_turn_deg=None) -> pandas.DataFrame:
+    """Reach, limits and predicted error of the workpiece elsewhere: the rows of the command ``map``, 8 a placement.
+
+    x_mm, y_mm, z_mm: values of the workpiece's origin on base_link; turn_deg: of the workpiece; tool_turn_deg: of the
+    tool about its axis; default: where the workpiece is. One row for each branch of the arm. Raises ParameterError,
+    and MissingExtra without pandas.
+
+    >>> placements(cell, x_mm=range(1200, 1801, 100)).query("feasible").nsmallest(5, "error_max_um")
+    """
+    frames = _pandas()
+    axes = grid_axes(cell, (x_mm, y_mm, z_mm, turn_deg, tool_turn_deg))
+    grid = Placements(cell, path_places(cell), axes)
+    return frames.DataFrame(grid.columns(0, len(grid)))
+
+
 def read_recording(path, namespace: str | None = None) -> Pass:
     """The pass of a recording (.mcap or its directory); raises RecordingError.
 
@@ -266,7 +319,7 @@ def read_recording(path, namespace: str | None = None) -> Pass:
 
 
 def _pandas():
-    require_extra("to_frame", "studies", "pandas")
+    require_extra("a frame", "studies", "pandas")
     import pandas
 
     return pandas
@@ -284,7 +337,7 @@ def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
     for one in passes:
         which = f" {one.name}" if len(passes) > 1 else ""
         series = dict(zip(COLUMNS[1:], series_rows(one.result, one.cell.target()).T, strict=True))
-        deviation = 1e3 * series["path_deviation_mm"]
+        deviation = series["path_deviation_um"]
         figure.add_scatter(x=one.result.time, y=deviation, name=f"deviation{which}", row=1, col=1)
         for axis in "xyz":
             force = series[f"force_{axis}_n"]

@@ -96,6 +96,10 @@ def _main(argv: list[str], own_process: bool = False) -> int:
         return _refuse(argv, f"there is not enough memory for this; {advice}")
     except KeyboardInterrupt:
         return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
+    except SystemError as error:  # compiled code that received Ctrl-C
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
 
 
 def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tuple[str, ...] = ()) -> int:

@@ -19,6 +19,7 @@ from types import SimpleNamespace
 
 import pytest
 from hypothesis import settings
+from json_keys import every_answer_is_in_the_table
 from ros_domain import DISCOVERY, environment_of_processes, is_used, own_domain, own_turn
 
 LEAVE = 10.0  # [s] for nodes and processes of a test to close their ports
@@ -113,6 +114,13 @@ def no_lines_of_progress():
     from kr270_milling.show.commands import progress
 
     progress.LINE_PERIOD = 1e6
+
+
+@pytest.fixture(scope="session", autouse=True)
+def every_json_answer():
+    """A key without a row in guide/json.md fails the test that runs the command."""
+    with every_answer_is_in_the_table():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -6,14 +6,29 @@ import pydoc
 import re
 import subprocess
 import sys
+from pathlib import Path
 
+import nbformat
 import numpy as np
 import pandas
 import pytest
+from nbclient import NotebookClient
 
 import kr270_milling
-from kr270_milling import Trajectory, check, compensate, read_cell, simulate, stability, verdict
+from kr270_milling import (
+    Trajectory,
+    check,
+    compensate,
+    placements,
+    read_cell,
+    simulate,
+    stability,
+    sweep,
+    verdict,
+)
+from kr270_milling.base.errors import ParameterError
 
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "config").glob("*.ipynb"))
 SHORT = ("path.length_mm=15", "stock.grid_step_um=40", "stock.max_mm=[15,12,0]")
 
 
@@ -32,7 +47,7 @@ def test_every_name_of_the_front_door_exists_and_others_do_not():
 def test_help_shows_every_function_with_its_arguments_and_an_example():
     text = pydoc.plain(pydoc.render_doc(kr270_milling))
     functions = [name for name in kr270_milling.__all__ if name.islower() and not name.startswith("_")]
-    assert len(functions) == 7 and set(kr270_milling.__all__) <= set(dir(kr270_milling))
+    assert len(functions) == 9 and set(kr270_milling.__all__) <= set(dir(kr270_milling))
     for name in functions:
         assert re.search(rf"^    {name}\(\w+.*\n(        .*\n|\s*\n)*?        >>> ", text, re.MULTILINE), name
 
@@ -55,7 +70,7 @@ def test_the_series_are_the_same_in_frame_csv_and_figure(both, tmp_path):
     assert list(frame.columns) == list(again.columns)
     np.testing.assert_allclose(frame.to_numpy(), again.to_numpy(), rtol=1e-12, atol=1e-12)
     figure = both.original.plot()
-    np.testing.assert_allclose(figure.data[0].y, 1e3 * frame["path_deviation_mm"])
+    np.testing.assert_allclose(figure.data[0].y, frame["path_deviation_um"])
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +91,21 @@ def test_a_notebook_shows_each_result_as_text_frame_figure_and_page(both, judged
     assert lobes.to_frame()["spindle_speed_rpm"].tolist() == pytest.approx([6000.0, 8000.0])
 
 
+def test_sweep_and_placements_are_frames_with_the_rows_of_the_commands():
+    short = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
+    rows = sweep("paper.yaml", *short, vary={"path.depth_of_cut_mm": [0.2, -1, 0.4], "tool.teeth": [2]})
+    assert rows["path.depth_of_cut_mm"].tolist() == [0.2, -1.0, 0.4] and rows["tool.teeth"].tolist() == [2.0] * 3
+    assert (rows["error"] == "").tolist() == [True, False, True]
+    own = simulate(read_cell("paper.yaml", *short, "path.depth_of_cut_mm=0.4", "tool.teeth=2"))
+    assert rows["max_deviation_um"][2] == own.max_deviation_um > rows["max_deviation_um"][0]
+    cell = read_cell("paper.yaml", *short)
+    here = 1e3 * cell.workpiece.xyz[0]
+    places = placements(cell, x_mm=[here, here + 9000.0], tool_turn_deg=[0.0])
+    assert places.groupby("x_mm")["feasible"].any().tolist() == [True, False] and len(places) == 16
+    with pytest.raises(ParameterError, match="1 to 10000000 placements"):
+        placements(cell, x_mm=[])
+
+
 def test_check_and_verdict_of_a_compensated_pass(both, judged):
     cell, checked = both.original.cell, check(both.original.cell)
     assert checked.may_be_run and judged.word in repr(judged) and "may be run" in repr(checked)
@@ -88,3 +118,13 @@ def test_compensate_says_what_of_the_correction_was_not_let_through():
     cell = read_cell("paper.yaml", "path.length_mm=14.4", "compensation.max_correction_mm=0.02")
     found = compensate(cell, "linear").checked.findings
     assert [f.severity for f in found if f.what == "correction limited"] == ["warning"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_in_an_empty_folder_and_is_stored_without_outputs(path, tmp_path):
+    notebook = nbformat.read(path, as_version=4)
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.outputs == [] and cell.execution_count is None for cell in cells)
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = "".join(str(cell.outputs) for cell in cells)
+    assert "_um" in shown and "text/html" in shown and "application/vnd.plotly" in shown

@@ -129,7 +129,7 @@ def test_simulate_stability_and_verdict_take_the_force_law_of_the_guide(extended
     assert command(copy, "stability", "paper.yaml", *words, "--speeds", "8000:8000/1")
     words += ["--method", "spline", "--verdict", "3", "--out", str(tmp_path)]
     verdict = command(copy, "compensate", "paper.yaml", *words)["verdict"]
-    assert verdict["samples"] == 3 and len(set(verdict["compensated_mm"])) == 3
+    assert verdict["samples"] == 3 and len(set(verdict["compensated_um"])) == 3
     assert (tmp_path / "reference_spline.csv").is_file()
 
 
@@ -237,7 +237,7 @@ def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(
     order = ("--method", "half", "--verdict", "3", "--out", str(out))
     result = command(outside, "compensate", "paper.yaml", *words, *order)
     assert result["method"] == "half" and result["verdict"]["samples"] == 3
-    original, revised = (row["max_deviation_mm"] for row in result["passes"])
+    original, revised = (row["max_deviation_um"] for row in result["passes"])
     assert 0.3 * original < revised < 0.7 * original  # half of the deviation is left
     assert {".src", ".html"} <= {file.suffix for file in out.rglob("*")}
 

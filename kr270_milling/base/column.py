@@ -4,9 +4,9 @@ Terminal tables, JSON, CSV files and the report take their columns from there::
 
     @dataclass(frozen=True)
     class Scores:
-        max_deviation: float = column("max_deviation_mm", 1e3, "largest deviation", "um", 1e6, 2, short="max")
+        max_deviation: float = column("max_deviation_um", 1e6, "largest deviation", "um", digits=2, short="max")
 
-The key of JSON is ``max_deviation_mm``, the heading is ``largest deviation [µm]`` in the report and ``max [um]`` in the
+The key of JSON is ``max_deviation_um``, the heading is ``largest deviation [µm]`` in the report and ``max [um]`` in the
 terminal. ``computed`` does the same for a property.
 
 Tables print ``< 0.1`` for a deviation of a part (``least=CONVERGED``) that is smaller than what another grid changes.

@@ -6,6 +6,7 @@ The tool runs without deflection through a coarse height map. At a place the map
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ MOST_VISITS = 1e9  #: of nodes; a longer path takes a coarser map
 VISITS = 12.0  #: nodes at each place, as a multiple of those in a radius
 MOST_NODES = 2e7  #: of the height map
 LAG = 10  #: nodes: the crescent in front of the tool is then several nodes thick
+BLOCK = 2000  #: places of the path between two reports of progress
 EVERY = 8  #: places from one evaluation to the next
 FEWEST_NODES = 3  #: in material; fewer are the rounding of a curve
 CUTS = 1e-6  #: [m] of depth, less is rounding
@@ -43,8 +45,8 @@ class Arcs:
     spacing: float  #: [m], from place to place on the path
 
 
-def arcs_along(cell: Cell) -> Arcs:
-    """The engagements of the programmed path, without rapid moves and steep ways down."""
+def arcs_along(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Arcs:
+    """The engagements of the programmed path, without rapid moves and steep ways down; progress(done, total)."""
     radius = float(cell.tool.radii.max())
     timed, target = cell.timed_path, cell.target()
     length = timed.toolpath.length if timed else cell.path.length
@@ -78,7 +80,11 @@ def arcs_along(cell: Cell) -> Arcs:
         lower_along(grid, removal.radius, on_map(removal.programmed))
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
     swept = on_map(swept)
-    _engage(grid, swept, heading - MAP_TURN, radius, look, (count, depth, least, most))
+    for first in range(0, len(swept), BLOCK):
+        last = min(first + BLOCK, len(swept))
+        _engage(grid, swept, heading - MAP_TURN, radius, look, (count, depth, least, most), first, last)
+        if progress is not None:
+            progress(last, len(swept))
     some = count >= FEWEST_NODES
     left = (
         np.arcsin(np.clip((least[some] - step / 2) / radius, -1, 1)),
@@ -91,7 +97,7 @@ def arcs_along(cell: Cell) -> Arcs:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _lower_outside(grid, radius, path, k):
     """Lower what the tool cuts on the way to place k; nodes below a tool that sinks follow when the tool leaves them.
 
@@ -106,15 +112,15 @@ def _lower_outside(grid, radius, path, k):
     lower(grid, grid.depth, radius, 0.0, last, place, k > 0)
 
 
-@njit(cache=True)
-def _engage(grid, path, heading, radius, look, met):
+@njit(cache=True, nogil=True)
+def _engage(grid, path, heading, radius, look, met, first, last):
     """Material in the tool at every eighth place: nodes, largest depth, least and largest distance to the left.
 
-    heading, look: of the places that are evaluated; look: whether to evaluate the place.
+    heading, look: of the places that are evaluated; look: whether to evaluate the place. first, last: rows of the path.
     """
     count, depth, least, most = met
     step = grid.step
-    for k in range(path.shape[0]):
+    for k in range(first, last):
         before = max(k - LAG, 0)
         if k >= LAG:
             _lower_outside(grid, radius, path, before)

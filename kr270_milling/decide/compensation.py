@@ -12,25 +12,37 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.cell.saved_passes import SavedPasses
-from kr270_milling.decide.check import Checked, check
+from kr270_milling.decide.check import Checked, check, check_weights
 from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
 from kr270_milling.decide.tolerance import judge
-from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, compare_methods, monte_carlo
+from kr270_milling.decide.verdict import (
+    FEWEST,
+    NO_METHOD,
+    SAMPLES,
+    Verdict,
+    alternatives,
+    compare_methods,
+    cores,
+    monte_carlo,
+)
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.method import Method
-from kr270_milling.physics.compensation.methods import BEST
+from kr270_milling.physics.compensation.methods import BEST, METHODS
 
 __all__ = [
     "NO_METHOD", "USUAL_BUDGET", "JudgedCompensation", "VerdictOrder", "compensate", "limit_sentence",
+    "weights",
 ]  # fmt: skip
 
 
 USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for; none where 8 plants take longer
+COMPARISON, PLANNING, SURFACES, COARSE = 1.0, 0.3, 0.1, 0.25  #: time as multiples of that of a pass, on the test piece
+REPEATS = 3  #: passes that a method that repeats usually takes
 LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
 
 
@@ -63,6 +75,37 @@ class JudgedCompensation:
         return [*self.decision.lines(), *self.checked.findings_lines(), self.checked.counts]
 
 
+def weights(
+    cell: Cell, method: str | None = None, order: VerdictOrder | None = None
+) -> dict[str, float | Callable[[float], float]]:
+    """Time of each step of a compensation as a multiple of that of a pass.
+
+    That of the verdict is a function of the seconds of a pass, since the verdict has a limit of time.
+    """
+    settings, chosen = cell.compensation, METHODS.get(method or cell.compensation.planned_method)
+    passes = min(settings.max_passes, REPEATS) if settings.repeat or (chosen and chosen.repeats) else 1
+    result: dict[str, float | Callable[[float], float]] = {"original": 1.0}
+    if (method or settings.method) == BEST:
+        result["comparison"] = COMPARISON
+    result |= {"compensation": PLANNING + passes, "program as written": 1.0, "original program as written": 1.0}
+    result |= {"surfaces": SURFACES} | check_weights(cell)
+    del result["milling"]
+    if order:
+        result["verdict"] = lambda each: _verdict_seconds(cell, order, each)
+    return result
+
+
+def _verdict_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
+    """Seconds of a verdict from those of a pass."""
+    coarse = 1.0 if cell.programmed.straight or cell.by_engagement else COARSE
+    plant = each * coarse * (3 if order.compare else 2) / cores()
+    if order.asked_for:
+        return order.samples * plant
+    if FEWEST * plant > USUAL_BUDGET or each > LONGEST_PASS:
+        return 0.0
+    return min(order.samples * plant, USUAL_BUDGET)
+
+
 def compensate(
     cell: Cell,
     method: str | Method | None = None,
@@ -76,8 +119,8 @@ def compensate(
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
-    programs, LIN or SPLINE; progress(text, passes at most): a context that yields a function for the progress of a job;
-    saved: finished passes of an interrupted run.
+    programs, LIN or SPLINE; progress(name, passes at most, text): a context that yields a function for the progress of
+    a step, see ``weights``; saved: finished passes of an interrupted run.
     """
     method = method or cell.compensation.method
     with progress("original") as report:
@@ -92,7 +135,7 @@ def compensate(
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
     planned = revised = original
     if method != NO_METHOD:
-        with progress(by.method, by.most_passes) as report:
+        with progress("compensation", by.most_passes, by.method) as report:
             planned = compensated(cell, original, method, report, by, plant, saved)
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
@@ -107,8 +150,9 @@ def compensate(
         for p in by.limited
     ]
     checked = check(
-        cell, revised.reference, motion, ran=revised, more=[*limited, *unlike(planned, revised, cell.program.tolerance)]
-    )
+        cell, revised.reference, motion, revised, progress,
+        [*limited, *unlike(planned, revised, cell.program.tolerance)],
+    )  # fmt: skip
     with progress("verdict") as report:
         judged = _verdict(cell, original, revised, verdict, report, comparison is None, motion) if verdict else None
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))

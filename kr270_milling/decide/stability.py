@@ -6,7 +6,7 @@ Every distinct engagement of a feature (angles, feed and its direction) is evalu
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,12 +106,12 @@ class Stability:
         }
 
 
-def stability_statement(cell: Cell) -> Stability:
-    """The statement of a cell whose arm can follow the path."""
+def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Stability:
+    """The statement of a cell whose arm can follow the path; progress(done, total): along the path."""
     with_tool = bool(cell.tool.modes.frequency.size)
     if not has_uniform_pitch(cell.tool):
         return Stability((), with_tool, uniform_pitch=False)
-    return Stability(tuple(feature_limits(cell)), with_tool)
+    return Stability(tuple(feature_limits(cell, progress=progress)), with_tool)
 
 
 def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation]:
@@ -151,7 +151,9 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
     )
 
 
-def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
+def feature_limits(
+    cell: Cell, arm: bool = True, progress: Callable[[int, int], None] | None = None
+) -> list[FeatureLimit]:
     """The engagement of each feature with the largest depth against its limit, in the order of the path.
 
     arm: False leaves out the modes of the arm. Raises ParameterError for a variable pitch.
@@ -159,7 +161,7 @@ def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
     tool = cell.tool
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
-    arcs = arcs_along(cell)
+    arcs = arcs_along(cell, progress)
     groups = _groups(arcs, FEWEST_TEETH * cell.feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
     limits: list[FeatureLimit] = []
     models: dict[tuple, ModalModel] = {}

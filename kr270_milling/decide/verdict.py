@@ -24,7 +24,7 @@ from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "MethodComparison",
-           "Verdict", "alternatives", "coarser", "compare_methods", "judge_plants", "monte_carlo",
+           "Verdict", "alternatives", "coarser", "compare_methods", "cores", "judge_plants", "monte_carlo",
            "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
@@ -98,8 +98,8 @@ class Verdict:
             "within_tolerance": self.within,
             "failed": int(np.isnan(self.compensated).sum()),
             "recommended_method": self.recommended if len(self.methods) > 1 else None,
-            "methods": {name: [1e3 * value for value in _band(rows)] for name, rows in methods.items()},
-            **{f"{which}_mm": [1e3 * v for v in self.band(which)] for which in ("original", "compensated")},
+            "methods_um": {name: [1e6 * value for value in _band(rows)] for name, rows in methods.items()},
+            **{f"{which}_um": [1e6 * v for v in self.band(which)] for which in ("original", "compensated")},
         }
 
 
@@ -124,8 +124,8 @@ class MethodComparison:
 
     def as_dict(self) -> dict:
         """For JSON."""
-        shown = {name: 1e3 * value for name, value in self.deviations.items()}
-        return {"best": self.best, "reason": self.sentence, "path_deviation_mm": shown}
+        shown = {name: 1e6 * value for name, value in self.deviations.items()}
+        return {"best": self.best, "reason": self.sentence, "path_deviation_um": shown}
 
 
 def compare_methods(cell: Cell, original: ScoredPass) -> MethodComparison:
@@ -177,12 +177,13 @@ def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]
     """Path deviation [m] that 95 % of ``FEWEST`` plants stay below, by the linear response of each plant."""
     rng = np.random.default_rng(0)
     plants = [perturbed(coarser(cell), rng) for _ in range(FEWEST)]
-    with ThreadPoolExecutor(_cores()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         rows = np.array(list(pool.map(lambda plant: expected_deviations(plant, list(references.values())), plants)))
     return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -220,7 +221,7 @@ def monte_carlo(
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     progress = progress or (lambda *_: None)
-    target, straight, cores = cell.target(), cell.programmed.straight, _cores()
+    target, straight, threads = cell.target(), cell.programmed.straight, cores()
     nominal = cell if straight else coarser(cell)
     gauge = Gauge.of(nominal)
     references = {method: revised, **(others or {})}
@@ -234,12 +235,12 @@ def monte_carlo(
 
     start = time.perf_counter()
     drawn = [run(0)]
-    each = (time.perf_counter() - start) / cores
+    each = (time.perf_counter() - start) / threads
     count = min(samples, max(FEWEST, int(min(budget / each, samples))))
     if give_up and count * each > budget:
         return None
     estimate(count, count * each)
-    pool = ThreadPoolExecutor(cores)
+    pool = ThreadPoolExecutor(threads)
     try:
         for row in pool.map(run, range(1, count)):
             progress(len(drawn), count)

@@ -29,8 +29,8 @@ def passes(demo):
 # --- Table 2; these bounds are the customer's ---
 def test_what_is_printed_of_a_pass_are_its_scores(passes):
     row = passes["linear"].row()
-    assert row["name"] == "linear" and row["max_deviation_mm"] == 1e3 * passes["linear"].scores.max_deviation
-    assert {"static_deviation_mm", "max_deviation_mm", "low_frequency_hz"} <= set(row)
+    assert row["name"] == "linear" and row["max_deviation_um"] == 1e6 * passes["linear"].scores.max_deviation
+    assert {"static_deviation_um", "max_deviation_um", "low_frequency_hz"} <= set(row)
 
 
 # --- the cell ---

@@ -199,7 +199,7 @@ def test_the_command_checks_a_corrected_trajectory(tmp_path, capsys, cell):
     revised = target.with_position(target.position + [0.0, 5e-3, 0.0], target.velocity)
     write_csv(tmp_path / "revised.csv", revised)
     assert main(command(tmp_path, "--reference", str(tmp_path / "revised.csv"))) == 1
-    assert "the correction exceeds 2 mm" in capsys.readouterr().out
+    assert "the correction exceeds 2000.0 um" in capsys.readouterr().out
 
 
 def test_a_correction_in_straight_lines_is_checked_as_lin_motions(cell, ran):
@@ -247,7 +247,7 @@ def test_a_large_correction_is_found_at_its_point():
     lateral = np.zeros(25)
     lateral[7] = 1.2e-3
     (finding,) = correction_size(LINE, shifted(lateral), TICK, 1e-3)
-    assert finding.point == 8 and finding.value == pytest.approx(1.2e-3) and "1.2 mm" in finding.sentence
+    assert finding.point == 8 and finding.value == pytest.approx(1.2e-3) and "1200.0 um" in finding.sentence
     assert correction_size(LINE, shifted(lateral), TICK, 1.3e-3) == []
 
 
@@ -332,7 +332,7 @@ WRONG = {
     "a wrist that is stretched": Wrong(
         "singularity", settings=("start_joints_deg=[90,-50,120,180,1,180]",), lines=(2, 3, 4), words="wrist"),
     "an axis that must jump": Wrong("joint speed", moved={40: [0.0, 0.4, 0.0]}, lines=(3, 4), words="axis"),
-    "a correction beyond its limit": Wrong("correction size", moved={40: [0.0, 2.5e-3, 0.0]}, value=2.5, limit=2.0),
+    "a correction beyond its limit": Wrong("correction size", moved={40: [0.0, 2.5e-3, 0.0]}, value=2500, limit=2000),
     "a path beside the stock": Wrong("stock missed", "", ("path.start_mm=[-1000,0]",), value=0.0),
     "a feed in the wrong unit": Wrong(
         "feed per tooth", SLOT.replace("F4000", "F170000"), (), "warning", value=170 / 8 / 4, limit=5.0),

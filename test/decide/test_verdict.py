@@ -139,7 +139,7 @@ def test_the_paper_is_helped_and_its_bands_enclose_the_model(cell, pair):
     told = found.as_dict()
     assert told["samples"] == 12 and told["seed"] == 1 and told["failed"] == 0
     assert told["quantity"] == "largest path deviation" and told["within_tolerance"] is None
-    assert told["original_mm"] == pytest.approx([1e3 * v for v in (low, middle, high)])
+    assert told["original_um"] == pytest.approx([1e6 * v for v in (low, middle, high)])
 
 
 def test_deviation_of_plants_follows_a_softer_arm_and_a_harder_material():

@@ -128,7 +128,7 @@ def interrupted(directory, words, module, name, delay: float) -> subprocess.Comp
             out, err = process.communicate(timeout=30)
         finally:
             process.kill()
-    err = re.sub(r"started\n|.*: .*( so far| left)\n", "", err)  # and lines of progress, on a busy machine
+    err = re.sub(r"started\n|.*( so far| left): .*\n", "", err)  # and lines of progress, on a busy machine
     return subprocess.CompletedProcess(words, process.returncode, out, err)
 
 

@@ -50,7 +50,7 @@ class Limited:
         where = f"point {self.first}" if self.first == self.last else f"points {self.first} to {self.last}"
         why = "is too large" if self.kind == "size" else "changes too fast"
         return (
-            f"the correction {why} at {where}: {1e3 * self.missing:.4f} of {1e3 * self.wanted:.4f} mm are left out at "
+            f"the correction {why} at {where}: {1e6 * self.missing:.1f} of {1e6 * self.wanted:.1f} um are left out at "
             f"point {self.worst} ({self.time:.3f} s)"
         )
 

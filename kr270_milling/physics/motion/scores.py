@@ -17,9 +17,9 @@ class Scores:
     """Path deviation is perpendicular to the feed, positive to its left seen from +z of the workpiece."""
 
     #: [m], mean over the last quarter of the pass; NaN for a tool path
-    static_deviation: float = column("static_deviation_mm", 1e3, "static deviation", "um", 1e6, 2, short="static")
+    static_deviation: float = column("static_deviation_um", 1e6, "static deviation", "um", digits=2, short="static")
     #: [m], largest magnitude from full engagement on
-    max_deviation: float = column("max_deviation_mm", 1e3, "largest deviation", "um", 1e6, 2, short="max")
+    max_deviation: float = column("max_deviation_um", 1e6, "largest deviation", "um", digits=2, short="max")
     #: [Hz], lowest lateral mode of the model; NaN for a tool path
     low_frequency: float = column("low_frequency_hz", 1.0, "low frequency", "Hz", digits=2)
     #: [Hz], undamped, of the pass; NaN if the pass does not ring, or for a tool path

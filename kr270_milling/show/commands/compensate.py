@@ -5,7 +5,6 @@ Exit code 1 where the decision is ``no``; then no program is written, unless by 
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 import sys
 from pathlib import Path
@@ -25,10 +24,11 @@ from kr270_milling.show.commands.console import (
     now,
     plant_of,
 )
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.progress import steps, title_of, weights_of
 
 UNFINISHED = "unfinished"  #: directory of the passes of a run that has not ended
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
+SOFTER_PASS = "lower acceleration"  #: step of the report
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
@@ -91,12 +91,13 @@ def run_compensate(args) -> Answer:
     from kr270_milling.decide.programs.rsi_context import rsi_address
     from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
-    def run(cell):
+    def run(cell, whole):
         plant = plant_of(args, cell)
         words = args.method, plant and cell_text(plant.cell)
         place = Path(args.out, UNFINISHED, cell.stage.tool if cell.stage else "")
         done = compensate(
-            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress,
+            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args),
+            progress=whole.under(title_of(cell)),
             saved=SavedPasses(place, cell, words, args.resume),
         )  # fmt: skip
         if not (done.decision.verdict or args.no_verdict):
@@ -108,17 +109,27 @@ def run_compensate(args) -> Answer:
     source, cells = find_file(args.cell), cells_of(args)
     if args.gcode:
         check_gcode(cells)
-    with staged(args.out) as (draft, final):
-        jobs = in_turn(cells, run, lambda done: done.revised if done.checked.may_be_run else None)
+    with staged(args.out) as (draft, final), steps(weights_of(cells, lambda cell: _weights(cell, args))) as whole:
+        jobs = in_turn(
+            cells, lambda cell: run(cell, whole), lambda done: done.revised if done.checked.may_be_run else None
+        )
         several = len(jobs) > 1
         decision = DecisionOnTools.of(jobs) if several else jobs[0][1].decision
         if args.json and decision.level == CAUTION:
             print(f"warning: {decision.text}", file=sys.stderr)
-        with progress("files"):
-            values = _write(draft, final, jobs, decision, args, source)
+        whole.say("files")
+        values = _write(draft, final, jobs, decision, args, source, whole)
     shutil.rmtree(Path(args.out, UNFINISHED), ignore_errors=True)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
     return Answer(values, shown, code=decision.exit_code)
+
+
+def _weights(cell, args) -> dict:
+    """Time of the steps of one tool, in passes; the report of a tool path has one more pass."""
+    from kr270_milling.decide.compensation import weights
+
+    more = {} if cell.programmed.straight else {SOFTER_PASS: 1.0}
+    return weights(cell, args.method, _order(args)) | more
 
 
 def _order(args):
@@ -146,7 +157,7 @@ def _values(cell, done) -> dict:
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     values |= {k: v for k, v in revised.row().items() if k != "name"}
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-    values["planned_max_deviation_mm"] = 1e3 * done.planned.scores.max_deviation
+    values["planned_max_deviation_um"] = 1e6 * done.planned.scores.max_deviation
     values["time_law"] = time_law(cell)
     values["original"] = {k: v for k, v in original.row().items() if k != "name"}
     values["passes"] = [ran.row() for ran in (original, revised)]
@@ -165,18 +176,22 @@ def _correction(cell, revised, by) -> dict:
     from kr270_milling.physics.compensation.revision import chord_error
 
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
-    limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
-    values = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
+    limited = [
+        {"kind": part.kind, "first": part.first, "last": part.last, "worst": part.worst, "time_s": part.time,
+         "wanted_um": 1e6 * part.wanted, "missing_um": 1e6 * part.missing, "sentence": limit_sentence(part, by)}
+        for part in by.limited
+    ]  # fmt: skip
+    values = {"largest_correction_um": 1e6 * float(size.max()), "limited": limited}
     if by.errors[1:]:
-        values["remaining_errors_mm"] = [1e3 * error for error in by.errors]
+        values["remaining_errors_um"] = [1e6 * error for error in by.errors]
     values["identified"] = by.identified and by.identified.as_dict()
     values["note"] = by.note or None
     if not by.chosen.smooth:
-        values["chord_error_mm"] = 1e3 * chord_error(cell.target())
+        values["chord_error_um"] = 1e6 * chord_error(cell.target())
     return values
 
 
-def _write(draft, final, jobs, decision, args, source) -> dict:
+def _write(draft, final, jobs, decision, args, source, whole) -> dict:
     """All files of all tools, and what ``--json`` prints; jobs: of each tool its cell and its compensation."""
     from kr270_milling.decide.decision import NO
     from kr270_milling.decide.programs.files import write_manifest
@@ -189,7 +204,7 @@ def _write(draft, final, jobs, decision, args, source) -> dict:
         placed, text = _write_programs(draft, final, cell, done, lines, released, args, date)
         tools.append(values | placed)
         texts.append(text)
-        pages.append(_report_of_tool(cell, done, args, source, date))
+        pages.append(_report_of_tool(cell, done, args, source, date, whole))
         if done.parts:
             tools[-1] |= {"part": str(final(_write_part(draft, cell, done.revised)))}
     gcode: dict = {}
@@ -244,7 +259,7 @@ def _write_programs(draft, final, cell, done, lines, released, args, date: str) 
     return placed, text
 
 
-def _report_of_tool(cell, done, args, source, date: str) -> str:
+def _report_of_tool(cell, done, args, source, date: str, whole) -> str:
     """The report of one tool as text."""
     from kr270_milling.show.report import report_text
 
@@ -253,7 +268,7 @@ def _report_of_tool(cell, done, args, source, date: str) -> str:
     return report_text(
         cell, (done.original, revised), title=f"{title}, {cell.stage}" if cell.stage else title, source=str(source),
         command=command_line(args), date=date, parts=done.parts, decision=done.decision, checked=done.checked,
-        tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
+        tables=[_joints_table(cell, revised), _time_law_table(cell, done, whole)],
     )  # fmt: skip
 
 
@@ -293,12 +308,12 @@ def _joints_table(cell, revised):
     return TextTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
-def _time_law_table(cell, done):
+def _time_law_table(cell, done, whole):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
     from kr270_milling.decide.programs.files import time_law
     from kr270_milling.decide.programs.written import SOFTER, softer_pass
 
-    with progress(f"{SOFTER:g} times the acceleration") as report:
+    with whole.under(title_of(cell))(SOFTER_PASS) as report:
         softer = softer_pass(cell, done.revised.reference, progress=report)
     rows = [("plan", done.planned), ("written program", done.revised)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer)] if softer else []
@@ -356,8 +371,8 @@ def _details(cell, done, values: dict):
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
     yield (
-        f"largest deviation of the written program {um_text(1e-3 * values['max_deviation_mm'])}, of the plan "
-        f"{um_text(1e-3 * values['planned_max_deviation_mm'])}; {values['time_law']}"
+        f"largest deviation of the written program {um_text(1e-6 * values['max_deviation_um'])}, of the plan "
+        f"{um_text(1e-6 * values['planned_max_deviation_um'])}; {values['time_law']}"
     )
     if values["note"]:
         yield values["note"]
@@ -365,9 +380,9 @@ def _details(cell, done, values: dict):
         yield _identified(values["identified"])
     yield cell.cut_text
     yield joints_text(values["commanded_joints_deg"])
-    yield f"largest correction {values['largest_correction_mm']:.4f} mm"
-    if "chord_error_mm" in values:
-        yield f"LIN chords deviate from the programmed path by up to {values['chord_error_mm'] * 1e3:.2f} um"
+    yield f"largest correction {values['largest_correction_um']:.1f} um"
+    if "chord_error_um" in values:
+        yield f"LIN chords deviate from the programmed path by up to {values['chord_error_um']:.2f} um"
     yield from (*done.checked.findings_lines(), done.checked.counts)
     if values["verdict"]:
         yield from _verdict(values["verdict"])
@@ -399,7 +414,7 @@ def _features(features: dict, method: str) -> TextTable:
 
 def _verdict(verdict: dict):
     columns = ["", "5 %", "50 %", "95 %"]
-    rows = [[name, *(fixed(1e3 * v, 1, 1e6 * CONVERGED) for v in band)] for name, band in verdict["methods"].items()]
+    rows = [[name, *(fixed(v, 1, 1e6 * CONVERGED) for v in band)] for name, band in verdict["methods_um"].items()]
     yield TextTable(
         f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
     )

@@ -14,9 +14,10 @@ from pathlib import Path
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.physics.compensation.methods import METHODS as METHODS_OF
 from kr270_milling.show.commands.command import PLANT, command, option
 from kr270_milling.show.commands.console import Answer, command_line, now, plant_of
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.progress import steps
 from kr270_milling.show.commands.run import missing_text, run_passes, summary
 
 METHODS = ("linear", "spline", "mirror", "learned")
@@ -47,27 +48,39 @@ def run_demo(args) -> Answer:
         if Path(args.out, "report.html").exists():
             print(f"{args.out} holds a report already; it is replaced", file=sys.stderr)
         loop = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
-        with staged(args.out) as (draft, final):
-            passes = _plain(cell, METHODS, plant_of(args, cell))
-            second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
+        both = _weights(cell, METHODS) | _weights(moving, INERTIA_METHODS, WITH)
+        with staged(args.out) as (draft, final), steps(both) as whole:
+            passes = _plain(whole, cell, METHODS, plant_of(args, cell))
+            second = _plain(whole, moving, INERTIA_METHODS, plant_of(args, moving), WITH)
+            whole.say("report")
             report = final(_write(draft, cell, passes, second, source, args))
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
-    result = run_passes(cell, METHODS, args.out)
-    passes = [ran.scored for ran in result["passes"]]
-    second = _plain(moving, INERTIA_METHODS, None, WITH)
+    with steps(_weights(moving, INERTIA_METHODS, WITH)) as whole:
+        result = run_passes(cell, METHODS, args.out, say=whole.say)
+        passes = [ran.scored for ran in result["passes"]]
+        second = _plain(whole, moving, INERTIA_METHODS, None, WITH)
+        whole.say("report")
+        report = _write(result["out"], cell, passes, second, source, args)
     loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
-    report = _write(result["out"], cell, passes, second, source, args)
     return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop}, missing_text(result))
 
 
-def _plain(cell, methods, plant, suffix: str = "") -> list:
+def _weights(cell, methods, suffix: str = "") -> dict[str, float]:
+    """Passes of each step."""
+    from kr270_milling.decide.compensation import REPEATS
+
+    passes = {name: REPEATS if METHODS_OF[name].repeats else 1 for name in methods}
+    return {name + suffix: float(number) for name, number in {"original": 1, **passes}.items()}
+
+
+def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
     from kr270_milling.cell.jobs import compensated, compensator, simulate
 
-    with progress(f"original{suffix}") as report:
+    with whole(f"original{suffix}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
         by = compensator(cell, cell.target(), method)
-        with progress(f"{method}{suffix}", by.most_passes) as report:
+        with whole(f"{method}{suffix}", by.most_passes) as report:
             passes.append(compensated(cell, passes[0], method, report, by, plant))
     return passes
 
@@ -79,12 +92,11 @@ def _write(directory, cell, passes, second, source, args):
 
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = TextTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
-    with progress("report"):
-        report = write_report(
-            directory, cell, passes, title="The milling pass of Klimchik et al. (2014)", source=str(source),
-            command=command_line(args), date=now(), paper=True, tables=(table,),
-        )  # fmt: skip
-        write_series(directory, cell, passes)
+    report = write_report(
+        directory, cell, passes, title="The milling pass of Klimchik et al. (2014)", source=str(source),
+        command=command_line(args), date=now(), paper=True, tables=(table,),
+    )  # fmt: skip
+    write_series(directory, cell, passes)
     return report
 
 

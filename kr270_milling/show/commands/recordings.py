@@ -14,7 +14,7 @@ from kr270_milling.base.extras import require_extra
 from kr270_milling.base.units import seconds
 from kr270_milling.show.commands.command import RECORDING, REMAP, command, option
 from kr270_milling.show.commands.console import Answer, command_line, now, output_directory
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.progress import progress, steps
 
 if TYPE_CHECKING:
     from kr270_milling.exchange.replay.recorded import RecordedPass
@@ -120,11 +120,17 @@ def run_recover(args) -> Answer:
 
 def run_report(args) -> Answer:
     """Of one recording, or of several passes of one path on the same scales."""
+    places = [Path(place) for place in args.recordings]
+    with steps({"reading": 1.0, "report": 1.0}) as whole:
+        return _reported(args, places, whole)
+
+
+def _reported(args, places: Sequence[Path], whole) -> Answer:
     from kr270_milling.show.report import write_report
     from kr270_milling.show.report.series import write_series
 
     places = [Path(place) for place in args.recordings]
-    recorded, copies = _read(places, args.namespace, args.remap)
+    recorded, copies = _read(places, args.namespace, args.remap, whole)
     cell, passes = recorded[0].cell, [one.scored for one in recorded]
     first = places[0]
     beside = first if first.is_dir() else first.parent
@@ -132,7 +138,7 @@ def run_report(args) -> Answer:
     directory = output_directory(args.out or (beside if there else beside / "report"))
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
     title += "".join(STAMPS[kind] for kind in sorted({one.stamps for one in recorded}))
-    with progress("report"):
+    with whole("report"):
         page = write_report(
             directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
             program=recorded[0].program,
@@ -150,7 +156,9 @@ def run_report(args) -> Answer:
     ])  # fmt: skip
 
 
-def _read(places: Sequence[Path], namespace: str | None, rules: Sequence[str]) -> tuple[list[RecordedPass], list[str]]:
+def _read(
+    places: Sequence[Path], namespace: str | None, rules: Sequence[str], whole
+) -> tuple[list[RecordedPass], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
 
     from kr270_milling.exchange.replay.recorded import passes_from_recording
@@ -161,7 +169,7 @@ def _read(places: Sequence[Path], namespace: str | None, rules: Sequence[str]) -
     names = unique_names(paths)
     recorded: list[RecordedPass] = []
     copies: list[str] = []
-    with progress("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
+    with whole("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
         read = pool.map(lambda path, name: passes_from_recording(path, name, namespace, remap), paths, names)
         for number, (path, passes) in enumerate(zip(paths, read, strict=True), 1):
             count(number, len(paths))

@@ -14,7 +14,7 @@ from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import CELL, PLANT, command, option
 from kr270_milling.show.commands.console import Answer, cell_of, plant_of, shown_path
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.progress import steps
 
 LAST_LOOK = 1.0  #: [s] for an open page to receive the last events
 
@@ -53,7 +53,8 @@ def run_graph(args) -> Answer:
         cell = cell.replace(stage=None)
     methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
-    ran = run_passes(cell, methods, args.out, *options)
+    with steps({}) as whole:
+        ran = run_passes(cell, methods, args.out, *options, say=whole.say)
     up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
     result = summary(ran)
     columns = (("pass", "name", 2), *columns_of(Scores), *columns_of(RunRow), ("recording", "recording", shown_path))
@@ -68,10 +69,11 @@ def missing_text(ran: dict) -> list[str]:
     return [f"{lost} messages are missing in the recordings"] if lost else []
 
 
-def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
+def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None, *, say) -> dict:
     """Run a cell's passes as nodes, with the arm and the material of ``plant`` if there is one.
 
-    Returns graph_up_s, out (the directory used) and passes, a list of RunRow.
+    say: called with a sentence at the start of each step. Returns graph_up_s, out (the directory used) and passes, a
+    list of RunRow.
     """
     from kr270_milling.live.graph.graph import Graph
     from kr270_milling.live.graph.plan import fresh_directory, run_plan
@@ -85,11 +87,11 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     directory = fresh_directory(out)
     if directory != Path(out):
         print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
-    with progress("compiling") as report:
-        _compile(cell)
-        report.say("starting the nodes")
-        with Graph(cell, directory, namespace, composed, cuts) as graph:
-            ran = run_plan(graph, methods, passes, report.say)
+    say("models of arm and cut")
+    _compile(cell)
+    say("starting the nodes")
+    with Graph(cell, directory, namespace, composed, cuts) as graph:
+        ran = run_plan(graph, methods, passes, say)
     return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 

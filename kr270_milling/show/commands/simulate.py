@@ -10,7 +10,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, REFERENCE, command, option
 from kr270_milling.show.commands.console import Answer, cells_of, joints_text, plant_of
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.progress import steps, title_of, weights_of
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
 FEATURES = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
@@ -36,13 +36,16 @@ def run_simulate(args) -> Answer:
 
     cells = cells_of(args)
     _refuse_reference(args, cells)
-    with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
-        done = in_turn(cells, lambda cell: _simulated(cell, args, draft, final), lambda one: one[0])
+    with (
+        staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final),
+        steps(weights_of(cells, lambda cell: {"milling": 1.0})) as whole,
+    ):
+        done = in_turn(cells, lambda cell: _simulated(cell, args, draft, final, whole), lambda one: one[0])
     shown = [line for cell, (_, _, lines) in done for line in _headed(cell, cells, lines)]
     return Answer(_by_tool(cells, [summary for _, (_, summary, _) in done]), shown)
 
 
-def _simulated(cell, args, draft, final):
+def _simulated(cell, args, draft, final, whole):
     """The pass of one tool, what ``--json`` prints of it, and the output for the terminal."""
     from kr270_milling.cell import jobs
     from kr270_milling.decide.check_cut import residue_of
@@ -53,7 +56,7 @@ def _simulated(cell, args, draft, final):
     reference = None if args.reference is None else _reference(cell, args.reference)
     suffix = cell.stage.suffix if cell.stage else ""
     name = f"original{suffix}" if reference is None else Path(args.reference).stem
-    with progress("milling") as report:
+    with whole.under(title_of(cell))("milling") as report:
         ran = jobs.simulate(cell, reference, name, report, plant_of(args, cell))
     summary = _summary(cell, ran)
     residue = residue_of(cell, ran.result)
@@ -84,11 +87,15 @@ def _simulated(cell, args, draft, final):
 
 def run_check(args) -> Answer:
     """Exit code 1 if the path must not be run."""
+    from kr270_milling.decide.check import check_weights
     from kr270_milling.decide.tools import in_turn
 
     cells = cells_of(args)
     _refuse_reference(args, cells)
-    done = in_turn(cells, lambda cell: _checked(cell, args), lambda one: one[0].ran if one[0].may_be_run else None)
+    with steps(weights_of(cells, check_weights)) as whole:
+        done = in_turn(
+            cells, lambda cell: _checked(cell, args, whole), lambda one: one[0].ran if one[0].may_be_run else None
+        )
     all_checked = [checked for _, (checked, _, _) in done]
     may_be_run = all(checked.may_be_run for checked in all_checked)
     result = {"cell": args.cell, "reference": args.reference}
@@ -104,16 +111,15 @@ def run_check(args) -> Answer:
     return Answer(answer, [*shown, "", words], code=int(not may_be_run))
 
 
-def _checked(cell, args):
+def _checked(cell, args, whole):
     """The check of one tool, what ``--json`` prints of it, and the output for the terminal."""
     from kr270_milling.decide import check as decision
     from kr270_milling.decide.tolerance import judge
     from kr270_milling.path.trajectory_csv import read_csv
 
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
-    with progress("checking") as report:
-        checked = decision.check(cell, reference, args.motion, progress=report)
-        tolerance = judge(cell, checked.ran) if checked.ran else None
+    checked = decision.check(cell, reference, args.motion, progress=whole.under(title_of(cell)))
+    tolerance = judge(cell, checked.ran) if checked.ran else None
     values = {"cut": cell.cutting.detail, **checked.as_dict(), "tolerance": tolerance and tolerance.as_dict()}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
     return checked, values, [*words, cell.cut_text, *checked.lines()]
@@ -143,8 +149,8 @@ def _scores(summary: dict) -> list[str]:
     x, y, z = summary["mean_force_n"]
     ringing = summary["ringing_frequency_hz"]
     return [
-        f"static deviation    {summary['static_deviation_mm'] * 1e3:10.3f} um   mean over the last quarter",
-        f"max deviation       {summary['max_deviation_mm'] * 1e3:10.3f} um   once fully engaged",
+        f"static deviation    {summary['static_deviation_um']:10.3f} um   mean over the last quarter",
+        f"max deviation       {summary['max_deviation_um']:10.3f} um   once fully engaged",
         f"low frequency       {summary['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz",
         f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes",
     ]
@@ -181,6 +187,6 @@ def _summary(cell, ran) -> dict:
         "mean_force_n": jobs.mean_force(result),
         "removed_area_mm2": result.removed_area * 1e6,
         "removed_volume_mm3": result.removed_volume * 1e9,
-        "largest_correction_um": float(result.correction.max()) * 1e6,
+        "largest_pose_correction_um": float(result.correction.max()) * 1e6,
         "ringing_damping": ran.scores.ringing_damping,
     }

@@ -11,11 +11,12 @@ from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, Group, command, option
-from kr270_milling.show.commands.console import Answer, output_directory
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.console import Answer, output_directory, shown_path
+from kr270_milling.show.commands.progress import progress, steps
 
 STUDIES = ("dask", "distributed", "pyarrow")
 MOST = 10_000_000
+READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
 BEST = 5  #: placements that are written as cells
 TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
@@ -79,6 +80,7 @@ def run_map(args) -> Answer:
         PlacementRow,
         Placements,
         Summary,
+        grid_axes,
         path_places,
         present_row,
         write_cells,
@@ -88,21 +90,16 @@ def run_map(args) -> Answer:
         return _along(args)
     source = find_file(args.cell).resolve()
     cell = read_cell(source, args.set)
-    here = [*(1e3 * cell.workpiece.xyz).tolist(), 0.0, 0.0]
     given = [args.x, args.y, args.z, args.turn, args.tool_turn]
-    scales = [1e-3] * 3 + [np.pi / 180.0] * 2
-    axes = tuple(
-        scale * (np.array([value]) if axis is None else np.linspace(*axis))
-        for axis, value, scale in zip(given, here, scales, strict=True)
-    )
-    placements = Placements(cell, path_places(cell), axes, args.chunk)
-    if len(placements) > MOST:
-        raise ParameterError("map", len(placements), f"at most {MOST} placements in all")
+    axes = grid_axes(cell, [None if axis is None else np.linspace(*axis) for axis in given])
     plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
-    made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
-    with progress("map") as report:
-        seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
+    with steps({"map": 1.0}) as whole:
+        with whole("pass of the cell") as report:
+            placements = Placements(cell, path_places(cell, report), axes, args.chunk)
+        made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
+        with whole("map") as report:
+            seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
     summary = Summary(axes[0], axes[1], BEST)
     for table in study.tables(placements.chunks):
         summary.add(table)
@@ -213,8 +210,9 @@ def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
     require_extra("sweep", "studies", *STUDIES)
     from kr270_milling.cell.cell import read_cell
+    from kr270_milling.show.report.sweep import sweep_tables, write_sweep
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.sweep import Sweep, parse_axis
+    from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
     if args.latin != (args.samples is not None):
         raise ParameterError("--samples", args.samples, "given together with --latin")
@@ -227,6 +225,11 @@ def run_sweep(args) -> Answer:
     study = Study(output_directory(args.out), plan)
     with progress("sweep") as report:
         seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
-    failed = sum(bool(text) for table in study.tables(rows.chunks, ["error"]) for text in table["error"].to_pylist())
-    result = {"rows": len(rows), "failed": failed, "out": args.out, "wall_s": seconds}
-    return Answer(result, [f"{len(rows)} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}"])
+    summary = SweepSummary(rows)
+    for table in study.tables(rows.chunks):
+        summary.add(table)
+    sentence = f"{len(rows)} rows, {summary.failed} failed (column error), in {seconds:.1f} s: {args.out}"
+    picture = shown_path(write_sweep(args.out, summary, [sentence, READ.format(args.out)]))
+    result = {"rows": len(rows), "failed": summary.failed, "best": summary.best, "worst": summary.worst,
+              "picture": picture, "out": args.out, "wall_s": seconds}  # fmt: skip
+    return Answer(result, [*sweep_tables(summary), sentence, READ.format(args.out), picture])

@@ -18,16 +18,16 @@ from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["deviation_of", "file_names", "series_lines", "series_rows", "write_series"]
 
-#: the unit is in the name: s, mm, deg, N; times have nine decimals
+#: the unit is in the name: s, mm, um, deg, N; times have nine decimals. pose_correction: of the predicted tool pose
 COLUMNS = (
     "time_s",
     *(f"{kind}_{axis}_mm" for kind in ("target", "reference", "tool", "actual") for axis in "xyz"),
-    *(f"deflection_{axis}_mm" for axis in "xyz"),
+    *(f"deflection_{axis}_um" for axis in "xyz"),
     *(f"deflection_r{axis}_deg" for axis in "xyz"),
     *(f"force_{axis}_n" for axis in "xyz"),
     *(f"moment_{axis}_n_m" for axis in "xyz"),
-    "path_deviation_mm",
-    "correction_mm",
+    "path_deviation_um",
+    "pose_correction_um",
 )
 
 
@@ -72,11 +72,11 @@ def series_rows(result: PassResult, target: Trajectory) -> np.ndarray:
             1e3 * result.reference,
             1e3 * result.tool,
             1e3 * result.actual,
-            1e3 * result.deflection[:, :3],
+            1e6 * result.deflection[:, :3],
             np.degrees(result.deflection[:, 3:]),
             result.wrench,
-            1e3 * deviation_of(result, target),
-            1e3 * result.correction,
+            1e6 * deviation_of(result, target),
+            1e6 * result.correction,
         ]
     )
 

@@ -15,6 +15,7 @@ import json
 import math
 import multiprocessing
 import os
+import signal
 import time
 import uuid
 from collections.abc import Callable, Iterator
@@ -143,13 +144,16 @@ def run_chunks(
     EngineError where the scheduler cannot be reached, has no worker or goes away.
     """
     missing, start = study.missing(count), time.monotonic()
+    first = count - len(missing)
     if scheduler is None:
         if len(missing) > SEVERAL:
             _prepare(rows_of)
-        missing = missing[_alone(study, missing, rows_of) :]
+        missing = missing[_alone(study, missing, rows_of, lambda made: progress and progress(first + made, count)) :]
     if not missing:
         return time.monotonic() - start
     done = count - len(missing)
+    if scheduler is None:
+        _prepare(rows_of)
     with _client(scheduler) as client:
         try:
             for number, data in _made(client, f"{study.folder.name}-{uuid.uuid4().hex}", missing, rows_of):
@@ -164,21 +168,30 @@ def run_chunks(
 
 
 def _prepare(rows_of: Callable[[int], bytes]) -> None:
-    """Start the process that local workers are forked from: it imports what they need while first chunks are made."""
+    """Start the process that local workers are forked from: it imports what they need while first chunks are made.
+
+    A worker inherits that SIGINT is blocked: Ctrl-C reaches this process alone, which ends the workers.
+    """
     if METHOD == "forkserver":
-        from multiprocessing import forkserver, get_context
+        from multiprocessing import forkserver, get_context, resource_tracker
 
         os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
         modules = ["distributed", "pandas", "pyarrow.parquet", type(rows_of).__module__]
         get_context(METHOD).set_forkserver_preload(modules)
-        forkserver.ensure_running()
+        resource_tracker.ensure_running()  # its start unblocks SIGINT
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes]) -> int:
+def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], made: Callable[[int], object]) -> int:
     """Make chunks here as long as the rest takes less than the start of a cluster; returns how many were made."""
     for k, number in enumerate(missing):
         start = time.monotonic()
         _write_whole(study.chunk(number), rows_of(number))
+        made(k + 1)
         took = time.monotonic() - start
         # the first chunk may compile, so that a short one has a second try
         if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > ALONE / 4):

@@ -13,12 +13,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.column import column, columns
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc, rotation_from_quaternion
 from kr270_milling.base.parameter_file import merge, override, shipped_directories, write_include
 from kr270_milling.cell.cell import Cell
@@ -31,10 +33,11 @@ from kr270_milling.studies.maps.engine import StudyRows
 from kr270_milling.studies.maps.postures import along_path, postures, whole_turns
 
 __all__ = [
-    "MAPPED", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "places_at", "path_places",
+    "MAPPED", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "grid_axes", "places_at", "path_places",
     "present_row", "moved_cell", "place_of", "write_placement", "write_cells",
 ]  # fmt: skip
 
+MOST = 10_000_000  #: placements of a map
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
 PLACES = 24  #: along the path at which the error of each placement is looked at
 BLOCK = 1000  #: placements at a time, some 20 MB of postures
@@ -75,9 +78,27 @@ class PathPlaces:
     force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
 
 
-def path_places(cell: Cell) -> PathPlaces:
+def grid_axes(cell: Cell, given: Sequence) -> tuple[np.ndarray, ...]:
+    """The axes of ``Placements``: x, y, z [m], turn [rad] of the workpiece, turn of the tool [rad].
+
+    given: values of each axis in mm and deg; None: where the workpiece of the cell is, not turned. Raises
+    ParameterError for more than 10 million placements.
+    """
+    here = (*cell.workpiece.xyz, 0.0, 0.0)
+    scales = (1e-3, 1e-3, 1e-3, 1.0 / DEGREES, 1.0 / DEGREES)
+    axes = tuple(
+        np.array([value]) if values is None else scale * np.asarray(values, float).reshape(-1)
+        for values, value, scale in zip(given, here, scales, strict=True)
+    )
+    count = math.prod(len(axis) for axis in axes)
+    if not 0 < count <= MOST:
+        raise ParameterError("map", count, f"1 to {MOST} placements in all")
+    return axes
+
+
+def path_places(cell: Cell, progress: Callable[[int, int], None] | None = None) -> PathPlaces:
     """Places where the tool cuts in one pass of the cell, and REST over the whole path for its reach and limits."""
-    result = simulate(cell).result
+    result = simulate(cell, progress=progress).result
     cutting = np.flatnonzero(result.volume > 0.0)
     chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
     rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)

@@ -16,9 +16,10 @@ from kr270_milling.cell.keys import keys_of
 from kr270_milling.physics.motion.exchange import Exchange
 from kr270_milling.studies.maps.engine import StudyRows
 
-__all__ = ["Axis", "Sweep", "parse_axis"]
+__all__ = ["Axis", "Sweep", "SweepSummary", "parse_axis"]
 
 MOST_ROWS = 10_000_000
+MOST_SHOWN = 5000  #: rows of a picture
 SPEED, PERIOD = "tool.spindle_speed_rpm", "exchange.period_ms"
 SCORES = (
     "static_deviation_um", "max_deviation_um", "mean_fx_n", "mean_fy_n", "mean_fz_n", "max_torque_n_m",
@@ -142,6 +143,28 @@ class Sweep(StudyRows):
             return {PERIOD: 1e3 * exchange.period}  # the row says what is wrong with the speed
         unit = math.degrees(exchange.micro_step) / (6.0 * speed)  # [s]; 1 rpm is 6 deg/s
         return {PERIOD: 1e3 * unit * max(1, round(exchange.period / unit))}
+
+
+class SweepSummary:
+    """The rows of a sweep with the least and the largest deviation, and rows for a picture; chunk by chunk."""
+
+    def __init__(self, sweep: Sweep, count: int = 5):
+        self.keys = [axis.key for axis in sweep.axes]
+        self.count, self.failed = count, 0
+        self.best: list[dict] = []
+        self.worst: list[dict] = []
+        self.shown: list[dict] = []
+        self._every = -(-len(sweep) // MOST_SHOWN)
+
+    def add(self, table) -> None:
+        """Add the rows of an Arrow table."""
+        ran = [row for row in table.to_pylist() if not row["error"]]
+        self.failed += len(table) - len(ran)
+        order = "max_deviation_um"
+        self.best = sorted([*self.best, *ran], key=lambda row: row[order])[: self.count]
+        others = [row for row in [*self.worst, *ran] if row not in self.best]
+        self.worst = sorted(others, key=lambda row: -row[order])[: self.count]
+        self.shown += [row for row in ran if row["index"] % self._every == 0]
 
 
 @functools.lru_cache(maxsize=1)

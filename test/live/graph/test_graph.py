@@ -125,8 +125,8 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environ
         recorded = pass_from_recording(row["recording"])
         assert recorded.complete and recorded.messages_lost == row["messages_lost"] == 0
         same(recorded.scored.result, expected.result)
-        assert row["max_deviation_mm"] == expected.scores.max_deviation * 1e3
-        assert row["static_deviation_mm"] == expected.scores.static_deviation * 1e3
+        assert row["max_deviation_um"] == expected.scores.max_deviation * 1e6
+        assert row["static_deviation_um"] == expected.scores.static_deviation * 1e6
         assert row["real_time_factor"] == pytest.approx(row["duration_s"] / row["wall_s"])
     assert 0 < result["graph_up_s"] < 30
     assert not nodes_of(tmp_path)

@@ -252,7 +252,7 @@ def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path
     assert main(["report", str(tmp_path / "rsi"), "--out", str(tmp_path / "report"), "--json"]) == 0
     (ran,) = json.loads(capsys.readouterr().out)["passes"]
     assert (ran["stamps"], ran["complete"], ran["messages_lost"]) == ("place", True, 0)
-    assert abs(ran["static_deviation_mm"] - 0.06) < 1e-4  # the poses of the robot do not show the deflection
+    assert abs(ran["static_deviation_um"] - 60.0) < 0.1  # the poses of the robot do not show the deflection
     assert "RSI: poses by their place, without the deflection" in (tmp_path / "report" / "report.html").read_text()
     assert main(["compare", str(tmp_path / "rsi"), str(tmp_path / "cell.yaml"), "--json"]) == 0
     (channel,) = json.loads(capsys.readouterr().out)["channels"]

@@ -448,8 +448,8 @@ def test_the_commands_of_the_page_run_and_help(words, folder, capsys):
     found = json.loads(capsys.readouterr().out)
     original, kept = found["passes"]
     assert original["name"] == "original" and kept["name"] == found["method"]
-    assert {"static_deviation_mm", "max_deviation_mm"} <= set(kept)
-    assert kept["max_deviation_mm"] < 0.1 * original["max_deviation_mm"]
+    assert {"static_deviation_um", "max_deviation_um"} <= set(kept)
+    assert kept["max_deviation_um"] < 0.1 * original["max_deviation_um"]
     assert found["identified"]["modes"][0]["frequency_hz"] == pytest.approx(
         6.69 * (1.1 if "--plant" in words else 1), rel=0.03
     )

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from json_keys import TABLES, without_row
 from numba.core.compiler_lock import global_compiler_lock
 from scipy.spatial.transform import Rotation
 
@@ -193,13 +194,22 @@ def test_stiffness_for_people_names_arm_frame_and_units(capsys):
     assert "KR 270-2" in text and "base frame" in text and "Hz" in text and "-1.640" in text
 
 
+def test_the_page_of_json_keys_has_every_command_and_no_key_that_the_source_does_not_have():
+    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "kr270_milling").rglob("*.py"))
+    words = {word.strip("_") for word in re.findall(r"\w+", source)}
+    keys = {key for rows in TABLES.values() for key in rows if "<" not in key}
+    unit = re.compile("(_n_per_mm2?|_um|_n|s)$")  # some keys are put together from a name and a unit
+    assert set(COMMANDS) <= set(TABLES) and {key for key in keys - words if unit.sub("", key) not in words} == set()
+    assert list(without_row({"rows": 1, "best": [{"index": 1, "rowz": {}}], "more": 2}, "sweep")) == ["sweep: more"]
+
+
 # --- simulate, compensate, demo, bench ---
 
 
 def test_simulate_prints_steps_time_force_area_and_scores(capsys, tmp_path):
     result = answer(capsys, "simulate", "paper.yaml", *SHORT, "--out", str(tmp_path))
-    assert {"steps", "wall_s", "real_time_factor", "mean_force_n", "removed_area_mm2", "static_deviation_mm",
-            "max_deviation_mm", "low_frequency_hz"} <= set(result)  # fmt: skip
+    assert {"steps", "wall_s", "real_time_factor", "mean_force_n", "removed_area_mm2", "static_deviation_um",
+            "max_deviation_um", "low_frequency_hz"} <= set(result)  # fmt: skip
     assert result["steps"] == 432 * 24 and len(result["mean_force_n"]) == 3
     assert result["real_time_factor"] == pytest.approx(0.216 / result["wall_s"])
     assert result["low_frequency_hz"] == pytest.approx(6.70, rel=0.01)
@@ -218,28 +228,28 @@ def test_compensate_writes_a_trajectory_that_simulate_runs_to_the_predicted_scor
     path = Path(result["trajectory"])
     rows = list(csv.reader(line for line in path.read_text().splitlines() if not line.startswith("#")))
     assert path.is_relative_to(tmp_path) and len(rows) == 26 and result["points"] == 25
-    assert result["method"] == "spline" and result["planned_max_deviation_mm"] < 1.1e-3  # 1.04 um, the C2 spline
-    assert result["max_deviation_mm"] < 1.4e-3  # fewer points, within program.tolerance_um of the plan
+    assert result["method"] == "spline" and result["planned_max_deviation_um"] < 1.1  # 1.04 um, the C2 spline
+    assert result["max_deviation_um"] < 1.4  # fewer points, within program.tolerance_um of the plan
     again = answer(capsys, "simulate", "paper.yaml", "--reference", str(path))
-    fewer = 5e-4  # [mm], of the points of the program, whose figure compensate prints
-    assert again["max_deviation_mm"] == pytest.approx(result["planned_max_deviation_mm"], rel=1e-6)
-    assert again["max_deviation_mm"] == pytest.approx(result["max_deviation_mm"], abs=fewer)
+    fewer = 0.5  # [um], of the points of the program, whose figure compensate prints
+    assert again["max_deviation_um"] == pytest.approx(result["planned_max_deviation_um"], rel=1e-6)
+    assert again["max_deviation_um"] == pytest.approx(result["max_deviation_um"], abs=fewer)
 
 
 def test_the_demo_prints_five_passes_and_writes_report_and_series(demo):
     result = demo.json
     assert [p["name"] for p in result["passes"]] == ["original", "linear", "spline", "mirror", "learned"]
     for ran in result["passes"]:
-        assert {"static_deviation_mm", "max_deviation_mm", "low_frequency_hz"} <= set(ran)
-    assert result["passes"][0]["static_deviation_mm"] == pytest.approx(0.0581, rel=0.01)
-    assert result["passes"][4]["max_deviation_mm"] <= 0.0005
-    moving = {p["name"]: p["max_deviation_mm"] for p in result["passes_reference_inertia"]}
+        assert {"static_deviation_um", "max_deviation_um", "low_frequency_hz"} <= set(ran)
+    assert result["passes"][0]["static_deviation_um"] == pytest.approx(58.1, rel=0.01)
+    assert result["passes"][4]["max_deviation_um"] <= 0.5
+    moving = {p["name"]: p["max_deviation_um"] for p in result["passes_reference_inertia"]}
     assert list(moving) == ["original", "linear", "spline", "mirror", "learned", "inverse"]
     # the paper's methods excite the arm (20 and 27 um by two independent calculations), the lifted model does not
-    assert moving["original"] == pytest.approx(0.0628, rel=0.01)
-    assert moving["linear"] == pytest.approx(0.020, rel=0.05) and moving["spline"] == pytest.approx(0.027, rel=0.05)
-    assert moving["mirror"] == pytest.approx(0.0055, abs=0.0005)
-    assert moving["learned"] <= 0.0001 and moving["inverse"] <= 0.0003
+    assert moving["original"] == pytest.approx(62.8, rel=0.01)
+    assert moving["linear"] == pytest.approx(20, rel=0.05) and moving["spline"] == pytest.approx(27, rel=0.05)
+    assert moving["mirror"] == pytest.approx(5.5, abs=0.5)
+    assert moving["learned"] <= 0.1 and moving["inverse"] <= 0.3
     assert "eq. (1) as printed" in demo.text and "with the inertia of the moving arm" in demo.text
     report = Path(result["report"])
     assert report.is_relative_to(result["out"]) and "<svg" in report.read_text()
@@ -286,42 +296,76 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_a_count_that_starts_over_is_the_next_pass():
-    shown = Progress("learned", most=6)
-    for _ in range(3):
-        for done in (200, 400):
-            shown(done, 400)
-    assert shown.label == "learned, pass 3 of at most 6"
-    assert shown.state == "0 s so far"  # what follows the last count is not counted
-
-
-def test_without_a_count_the_time_so_far_is_shown_and_with_a_count_the_time_left(monkeypatch):
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that a test sets: ``clock[0] += 1.0``."""
     now = [10.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    shown = Progress("sweep")
-    now[0] += 4.0
-    assert shown.state == "4 s so far"
-    shown(50, 100)  # done in an earlier run, which does not count for the pace
-    now[0] += 4.0
-    shown(75, 100)
-    assert shown.state == "75 %, 4 s left"
-    shown.say("files")
-    assert (shown.label, shown.state) == ("files", "0 s so far")
-    with global_compiler_lock, ThreadPoolExecutor(1) as other:
-        assert other.submit(lambda: shown.state).result() == "0 s so far, compiling"
+    return now
+
+
+def test_one_step_states_its_share_and_the_time_left_at_the_pace_of_this_run(clock):
+    shown = Progress({"sweep": 1.0})
+    with shown("sweep") as count:
+        clock[0] += 4.0
+        assert shown.text == "4 s so far: sweep"
+        count(50, 100)  # done in an earlier run, which does not count for the pace
+        clock[0] += 4.0
+        count(75, 100)
+        assert shown.text == "75 %, 8 s left: sweep"
+        with global_compiler_lock, ThreadPoolExecutor(1) as other:
+            other.submit(shown.look).result()
+        assert shown.text.endswith("left: sweep, compiling")
+        shown.look()
+        assert shown.text.endswith("left: sweep")
+
+
+#: real seconds of the steps of a command of 100 s; a method takes 2 of at most 12 passes, "stock" counts nothing
+TOOK = {"original": [20.0], "method": [10.0, 10.0], "written": [16.0], "stock": [4.0], "verdict": [40.0]}
+WEIGHTS = {"original": 1.0, "method": 3.0, "written": 1.0, "stock": 0.1, "verdict": lambda each: min(3.0 * each, 50.0)}
+
+
+def test_the_line_of_a_command_only_grows_and_its_time_left_is_right_within_a_factor_of_2(clock):
+    shown, start, share = Progress(WEIGHTS), clock[0], 0.0
+    for name, passes in TOOK.items():
+        with shown(name, 12 if name == "method" else None) as count:
+            for seconds in passes:
+                for part in range(1, 21):
+                    clock[0] += seconds / 20
+                    if name != "stock":
+                        count(part, 20)
+                    over, left = clock[0] - start, shown.left
+                    assert shown.share >= share
+                    share = shown.share
+                    if 20.0 < over < 97.0:
+                        assert 0.5 < left / (100.0 - over) < 2.0, (name, over, left)
+    assert share == module.MOST and "pass" not in shown.text
+
+
+def test_compilation_is_left_out_of_the_pace(clock):
+    shown = Progress({"milling": 1.0})
+    with shown("milling") as count, global_compiler_lock, ThreadPoolExecutor(1) as other:
+        for _ in range(15):
+            clock[0] += 1.0
+            other.submit(shown.look).result()
+        assert shown.text == "15 s so far: milling, compiling"
+        clock[0] += 1.0
+        count(0, 4)
+        count(1, 4)
+        assert shown.left == pytest.approx(3.0)
 
 
 def test_off_a_terminal_a_line_comes_every_few_seconds_and_none_of_what_is_quick(capsys, monkeypatch):
     monkeypatch.setattr(module, "LINE_PERIOD", 0.05)
     with progress("milling") as report:
-        report(10, 100)
+        report(0, 100)
         report(50, 100)
         end = time.monotonic() + 20.0
         shown = ""
         while shown.count("\n") < 2 and time.monotonic() < end:
             time.sleep(0.01)
             shown += capsys.readouterr().err
-    assert all(re.fullmatch(r"milling: 50 %, \d+ s left", line) for line in shown.splitlines()) and shown
+    assert all(re.fullmatch(r"50 %, \d+ s left: milling", line) for line in shown.splitlines()) and shown
     monkeypatch.setattr(module, "LINE_PERIOD", 60.0)
     with progress("milling") as report:
         report(1, 100)
@@ -333,12 +377,12 @@ def test_on_a_terminal_there_is_a_bar_that_vanishes(monkeypatch):
     monkeypatch.setattr(module, "LOOK_PERIOD", 0.01)
     monkeypatch.setenv("TERM", "xterm")
     with progress("original") as report:
-        report(10, 100)
+        report(0, 100)
         report(30, 100)
         end = time.monotonic() + 20.0
-        while "original: 30 %" not in sys.stderr.getvalue() and time.monotonic() < end:
+        while "30 %, " not in sys.stderr.getvalue() and time.monotonic() < end:
             time.sleep(0.01)
-    assert "original: 30 %" in sys.stderr.getvalue()
+    assert "s left: original" in sys.stderr.getvalue()
 
 
 @pytest.mark.parametrize("width", ["20", "200"])

@@ -78,7 +78,7 @@ def test_json_has_the_features_before_and_after_and_all_paths(quick, tmp_path, c
     before, after = (rows[name]["whole part"]["max_normal_um"] for name in ("original", "linear"))
     assert after < 0.3 * before
     assert result["check"]["may_be_run"] and result["limited"] == [] and result["verdict"] is None
-    assert result["chord_error_mm"] == pytest.approx(0.01, rel=0.02)  # 0.8 mm chords of a circle of 8 mm radius
+    assert result["chord_error_um"] == pytest.approx(10.0, rel=0.02)  # 0.8 mm chords of a circle of 8 mm radius
     assert "krl_lin" in result["programs"]  # linear corrects in straight lines
     paths = [p for kind in result["programs"].values() for p in kind]
     paths += [result[key] for key in ("trajectory", "report", "part")]
@@ -90,10 +90,10 @@ def test_a_straight_cut_keeps_its_contract_and_gets_programs(tmp_path, capsys):
     words += ["--set", "path.length_mm=20", "--set", "stock.grid_step_um=40", "--set", "stock.max_mm=[20,12,0]"]
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
-    keys = {"method", "trajectory", "points", "static_deviation_mm", "max_deviation_mm", "low_frequency_hz", "original"}
+    keys = {"method", "trajectory", "points", "static_deviation_um", "max_deviation_um", "low_frequency_hz", "original"}
     assert keys <= set(result) and set(result["programs"]) == {"krl_spline", "rsi", "joints", "manifest"}
     assert "<h1>paper.yaml: before and after" in Path(result["report"]).read_text()
-    assert result["max_deviation_mm"] < 0.1 * result["original"]["max_deviation_mm"]
+    assert result["max_deviation_um"] < 0.1 * result["original"]["max_deviation_um"]
 
 
 def test_limited_corrections_are_printed(quick, tmp_path, capsys):
@@ -118,7 +118,7 @@ def test_programs_of_different_trajectories_never_share_a_folder(quick, tmp_path
 
 def test_repeating_lists_the_errors_of_its_passes(quick, tmp_path, capsys):
     assert main(command(tmp_path, "--json", "--method", "mirror", sets=["compensation.repeat=true"])) == 0
-    errors = json.loads(capsys.readouterr().out)["remaining_errors_mm"]
+    errors = json.loads(capsys.readouterr().out)["remaining_errors_um"]
     assert len(errors) > 2 and min(errors) < 0.5 * errors[0]
 
 
@@ -199,7 +199,7 @@ def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
     assert answer.print(as_json=True) == 0
     result = json.loads(capsys.readouterr().out)["verdict"]
     assert result["verdict"] == "helps" and result["samples"] == 2 and result["seed"] == 7
-    assert len(result["compensated_mm"]) == 3
+    assert len(result["compensated_um"]) == 3
 
 
 @pytest.fixture
@@ -218,10 +218,10 @@ def compensate(tmp_path, capsys):
 def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(compensate, monkeypatch):
     monkeypatch.setattr("kr270_milling.show.commands.compensate.PLANTS", 2)
     result, _ = compensate("--method", "spline")
-    assert result["verdict"]["samples"] == 2 and "inverse" in result["verdict"]["methods"]
+    assert result["verdict"]["samples"] == 2 and "inverse" in result["verdict"]["methods_um"]
     assert result["recommended_method"] == result["verdict"]["recommended_method"]
     quick, _ = compensate("--quick", "--method", "spline")
-    assert quick["verdict"]["samples"] == 8 and set(quick["verdict"]["methods"]) == {"none", "spline"}
+    assert quick["verdict"]["samples"] == 8 and set(quick["verdict"]["methods_um"]) == {"none", "spline"}
     assert quick["recommended_method"] is None  # nothing was compared
     none, errors = compensate("--no-verdict")
     assert none["verdict"] is None and none["recommended_method"] is None

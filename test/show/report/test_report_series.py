@@ -49,12 +49,12 @@ def test_every_series_comes_back_with_twelve_digits(tmp_path, cell, passes):
         for k, axis in enumerate("xyz"):
             for kind in ("target", "reference", "tool", "actual"):
                 close(table[f"{kind}_{axis}_mm"], 1e3 * getattr(r, kind)[:, k])
-            close(table[f"deflection_{axis}_mm"], 1e3 * r.deflection[:, k])
+            close(table[f"deflection_{axis}_um"], 1e6 * r.deflection[:, k])
             close(table[f"deflection_r{axis}_deg"], np.degrees(r.deflection[:, 3 + k]))
             close(table[f"force_{axis}_n"], r.wrench[:, k])
             close(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
-        close(table["path_deviation_mm"], 1e3 * deviation_of(r, cell.target()))
-        close(table["correction_mm"], 1e3 * r.correction)
+        close(table["path_deviation_um"], 1e6 * deviation_of(r, cell.target()))
+        close(table["pose_correction_um"], 1e6 * r.correction)
 
 
 def test_reference_trajectories_are_written_with_joint_angles(tmp_path, cell, passes):

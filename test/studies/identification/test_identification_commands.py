@@ -232,7 +232,7 @@ def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_ma
 
 def test_the_page_shows_what_is_printed_and_the_identified_band_is_narrower(ran):
     assert ran["wrong"] == []
-    bands = [result(ran, "compensate", out)["verdict"]["original_mm"] for out in ("--out before", "--out after")]
+    bands = [result(ran, "compensate", out)["verdict"]["original_um"] for out in ("--out before", "--out after")]
     before, after = ((high - low) / (high + low) for low, _, high in bands)
     assert after < 0.7 * before
     text = " ".join(PAGE.read_text(encoding="utf-8").split())

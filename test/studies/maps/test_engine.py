@@ -6,6 +6,7 @@ import contextlib
 import functools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -185,6 +186,13 @@ if __name__ == "__main__":
 """
 
 
+def ctrl_c_is_kept_from(pid: int) -> bool:
+    """Whether a process blocks or ignores SIGINT: else each worker prints a traceback."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    masks = (int(re.search(rf"{name}:\t(\w+)", status)[1], 16) for name in ("SigBlk", "SigIgn"))
+    return any(mask >> (signal.SIGINT - 1) & 1 for mask in masks)
+
+
 def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path, capsys):
     """SIGKILL, as the kernel does it where memory ends; its workers listened on the loopback alone, and end with it.
 
@@ -200,12 +208,17 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     until(lambda: len(list(out.glob("rows-*.parquet"))) == 4, "no rows")
     processes = [psutil.Process(driver.pid), *psutil.Process(driver.pid).children(recursive=True)]
     ports = [port for process in processes for port in process.net_connections() if port.status == psutil.CONN_LISTEN]
+    assert all(ctrl_c_is_kept_from(process.pid) for process in processes[1:])
     driver.kill()
     driver.wait()
     assert ports and {port.laddr.ip for port in ports} == {"127.0.0.1"}
     before = {path: path.stat().st_mtime_ns for path in out.glob("rows-*.parquet")}
     assert main([*words, "--scheduler", cluster.address]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"] == 10
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["rows"] == 10 and parquet.read_table(out).num_rows == 10
+    assert [row["path.depth_of_cut_mm"] for row in answer["best"]] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
+    assert [row["path.depth_of_cut_mm"] for row in answer["worst"]] == pytest.approx([1.0, 0.9, 0.8, 0.7, 0.6])
+    assert "largest deviation" in Path(answer["picture"]).read_text(encoding="utf-8")
     assert {path: path.stat().st_mtime_ns for path in before} == before  # none was made again
     plain = Sweep(str(find_file("paper.yaml").resolve()), SHORT, (parse_axis("path.depth_of_cut_mm=0.1:1:0.1"),))
     assert chunks(Study(out, json.loads((out / "_study.json").read_text())), 10) == [plain(n) for n in range(10)]
