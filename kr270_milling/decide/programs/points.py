@@ -23,7 +23,7 @@ __all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
 #: how far the points before and after move towards a point that is left out on trial, one trial after the other
-MOVES = ((0.0, 0.0), (0.6, 0.0), (0.0, 0.6), (0.6, 0.4))
+MOVES = ((0.6, 0.0), (0.0, 0.6), (0.6, 0.4), (0.0, 0.0))
 REACH = 2  #: stretches to both sides in which a point that is left out changes the path
 LEVER = 0.1  #: [m], length of a tool: a turn by an angle moves its shank by the angle times the length
 
