@@ -31,7 +31,7 @@ from kr270_milling.studies.maps.engine import StudyRows
 from kr270_milling.studies.maps.postures import along_path, postures, whole_turns
 
 __all__ = [
-    "MAPPED", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "places_at", "path_places",
+    "MAPPED", "MARGIN", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "places_at", "path_places",
     "moved_cell", "place_of", "write_placement", "write_cells",
 ]  # fmt: skip
 
