@@ -26,7 +26,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.path.timing import limit_by_joints
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import inverse_near
-from kr270_milling.studies.maps.placements import PathPlaces, about_z
+from kr270_milling.studies.maps.placements import MARGIN, PathPlaces, about_z
 from kr270_milling.studies.maps.postures import postures
 
 __all__ = ["NoWayError", "Turns", "Way", "constant_way", "find_way", "turned"]
@@ -77,7 +77,7 @@ class Turns:
         """The best way through states (n, s) of turn, (n, s, 6) of joints, (n, s) of errors; None: there is none."""
         arm = self.cell.arm
         n, room = len(turn), arm.joint_speed_limit * self.step * (1 + 1e-9)  # [rad] from a place to the next
-        inside = ((q >= arm.joint_lower) & (q <= arm.joint_upper)).all(-1) & np.isfinite(error)
+        inside = ((q >= arm.joint_lower + MARGIN) & (q <= arm.joint_upper - MARGIN)).all(-1) & np.isfinite(error)
         cost = np.where(inside, error**2 / n, np.inf)
         slope = self.weight**2 / (self.step**2 * n)
         value, chosen = _best_way(cost, np.nan_to_num(q), turn, room, slope, period)

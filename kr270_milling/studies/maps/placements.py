@@ -33,8 +33,8 @@ from kr270_milling.studies.maps.engine import StudyRows
 from kr270_milling.studies.maps.postures import along_path, postures, whole_turns
 
 __all__ = [
-    "MAPPED", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "grid_axes", "places_at", "path_places",
-    "present_row", "moved_cell", "place_of", "write_placement", "write_cells",
+    "MAPPED", "MARGIN", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "grid_axes", "places_at",
+    "path_places", "present_row", "moved_cell", "place_of", "write_placement", "write_cells",
 ]  # fmt: skip
 
 MOST = 10_000_000  #: placements of a map
