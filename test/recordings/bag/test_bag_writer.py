@@ -410,6 +410,21 @@ def test_repeated_and_backward_stamps_are_counted_on_their_own():
     assert (counter.repeated, counter.backwards, counter.missing, counter.gaps) == (1, 1, 2, 1)
 
 
+def test_a_latched_message_that_is_received_again_is_not_repeated():
+    counter = GapCounter(latched=True)
+    for stamp in (5, 5, 5, 9, 9):
+        counter.add(stamp)
+    assert counter.finish().repeated == 0
+
+
+def test_a_gap_in_which_the_series_continues_belongs_to_another_publisher():
+    """Stamps ahead, of a publisher with another period; then the series has a real gap of two."""
+    own = [i * 10 for i in range(100) if i not in (60, 61)]
+    mixed = [stamp for i, one in enumerate(own) for stamp in ([one, 5_000 + 37 * i] if 25 <= i < 80 else [one])]
+    counter = count(mixed, 10)
+    assert (counter.missing, counter.gaps) == (2, 1)
+
+
 @pytest.mark.parametrize("number", range(4))
 def test_fewer_than_three_differences_say_nothing(number):
     assert count([i * 10 for i in range(number)]).period_ns in (None, 0)
