@@ -97,13 +97,16 @@ def weights(
 
 def _verdict_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
     """Seconds of a verdict from those of a pass."""
-    coarse = 1.0 if cell.programmed.straight or cell.by_engagement else COARSE
-    plant = each * coarse * (3 if order.compare else 2) / cores()
+    straight = cell.programmed.straight
+    coarse = 1.0 if straight or cell.by_engagement else COARSE
+    others = (len(METHODS) if straight else 3) if order.compare else 2
+    plant = each * coarse * others / cores()
+    learning = each * FEWEST * 2 * REPEATS / cores() if straight and order.compare else 0.0
     if order.asked_for:
-        return order.samples * plant
+        return order.samples * plant + learning
     if FEWEST * plant > USUAL_BUDGET or each > LONGEST_PASS:
         return 0.0
-    return min(order.samples * plant, USUAL_BUDGET)
+    return min(order.samples * plant + learning, USUAL_BUDGET)
 
 
 def compensate(

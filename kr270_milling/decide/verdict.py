@@ -31,6 +31,7 @@ HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted h
 LEVELS = (0.05, 0.5, 0.95)
 SAMPLES = 32
 FEWEST = 8
+LEARNING = 8  #: time of the learning of a plant, as a multiple of that of its other passes
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
@@ -213,7 +214,8 @@ def monte_carlo(
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
     budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; give_up: None is
-    returned where 8 take longer as well. progress(done, plants) and estimate(plants, seconds) receive what is to come.
+    returned where 8 take longer as well. progress(done, total): in plants, where a plant that learns counts more;
+    estimate(plants, seconds): receives what is to come.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
     first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
     cores; the numbers do not depend on how many.
@@ -228,10 +230,14 @@ def monte_carlo(
     rng = np.random.default_rng(seed)
     plants = [perturbed(nominal, rng) for _ in range(samples)]
 
+    learning = FEWEST if others and straight else 0  # plants that also learn
+
+    def work(number: int) -> int:
+        return number + LEARNING * min(number, learning)
+
     def run(k: int) -> tuple[np.ndarray, float | None]:
         rows = run_sample(plants[k], target, (target, *references.values()), gauge)
-        tracks = others and straight and k < FEWEST
-        return rows, _tracked(cell, plants[k], gauge) if tracks else None
+        return rows, _tracked(cell, plants[k], gauge) if k < learning else None
 
     start = time.perf_counter()
     drawn = [run(0)]
@@ -239,17 +245,17 @@ def monte_carlo(
     count = min(samples, max(FEWEST, int(min(budget / each, samples))))
     if give_up and count * each > budget:
         return None
-    estimate(count, count * each)
+    estimate(count, each * work(count) / work(1))
     pool = ThreadPoolExecutor(threads)
     try:
         for row in pool.map(run, range(1, count)):
-            progress(len(drawn), count)
+            progress(work(len(drawn)), work(count))
             drawn.append(row)
             if len(drawn) >= FEWEST and time.perf_counter() - start > budget:
                 break
     finally:  # after an interrupt only the plants that run are waited for
         pool.shutdown(cancel_futures=True)
-    progress(len(drawn), len(drawn))
+    progress(work(len(drawn)), work(len(drawn)))
     rows = np.stack([row for row, _ in drawn])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
     tracked = [value for _, value in drawn if value is not None]

@@ -42,6 +42,7 @@ class Progress:
         self._name, self._own, self._passes = name, weight, passes
         self._number, self._before, self._done, self._total = 1, 0, 0, 0
         self._step_start, self._compiled = time.monotonic(), 0.0
+        self._counted = 0.0  # [s] in this step, at its first count
 
     @contextlib.contextmanager
     def __call__(self, name: str, passes: int | None = None, text: str = "") -> Iterator[Callable[[int, int], None]]:
@@ -68,7 +69,7 @@ class Progress:
 
     def count(self, done: int, total: int) -> None:
         if not self._total:
-            self._before = done  # a study continues after its last chunk
+            self._before, self._counted = done, self._in_step  # a study continues after its last chunk
         elif done < self._done:
             self._number += 1
         self._done, self._total = done, total
@@ -98,11 +99,11 @@ class Progress:
         paced = self._total > 0 and made > 0.0
         weight, seconds = self._weight, self._seconds
         if paced and not callable(self._own):  # the pace of this step, too
-            weight, seconds = weight + made * self._own, seconds + spent
+            weight, seconds = weight + made * self._own, seconds + spent - self._counted
         each = seconds / weight if weight > 0.0 else None
         own: float | None = None
         if paced and (made > SURE or each is None):
-            own = spent * (1.0 - part) / made
+            own = (spent - self._counted) * (1.0 - part) / made
         elif each is not None:
             own = max(0.0, _seconds(self._own, each) * (1.0 - self._before / max(self._total, 1)) - spent)
         if own is None or (each is None and self._waiting):
