@@ -11,13 +11,13 @@ from kr270_milling.base.errors import MessageError
 from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator
-from kr270_milling.exchange.inbox import PassInbox, ReceivedPass
+from kr270_milling.exchange.inbox import PassInbox
 from kr270_milling.exchange.inputs import Output, WrenchFrames, checked_pose, checked_wrench
 from kr270_milling.exchange.joint_program import joint_program
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 
-__all__ = ["CompensatorProtocol", "PassInbox", "ReceivedPass", "end_of"]
+__all__ = ["CompensatorProtocol", "end_of"]
 
 
 class CompensatorProtocol:

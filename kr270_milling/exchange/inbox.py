@@ -147,6 +147,9 @@ class PassInbox:
             if start is not None:
                 self.begin(start)
             return
+        if last >= 0 and self._is_foreign(time):  # of another publisher
+            self._ignored += 1
+            return
         if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
             self.clear(self._early)
             last = -1
@@ -214,7 +217,7 @@ class PassInbox:
         time = sample.stamp - self.start_ns
         if time == 0 and list(self._poses) != [0]:
             self._early = {0: sample}  # it may overtake the pose that it answers
-        elif self._poses:
+        elif self._poses and not self._is_foreign(time):
             self._wrenches[time] = sample
             self._last_wrenches -= time >= self.end_ns
 

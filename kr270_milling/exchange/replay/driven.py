@@ -14,12 +14,15 @@ import numpy as np
 
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.exchange.compensator import PassInbox, end_of
+from kr270_milling.exchange.compensator import end_of
+from kr270_milling.exchange.inbox import PassInbox
+from kr270_milling.exchange.inputs import WrenchFrames, checked_wrench
 from kr270_milling.exchange.replay.inputs import INPUTS
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.codec import wrench_from_bytes
 
 __all__ = ["DrivenPass", "driven_passes", "rsi_pass"]
 
@@ -71,6 +74,8 @@ def driven_passes(recording: Recording, cell: Cell, topics: Mapping[str, str]) -
     Raises RecordingError where the poses of a pass do not follow its reference.
     """
     names = {topic: name for name, topic in topics.items() if name in TOPICS}
+    frames = WrenchFrames(cell)
+    read = INPUTS | {"wrench": lambda data: checked_wrench(wrench_from_bytes(data), frames.names)}
     inboxes: list[tuple[PassInbox, Trajectory]] = []
     last = b""
     for message in recording.messages(set(names)):
@@ -78,10 +83,10 @@ def driven_passes(recording: Recording, cell: Cell, topics: Mapping[str, str]) -
         if name == "reference_trajectory" and message.data == last:
             continue  # latched, received again
         with contextlib.suppress(MillingError):  # refused by the live node as well
-            record = INPUTS[name](message.data)
+            record = read[name](message.data)
             if name == "reference_trajectory":
                 last = message.data
-                inbox = PassInbox(end_of(cell, record), 1, record.start_ns, record, cell.clock)
+                inbox = PassInbox(end_of(cell, record), 1, record.start_ns, record, cell.clock, frames)
                 inboxes.append((inbox, record))
             elif inboxes:
                 inbox, _ = inboxes[-1]

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
-from kr270_milling.exchange.compensator import PassInbox, ReceivedPass
+from kr270_milling.exchange.inbox import PassInbox, ReceivedPass
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.inputs import INPUTS
 from kr270_milling.recordings.bag.reader import Recording

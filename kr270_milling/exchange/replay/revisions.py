@@ -13,7 +13,8 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import CompensatorState, LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
-from kr270_milling.exchange.compensator import ReceivedPass, end_of
+from kr270_milling.exchange.compensator import end_of
+from kr270_milling.exchange.inbox import ReceivedPass
 from kr270_milling.exchange.replay.compare import Channel
 from kr270_milling.exchange.replay.received import EarlierRecordings, NotRecorded, PassCollector
 from kr270_milling.path.trajectory import Trajectory, fingerprint
