@@ -157,7 +157,7 @@ def test_the_nodes_have_the_parameters_that_are_set_by_hand(world, short_cell, t
     }
     given = [(line.split()[0], key) for line in shell_lines() for key in re.findall(r"-p (\w+):=", line)]
     given = [pair for pair in given if pair[0] in made]  # milling_cell hands its parameters to the nodes in it
-    assert len(given) == 4
+    assert len(given) == 6
     for node, key in given:
         assert made[node].has_parameter(key), (node, key)
 

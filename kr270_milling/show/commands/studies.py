@@ -62,6 +62,7 @@ COMMANDS = {
         option("--latin", "a Latin hypercube between the values instead of a grid", bool),
         option("--seed N", "of --latin", bounded(0, 2**31, int), 1),
         option("--out DIR", "where the rows go", default="sweep"),
+        SELF_CONTAINED,
         SCHEDULER,
         option("--chunk N", "rows a file (default: 1 to 8)", bounded(1, 100_000, int), 0),
     ),
@@ -229,7 +230,7 @@ def run_sweep(args) -> Answer:
     for table in study.tables(rows.chunks):
         summary.add(table)
     sentence = f"{len(rows)} rows, {summary.failed} failed (column error), in {seconds:.1f} s: {args.out}"
-    picture = shown_path(write_sweep(args.out, summary, [sentence, READ.format(args.out)]))
+    picture = shown_path(write_sweep(args.out, summary, [sentence, READ.format(args.out)], args.self_contained))
     result = {"rows": len(rows), "failed": summary.failed, "best": summary.best, "worst": summary.worst,
               "picture": picture, "out": args.out, "wall_s": seconds}  # fmt: skip
     return Answer(result, [*sweep_tables(summary), sentence, READ.format(args.out), picture])

@@ -26,7 +26,7 @@ def sweep_tables(summary: SweepSummary) -> list[TextTable]:
     ]  # fmt: skip
 
 
-def write_sweep(folder, summary: SweepSummary, sentences: list[str]) -> Path:
+def write_sweep(folder, summary: SweepSummary, sentences: list[str], self_contained: bool = False) -> Path:
     """Write the largest deviation of the rows over each varied key, and the tables; returns the path.
 
     The page of the folder ``sweep`` is ``sweep.html`` beside it: Arrow reads every file of the folder as rows.
@@ -37,7 +37,8 @@ def write_sweep(folder, summary: SweepSummary, sentences: list[str]) -> Path:
         for key in summary.keys
     ]
     place = Path(folder).resolve()
-    return write_page(place.with_name(f"{place.name}.html"), "What if", sentences, sweep_tables(summary), figures)
+    page = place.with_name(f"{place.name}.html")
+    return write_page(page, "What if", sentences, sweep_tables(summary), figures, self_contained=self_contained)
 
 
 def _text(value: float | str) -> str:
