@@ -52,7 +52,9 @@ class WrittenGcode:
     def as_dict(self) -> dict:
         """For JSON."""
         values = asdict(self)
-        return values | {"error_um": 1e6 * values.pop("error"), "sentence": self.text}
+        error, *times = (values.pop(key) for key in ("error", "duration", "planned_duration"))
+        units = dict(zip(("duration_s", "planned_duration_s"), times, strict=True))
+        return values | {"error_um": 1e6 * error, **units, "sentence": self.text}
 
     @property
     def text(self) -> str:

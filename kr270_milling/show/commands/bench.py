@@ -14,6 +14,8 @@ from kr270_milling.show.commands.console import Answer
 __all__ = ["COMMANDS", "posture_job", "run_bench"]
 
 REPEATS = 5
+ROUNDS = 3
+DETAILS = ("teeth", "engagement")
 POSTURES = 1000
 COMMANDS = {"bench": command("bench.run_bench", "bench")}
 
@@ -44,25 +46,30 @@ def _pass() -> dict:
 
 
 def _details() -> dict:
-    """Machining time per processor time of a pass over the shipped test piece, by each model of the cut."""
+    """Machining time per processor time of a pass over the shipped test piece, by both models of the cut in turns."""
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.physics.motion.milling_pass import run_pass
 
-    rates = {}
-    for detail, repeats in (("teeth", 1), ("engagement", REPEATS)):
-        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"])
-        target = cell.target()
-        model = cell.arm_model(target)
-        walls = []
-        for _ in range(repeats + (detail == "engagement")):  # its first pass may compile
+    cells = [read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"]) for detail in DETAILS]
+    target = cells[0].target()
+    models = [cell.arm_model(target) for cell in cells]
+    rounds = []
+    for _ in range(ROUNDS + 1):  # the first one may compile
+        seconds = []
+        for cell, model in zip(cells, models, strict=True):
             start = time.process_time()
             run_pass(model, cell.cut(), cell.clock, target, target, cell.exchange.iterations)
-            walls.append(time.process_time() - start)
-        rates[detail] = target.duration_ns * 1e-9 / min(walls)
+            seconds.append(time.process_time() - start)
+        rounds.append(seconds)
+    machining = target.duration_ns * 1e-9
+    teeth, engagement = (statistics.median(machining / one for one in each) for each in zip(*rounds[1:], strict=True))
+    ratios = sorted(swept / mean for swept, mean in rounds[1:])
     return {
-        "teeth_real_time_factor": rates["teeth"],
-        "engagement_real_time_factor": rates["engagement"],
-        "engagement_over_teeth": rates["engagement"] / rates["teeth"],
+        "teeth_real_time_factor": teeth,
+        "engagement_real_time_factor": engagement,
+        "engagement_over_teeth": statistics.median(ratios),
+        "engagement_over_teeth_min": ratios[0],
+        "engagement_over_teeth_max": ratios[-1],
     }
 
 

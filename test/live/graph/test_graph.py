@@ -136,7 +136,7 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environ
 def test_a_run_whose_recording_lacks_messages_states_them_and_ends_with_1(capsys, monkeypatch, short_cell, lost, code):
     row = plan.RunRow(RunValues(Path("o"), 1.0, (0.0,), True), simulate(short_cell), lost)
     ran = {"graph_up_s": 1.0, "out": Path("o"), "passes": [row]}
-    monkeypatch.setattr("kr270_milling.show.commands.run.run_passes", lambda *_: ran)
+    monkeypatch.setattr("kr270_milling.show.commands.run.run_passes", lambda *_, **__: ran)
     assert main(run_words("o")) == code
     out = capsys.readouterr().out
     assert (f"{lost} messages are missing in the recordings" in out) == bool(lost)

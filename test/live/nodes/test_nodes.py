@@ -301,7 +301,9 @@ def node(world, short_cell, tmp_path):
 
 @pytest.fixture
 def machine(world, node):
-    return Cell(world)
+    cell = Cell(world)
+    world.until(lambda: not node._readiness.waiting_for)
+    return cell
 
 
 def test_a_robot_with_its_own_clock_is_followed_and_a_far_one_is_reported(machine, ran):
