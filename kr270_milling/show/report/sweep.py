@@ -38,7 +38,8 @@ def write_sweep(folder, summary: SweepSummary, sentences: list[str], self_contai
     ]
     place = Path(folder).resolve()
     page = place.with_name(f"{place.name}.html")
-    return write_page(page, "What if", sentences, sweep_tables(summary), figures, self_contained=self_contained)
+    title = "Sweep of " + ", ".join(summary.keys)
+    return write_page(page, title, sentences, sweep_tables(summary), figures, self_contained=self_contained)
 
 
 def _text(value: float | str) -> str:
