@@ -8,7 +8,6 @@ along the path itself.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -22,8 +21,7 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
-#: how far the points before and after move towards a point that is left out on trial, one trial after the other
-MOVES = ((0.6, 0.0), (0.0, 0.6), (0.6, 0.4), (0.0, 0.0))
+THINNINGS = 4  #: times that each point is left out on trial
 REACH = 2  #: stretches to both sides in which a point that is left out changes the path
 LEVER = 0.1  #: [m], length of a tool: a turn by an angle moves its shank by the angle times the length
 
@@ -65,27 +63,19 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed:
 def _thinned(
     program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray, fixed: np.ndarray
 ) -> np.ndarray:
-    """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed.
-
-    The points before and after move towards a point that is left out by a share of the way; a fixed point does not.
-    """
+    """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
     limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
-    for shares, turn in itertools.product(MOVES, range(3)):
-        out = np.arange(1 + turn, len(chosen) - 1, 3)
-        out = out[~fixed[chosen[out]]]
-        while out.size:
-            trial = chosen.copy()
-            for side, share in zip((-1, 1), shares, strict=True):
-                step = np.rint(share * np.abs(chosen[out] - chosen[out + side])).astype(int)
-                trial[out + side] -= side * np.where(fixed[chosen[out + side]], 0, step)
-            trial = np.delete(trial, out)
-            over = _errors(program, runs, knots[trial]) > limit
+    for turn in range(3 * THINNINGS):
+        out = np.arange(len(chosen)) % 3 == turn % 3
+        out &= ~fixed[chosen]
+        while out.any():
+            over = _errors(program, runs, knots[chosen[~out]]) > limit
             if not over.any():
-                chosen = trial
                 break
             near = np.convolve(over, np.ones(2 * REACH + 1), "same") > 0.0
-            back = near[out - 1 - np.arange(out.size)]  # the stretch in which the point was
-            out = out[~back] if back.any() else out[:0]
+            back = near[np.cumsum(~out)[out] - 1]  # the stretch in which the point was
+            out[np.flatnonzero(out)[back if back.any() else slice(None)]] = False
+        chosen = chosen[~out]
     return chosen
 
 

@@ -8,7 +8,7 @@ from kr270_milling.path.source_program import ProgramTool
 
 __all__ = ["described_tool", "operation_name"]
 
-NUMBER = r"([0-9]+\.?[0-9]*|\.[0-9]+)"
+NUMBER = r"((?<![0-9])[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"  # one start and one end in a row of digits
 #: lines by which posts announce an operation: FreeCAD, OpenBuilds, Vectric, Estlcam
 ANNOUNCED = re.compile(
     r"(?:begin operation|toolpath ?(?:name)?|operation \d+ of \d+|operation|op(?: ?\d+)?)\s*[:=]-?\s*(\S.*)", re.I
@@ -47,7 +47,7 @@ METRIC = re.compile(rf"{NUMBER}\s*mm\b", re.I)
 FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
 INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
 CORNER = re.compile(rf"\b(?:CR|corner rad(?:ius)?\.?)\s*[-=:]?\s*{NUMBER}", re.I)
-TEETH = re.compile(r"(?:(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
+TEETH = re.compile(r"(?:(?<!\d)(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
 KIND = re.compile(
     r"(?:flat|ball(?: ?nose)?|bull ?nose|face|chamfer|shell|slot|spot|center|twist|square|rough\w*|thread|carbide|\s"
     r"|-)*(?:end ?mills?|mill|ball ?nose|bull ?nose|drill|tap|reamer|probe|cutter|engrav\w*|v-?bit|face ?mill"

@@ -20,7 +20,7 @@ from kr270_milling.path.toolpath import Toolpath
 
 __all__ = ["COMMENT", "PIECE", "GcodeReader", "changes_by_m6", "read_gcode"]
 
-NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
+NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
 WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
 SIMPLE = re.compile(rf"(?:[ \t]*[A-Z][ \t]*{NUMBER})*[ \t]*")  # a line of words of one letter alone
 #: a comment in brackets, nested twice at most where they pair, or after a semicolon; the brackets of a call are none
