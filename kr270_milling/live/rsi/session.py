@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import socket
+import sys
 import threading
 import time
 from collections import deque
@@ -21,6 +22,7 @@ __all__ = ["AnsweredCycle", "Counts", "RsiSession", "open_socket"]
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
 POLL = 0.2  #: [s]
+SWITCH = 0.2e-3  #: [s] for which the recording may keep the interpreter while an answer waits; default of Python: 5 ms
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,8 @@ class RsiSession:
         self.connection.settimeout(POLL)
         latest = time.monotonic()
         gc.freeze()  # objects of the start are not searched again during the cycles
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH)
         try:
             while not self.stop.is_set():
                 try:
@@ -95,6 +99,7 @@ class RsiSession:
         finally:
             self.stop.set()
             writer.join()
+            sys.setswitchinterval(interval)
         return self.counts
 
     def _answer(self, data: bytes, sender: tuple, received: float) -> None:
