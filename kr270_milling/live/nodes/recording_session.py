@@ -148,7 +148,7 @@ class RecordingSession:
 
     def stamps(self) -> dict[str, int]:
         """Return the last stamp [ns] of each recorded topic."""
-        return {c.topic: int(c.gaps.last) for c in self.writer.channels.values() if c.gaps.last}
+        return {c.topic: int(c.gaps.latest) for c in self.writer.channels.values() if c.gaps.latest}
 
     def close(self) -> str | None:
         """Write the messages that have arrived, unsubscribe, close the file; return a sentence if that failed."""

@@ -86,7 +86,8 @@ class GapCounter:
         self._latched = latched
         self.period_ns: int | None = None  #: 0: the series has no period
         self.missing = self.gaps = self.repeated = self.backwards = 0
-        self.last: int | None = None
+        self.last: int | None = None  #: of the series
+        self.latest: int | None = None  #: of any message
         self.passes = Passes(starts)
         self._differences: list[int] = []  # until the period is known
         self._gap: Gap | None = None
@@ -94,6 +95,7 @@ class GapCounter:
         self._since = 0  # messages since the gap, or of the other publisher without one of the series
 
     def add(self, stamp: int) -> None:
+        self.latest = stamp
         if self.passes.begins(stamp) or self.last is None:
             self.last, self._gap, self._other = stamp, None, None
         elif self._other is not None and stamp >= self._other:

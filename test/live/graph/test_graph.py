@@ -117,7 +117,9 @@ def same(recorded, plain) -> None:
 def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environment, tmp_path, capsys, short_cell):
     methods = ("--method", "linear", "--method", "spline", "--method", "linear")  # a repeated method is run once
     assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
-    result = json.loads(capsys.readouterr().out)
+    printed = capsys.readouterr()
+    assert "not complete" not in printed.err
+    result = json.loads(printed.out)
     assert [row["name"] for row in result["passes"]] == ["original", "linear", "spline"]
     original = simulate(short_cell)
     plain = [original, *(compensated(short_cell, original, method) for method in ("linear", "spline"))]
