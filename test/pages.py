@@ -64,16 +64,16 @@ class Block:
 
 def blocks(page: Path) -> list[Block]:
     """The ``sh`` blocks of a page in their order, each with the outputs that follow."""
-    found: list[Block] = []
+    made: list[Block] = []
     for comment, language, text in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "sh":
             comment = NOT_HERE.get(comment, comment)
             mark, _, reason = comment.partition(":") if comment.startswith(("not run", "release")) else ("", "", "")
             commands = [m[0].rstrip("\n") for m in COMMAND.finditer(text)]
-            found.append(Block(page, [line for line in commands if not line.startswith("#")], mark, reason.strip()))
+            made.append(Block(page, [line for line in commands if not line.startswith("#")], mark, reason.strip()))
         elif comment == "output":
-            found[-1].shown.append(text)
-    return found
+            made[-1].shown.append(text)
+    return made
 
 
 def _signature(line: str) -> str:

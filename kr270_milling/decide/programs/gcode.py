@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import textwrap
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -51,10 +51,15 @@ class WrittenGcode:
 
     def as_dict(self) -> dict:
         """For JSON."""
-        values = asdict(self)
-        error, *times = (values.pop(key) for key in ("error", "duration", "planned_duration"))
-        units = dict(zip(("duration_s", "planned_duration_s"), times, strict=True))
-        return values | {"error_um": 1e6 * error, **units, "sentence": self.text}
+        return {
+            "tool": self.tool,
+            "source_blocks": self.source_blocks,
+            "blocks": self.blocks,
+            "error_um": 1e6 * self.error,
+            "duration_s": self.duration,
+            "planned_duration_s": self.planned_duration,
+            "sentence": self.text,
+        }
 
     @property
     def text(self) -> str:

@@ -1,6 +1,6 @@
 """Passes whose poses have the stamps of a driver: of a robot with another clock, or of an RSI session.
 
-The passes of a robot are found as the compensator finds them. In an RSI session the place on the path decides the
+The inbox of the compensator separates the passes of a robot. In an RSI session the place on the path decides the
 time, because override and stops change the feed.
 """
 
