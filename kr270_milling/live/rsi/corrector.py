@@ -93,7 +93,7 @@ class Corrector:
         elif self._started:
             self.reason = f"{1e3 * distance:.1f} mm from the path"
         change = self._cycle / limits.ramp
-        self.share = float(np.clip(self.share + (change if near and not missed else -change), 0.0, 1.0))
+        self.share = min(max(self.share + (change if near and not missed else -change), 0.0), 1.0)
         wanted = self.share * self._at_progress()
         self.applied = self._limit(wanted)
         return self.applied
@@ -116,7 +116,7 @@ class Corrector:
             bounded = _shortened(wanted[part], most)
             change = _shortened(bounded - self.applied[part], most * share)
             result[part] = self.applied[part] + change
-            reduced |= not np.allclose(result[part], wanted[part], rtol=0.0, atol=1e-9)
+            reduced |= bool(np.abs(result[part] - wanted[part]).max() > 1e-9)
         self.limited += reduced
         return result
 

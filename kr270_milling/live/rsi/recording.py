@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotation_from_abc
 from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
@@ -31,7 +32,6 @@ class RsiRecording:
         self, directory, table: CorrectionTable, metadata: Mapping[str, object], attachments: Mapping[str, bytes | str]
     ):
         self._writer = BagWriter(directory, metadata=metadata, attachments=attachments)
-        self._lock = threading.Lock()
         self._stamp = 0
         time_ns = (table.time * SECOND).round().astype("int64")
         target = Trajectory(time_ns - time_ns[0], table.position, np.array(TOOL_DOWN))
@@ -47,17 +47,16 @@ class RsiRecording:
         a, b, c = cycle.correction[3:]
         twist = TwistSample(cycle.stamp, WORKPIECE, np.array([*cycle.correction[:3], c, b, a]))
         self._write("correction", twist, cycle.stamp)
-        with self._lock:
-            self._writer.tick(time.monotonic())
+        self._writer.tick(time.monotonic())
 
     def report(self, sentence: str) -> None:
-        """Record a sentence of the session."""
-        self._write("rsi_status", Text(sentence), self._stamp)
+        """Record a sentence of the session; where the file cannot be written, ``add`` raises the error."""
+        with suppress(RecordingError):
+            self._write("rsi_status", Text(sentence), self._stamp)
 
     def _write(self, topic: str, record, stamp: int) -> None:
-        with self._lock:
-            self._writer.add_topic(f"/{topic}", type_of(record))
-            self._writer.write(f"/{topic}", to_bytes(record), stamp, stamp)
+        self._writer.add_topic(f"/{topic}", type_of(record))
+        self._writer.write(f"/{topic}", to_bytes(record), stamp, stamp)
 
     def __enter__(self) -> RsiRecording:
         return self

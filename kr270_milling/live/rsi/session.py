@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import gc
 import socket
-import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, MessageError
+from kr270_milling.base.errors import InputError, MessageError, RecordingError
 from kr270_milling.base.units import SECOND
 from kr270_milling.live.rsi.corrector import Corrector
 from kr270_milling.live.rsi.telegram import MOST_BYTES, RobotTelegram, read_telegram, write_answer
@@ -22,7 +20,6 @@ __all__ = ["AnsweredCycle", "Counts", "RsiSession", "open_socket"]
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
 POLL = 0.2  #: [s]
-SWITCH = 0.2e-3  #: [s] for which the recording may keep the interpreter while an answer waits; default of Python: 5 ms
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +50,9 @@ class Counts:
 class RsiSession:
     """Answers one robot until ``stop`` is set, or until the robot is silent for SILENCE.
 
-    report: receives sentences about changes of state. record: receives each ``AnsweredCycle`` in a second thread, so
-    that a slow disk does not delay an answer. from_actual: progress from RIst minus the correction instead of RSol.
+    report: receives sentences about changes of state. record: receives each ``AnsweredCycle`` after its answer is sent,
+    in the rest of the cycle: a second thread would keep the interpreter while a telegram waits. After a RecordingError
+    the session answers without a recording. from_actual: progress from RIst minus the correction instead of RSol.
     """
 
     connection: socket.socket
@@ -64,6 +62,7 @@ class RsiSession:
     record: Callable[[AnsweredCycle], None] | None = None
     from_actual: bool = False
     stop: threading.Event = field(default_factory=threading.Event)
+    recording_failed: bool = False  #: the file could not be written
 
     def __post_init__(self):
         self.counts = Counts()
@@ -71,35 +70,25 @@ class RsiSession:
         self._last: int | None = None  # IPOC
         self._first = 0
         self._reason = ""
-        self._waiting: deque[AnsweredCycle] = deque()
 
     def run(self) -> Counts:
         """Answer telegrams; return the counts at the end."""
-        writer = threading.Thread(target=self._write, daemon=True)
-        writer.start()
         self.connection.settimeout(POLL)
         latest = time.monotonic()
         gc.freeze()  # objects of the start are not searched again during the cycles
-        interval = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH)
-        try:
-            while not self.stop.is_set():
-                try:
-                    data, sender = self.connection.recvfrom(MOST_BYTES + 1)
-                except TimeoutError:
-                    if self._robot is not None and time.monotonic() - latest > SILENCE:
-                        self._lose_robot()
-                    continue
-                received = time.monotonic()
-                if self._robot is not None and sender != self._robot:
-                    self._refuse(f"a telegram from a second sender {sender[0]}:{sender[1]}")
-                    continue
-                self._answer(data, sender, received)
-                latest = received
-        finally:
-            self.stop.set()
-            writer.join()
-            sys.setswitchinterval(interval)
+        while not self.stop.is_set():
+            try:
+                data, sender = self.connection.recvfrom(MOST_BYTES + 1)
+            except TimeoutError:
+                if self._robot is not None and time.monotonic() - latest > SILENCE:
+                    self._lose_robot()
+                continue
+            received = time.monotonic()
+            if self._robot is not None and sender != self._robot:
+                self._refuse(f"a telegram from a second sender {sender[0]}:{sender[1]}")
+                continue
+            self._answer(data, sender, received)
+            latest = received
         return self.counts
 
     def _answer(self, data: bytes, sender: tuple, received: float) -> None:
@@ -122,7 +111,7 @@ class RsiSession:
         counts.late += took > 1e-3 * self.cycle_ms
         counts.longest, counts.total = max(counts.longest, took), counts.total + took
         counts.most_delay = max(counts.most_delay, telegram.delay)
-        self._waiting.append(AnsweredCycle((telegram.ipoc - self._first) * SECOND // 1000, telegram.actual, correction))
+        self._record(AnsweredCycle((telegram.ipoc - self._first) * SECOND // 1000, telegram.actual, correction))
         if self.corrector.reason != self._reason:
             self._reason = self.corrector.reason
             self.report(f"{self._reason}, {1e3 * self.corrector.progress:.1f} mm of the path")
@@ -156,13 +145,14 @@ class RsiSession:
         self.report(f"no telegram for {SILENCE:g} s")
         self.stop.set()
 
-    def _write(self) -> None:
-        while not (self.stop.is_set() and not self._waiting):
-            while self._waiting:
-                cycle = self._waiting.popleft()
-                if self.record is not None:
-                    self.record(cycle)
-            self.stop.wait(0.05)
+    def _record(self, cycle: AnsweredCycle) -> None:
+        if self.record is None:
+            return
+        try:
+            self.record(cycle)
+        except RecordingError as error:
+            self.record, self.recording_failed = None, True
+            self.report(f"answers continue without a recording: {error}")
 
 
 def open_socket(host: str, port: int) -> socket.socket:

@@ -74,7 +74,7 @@ def run_rsi(args) -> Answer:
         f"{100 * done:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
         f"recording: {shown_path(directory)}",
     ]
-    return Answer(result, shown, code=int(bool(counts.late or counts.missed)))
+    return Answer(result, shown, code=int(bool(counts.late or counts.missed or session.recording_failed)))
 
 
 def _attached(name: str) -> dict[str, bytes | str]:

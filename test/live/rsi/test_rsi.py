@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import resource
 import signal
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.cli import main
 from kr270_milling.decide.programs.files import write_rsi_table
 from kr270_milling.live.rsi.corrector import CorrectionLimits, CorrectionTable, Corrector, read_corrections
+from kr270_milling.live.rsi.recording import RsiRecording
 from kr270_milling.live.rsi.session import RsiSession, open_socket
 from kr270_milling.live.rsi.telegram import read_telegram, write_answer
 from kr270_milling.recordings.bag.reader import Recording
@@ -217,6 +220,25 @@ def test_a_robot_that_falls_silent_ends_the_session(running):
     controller.cycle((0.0, 0.0, 0.0))
     assert session.stop.wait(5.0)
     assert sentences[-1] == "no telegram for 1 s"
+
+
+def test_a_full_disk_is_reported_and_the_answers_continue(running, tmp_path):
+    table, session, controller, sentences = running
+    recording = RsiRecording(tmp_path / "rsi", table, {}, {})
+    session.record = recording.add
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (next((tmp_path / "rsi").glob("*.mcap")).stat().st_size + 100, limits[1]))
+    try:
+        end = time.monotonic() + 10.0
+        while not session.recording_failed and time.monotonic() < end:
+            controller.cycle((0.0, 0.0, 0.0))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    controller.cycle((0.0, 0.0, 0.0))
+    assert any(s.startswith("answers continue without a recording: ") and "are safe" in s for s in sentences)
+    recording.report("is not recorded, and raises no error")
 
 
 def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path, capsys):
