@@ -190,7 +190,7 @@ def find_file(name: str, beside: Path | None = None) -> Path:
         with contextlib.suppress(OSError, ValueError):  # too long, no permission, a zero byte in the name
             if place.is_file():
                 return place
-    raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(str(p) for p in places)})")
+    raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(dict.fromkeys(map(str, places)))})")
 
 
 def shipped_directories() -> list[Path]:

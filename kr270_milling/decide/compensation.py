@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -96,7 +97,7 @@ def weights(
 
 
 def _verdict_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
-    """Seconds of a verdict from those of a pass."""
+    """Seconds of a verdict from those of a pass; 0 where it was not asked for and would take too long."""
     straight = cell.programmed.straight
     coarse = 1.0 if straight or cell.by_engagement else COARSE
     others = (len(METHODS) if straight else 3) if order.compare else 2
@@ -143,7 +144,9 @@ def compensate(
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
     with progress("original program as written") as report:
+        begin = time.perf_counter()
         programmed = written_pass(cell, original, motion, plant, report)
+        each = time.perf_counter() - begin
     if method == NO_METHOD:
         planned = revised = replace(programmed, name=NO_METHOD)
     with progress("surfaces"):
@@ -156,8 +159,11 @@ def compensate(
         cell, revised.reference, motion, revised, progress,
         [*limited, *unlike(planned, revised, cell.program.tolerance)],
     )  # fmt: skip
+    judged: Verdict | None = None
     with progress("verdict") as report:
-        judged = _verdict(cell, original, revised, verdict, report, comparison is None, motion) if verdict else None
+        too_long = verdict is not None and not verdict.asked_for and _verdict_seconds(cell, verdict, each) == 0.0
+        if verdict is not None and not too_long:
+            judged = _verdict(cell, original, revised, verdict, report, comparison is None, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
@@ -171,8 +177,6 @@ def _verdict(
 
     compares: whether no comparison was made yet; motion: of the written programs, which the plants run.
     """
-    if not order.asked_for and original.result.wall_time > LONGEST_PASS:
-        return None
     others = alternatives(cell, original, revised.name) if order.compare and compares else {}
     programs = {}
     for name, run in others.items():
