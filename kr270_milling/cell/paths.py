@@ -137,7 +137,9 @@ class ProgramPath:
     @property
     def description(self) -> str:
         """The path as the object of a sentence."""
-        return f"{self.name} ({self.length:.3g} m of path in {self.target.duration_ns * 1e-9:.3g} s)"
+        seconds = self.target.duration_ns * 1e-9
+        shown = f"{seconds:.3g}" if seconds < 1000 else f"{seconds:.0f}"
+        return f"{self.name} ({self.length:.3g} m of path in {shown} s)"
 
     @property
     def files(self) -> tuple[pathlib.Path, ...]:

@@ -160,6 +160,7 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
 
 
 def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
-    """Where the exchange was too coarse."""
-    worst = max((exchange_share(cell, ran) for ran in passes), key=lambda lines: lines.share)
-    return worst.text if worst.share > worst.warn else ""
+    """The pass whose exchange was the coarsest, where that was too coarse."""
+    shares = {ran.name: exchange_share(cell, ran) for ran in passes}
+    name, worst = max(shares.items(), key=lambda item: item[1].share)
+    return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""
