@@ -97,9 +97,16 @@ def _main(argv: list[str], own_process: bool = False) -> int:
     except KeyboardInterrupt:
         return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
     except SystemError as error:  # compiled code that received Ctrl-C
-        if not isinstance(error.__cause__, KeyboardInterrupt):
+        if not _is_interrupted(error):
             raise
         return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
+
+
+def _is_interrupted(error: BaseException | None) -> bool:
+    """Return whether Ctrl-C caused the error: each compiled function that it passes adds a SystemError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tuple[str, ...] = ()) -> int:

@@ -400,3 +400,21 @@ def test_paths_are_shown_from_the_working_directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert shown_path(tmp_path / "out" / "linear") == "out/linear"
     assert shown_path("/elsewhere/out") == "/elsewhere/out" and shown_path("out") == "out"
+
+
+@pytest.mark.parametrize("cause", [KeyboardInterrupt(), ValueError("a fault of compiled code")])
+def test_ctrl_c_below_several_compiled_functions_is_one_sentence(cause, monkeypatch, capsys):
+    """Each compiled function adds a SystemError; without Ctrl-C the error stays."""
+
+    def fail(args):
+        outer, inner = SystemError("outer"), SystemError("inner")
+        inner.__cause__, outer.__cause__ = cause, inner
+        raise outer
+
+    monkeypatch.setattr("kr270_milling.show.commands.bench.run_bench", fail)
+    if isinstance(cause, KeyboardInterrupt):
+        assert main(["bench"]) == 130
+        assert capsys.readouterr().err == "kr270_milling: interrupted\n"
+    else:
+        with pytest.raises(SystemError, match="outer"):
+            main(["bench"])
