@@ -59,10 +59,10 @@ def draw(cell, count: int, seed: int = 0) -> list:
 
 
 def test_a_verdict_that_would_take_too_long_is_not_begun(cell, monkeypatch):
-    def begun(*_, **__):
+    def fail(*_, **__):
         raise AssertionError("alternatives were run")
 
-    monkeypatch.setattr(compensation, "alternatives", begun)
+    monkeypatch.setattr(compensation, "alternatives", fail)
     monkeypatch.setattr(compensation, "USUAL_BUDGET", 0.0)
     assert compensation.compensate(cell, "linear", verdict=compensation.VerdictOrder()).decision.verdict is None
     with pytest.raises(AssertionError, match="were run"):
@@ -71,7 +71,7 @@ def test_a_verdict_that_would_take_too_long_is_not_begun(cell, monkeypatch):
 
 def test_plants_scatter_about_the_model_as_the_uncertainties_say(cell):
     cell = cell.replace(uncertainty=cell.uncertainty.replace(tool_wear=0.0))
-    plants, how = draw(cell, 800), cell.uncertainty
+    plants, uncertainty = draw(cell, 800), cell.uncertainty
     rows = {
         "joint_compliance": np.array([p.arm.joint_compliance / cell.arm.joint_compliance for p in plants]),
         "force_coefficient": np.array(
@@ -86,14 +86,17 @@ def test_plants_scatter_about_the_model_as_the_uncertainties_say(cell):
         "damping_ratio": np.array([[p.dynamics.damping_ratio / cell.dynamics.damping_ratio] for p in plants]),
     }
     for name, factors in rows.items():
-        spread, tolerance = getattr(how, name), 4 / np.sqrt(len(plants))
+        spread, tolerance = getattr(uncertainty, name), 4 / np.sqrt(len(plants))
         assert np.median(factors, axis=0) == pytest.approx(1.0, abs=tolerance * spread * 1.3)
         relative = factors.std(axis=0) / factors.mean(axis=0)  # of a log-normal: the stated one, whatever its median
         assert relative == pytest.approx(spread, rel=tolerance)
         if factors.shape[1] > 1:
             assert np.abs(np.corrcoef(np.log(factors).T)[np.triu_indices(factors.shape[1], 1)]).max() < tolerance
     shift = np.array([p.stock.min - cell.stock.min for p in plants])
-    assert shift.std(axis=0) == pytest.approx(how.placement, rel=0.1) and np.abs(shift).max() < 3.001 * how.placement
+    assert (
+        shift.std(axis=0) == pytest.approx(uncertainty.placement, rel=0.1)
+        and np.abs(shift).max() < 3.001 * uncertainty.placement
+    )
     assert all(np.allclose(p.stock.max - p.stock.min, cell.stock.max - cell.stock.min, atol=1e-12) for p in plants)
 
 
@@ -144,14 +147,14 @@ def test_a_certain_plant_is_the_model_and_gives_its_scores(cell, pair):
 def test_the_paper_is_helped_and_its_bands_enclose_the_model(cell, pair):
     original, revised = pair
     cell = cell.replace(uncertainty=cell.uncertainty.replace(**AS_PRINTED))
-    found = monte_carlo(cell, revised.reference, 12)
-    low, middle, high = found.band("original")
-    assert found.word == HELPS and low < original.scores.max_deviation < high and low < middle < high
-    assert np.all(found.compensated < 0.7 * found.original)  # each one, though forces that differ by 30 % overlap
-    told = found.as_dict()
-    assert told["samples"] == 12 and told["seed"] == 1 and told["failed"] == 0
-    assert told["quantity"] == "largest path deviation" and told["within_tolerance"] is None
-    assert told["original_um"] == pytest.approx([1e6 * v for v in (low, middle, high)])
+    verdict = monte_carlo(cell, revised.reference, 12)
+    low, middle, high = verdict.band("original")
+    assert verdict.word == HELPS and low < original.scores.max_deviation < high and low < middle < high
+    assert np.all(verdict.compensated < 0.7 * verdict.original)  # each one, though forces that differ by 30 % overlap
+    values = verdict.as_dict()
+    assert values["samples"] == 12 and values["seed"] == 1 and values["failed"] == 0
+    assert values["quantity"] == "largest path deviation" and values["within_tolerance"] is None
+    assert values["original_um"] == pytest.approx([1e6 * v for v in (low, middle, high)])
 
 
 def test_deviation_of_plants_follows_a_softer_arm_and_a_harder_material():
@@ -183,37 +186,37 @@ def test_a_correction_of_the_wrong_sign_cannot_be_trusted(cell, pair):
 def test_a_plant_that_does_not_survive_is_counted(cell):
     target = cell.target()
     astray = target.with_position(target.position + np.outer(np.linspace(0, 0.02, len(target)), [0, 1, 0]))
-    found = monte_carlo(cell, astray, 3, 1)
-    assert found.word == UNTRUSTED and found.as_dict()["failed"] == 3 and "fail" in found.reason
-    assert np.isnan(found.band("compensated")).all()
+    verdict = monte_carlo(cell, astray, 3, 1)
+    assert verdict.word == UNTRUSTED and verdict.as_dict()["failed"] == 3 and "fail" in verdict.reason
+    assert np.isnan(verdict.band("compensated")).all()
 
 
 def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
     seen = []
-    found = monte_carlo(
+    verdict = monte_carlo(
         cell, pair[1].reference, 20, budget=1e-3,
         progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip
-    assert found.as_dict()["note"] == "8 of 20 plants ran: more would take longer than 0.001 s"
-    assert len(found.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
+    assert verdict.as_dict()["note"] == "8 of 20 plants ran: more would take longer than 0.001 s"
+    assert len(verdict.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
 
 
 def test_the_numbers_do_not_depend_on_how_many_cores_there_are(cell, pair, monkeypatch):
-    found = []
+    verdicts = []
     for cores in ({0}, {0, 1, 2}):
         monkeypatch.setattr("os.sched_getaffinity", lambda _, cores=cores: cores)
-        found.append(monte_carlo(cell, pair[1].reference, 5, 1))
-    assert np.array_equal(found[0].original, found[1].original)
-    assert np.array_equal(found[0].compensated, found[1].compensated)
+        verdicts.append(monte_carlo(cell, pair[1].reference, 5, 1))
+    assert np.array_equal(verdicts[0].original, verdicts[1].original)
+    assert np.array_equal(verdicts[0].compensated, verdicts[1].compensated)
 
 
 def test_where_eight_plants_take_too_long_nothing_is_said(cell, pair):
-    told = []
-    found = monte_carlo(
+    estimates = []
+    verdict = monte_carlo(
         cell, pair[1].reference, 20, budget=1e-3, give_up=True,
-        estimate=lambda plants, seconds: told.append(plants),
+        estimate=lambda plants, seconds: estimates.append(plants),
     )  # fmt: skip
-    assert found is None and told == []
+    assert verdict is None and estimates == []
 
 
 def test_no_samples_are_refused(cell):
@@ -250,8 +253,8 @@ def test_a_coarser_grid_keeps_to_half_the_feed_per_tooth_and_to_the_deviation(tm
 
 
 def test_frequencies_of_the_plants_scatter_and_a_stated_share_of_them_moves_with_its_motors(cell):
-    how = {**CERTAIN, "frequency": 0.1, "reference_inertia": 0.5}
-    plants = draw(cell.replace(uncertainty=cell.uncertainty.replace(**how)), 400)
+    uncertainty = {**CERTAIN, "frequency": 0.1, "reference_inertia": 0.5}
+    plants = draw(cell.replace(uncertainty=cell.uncertainty.replace(**uncertainty)), 400)
     factors = np.array([p.modal_model.frequency[0] for p in plants[:60]]) / cell.modal_model.frequency[0]
     assert np.log(factors).std() == pytest.approx(0.1, rel=0.4) and np.median(factors) == pytest.approx(1.0, abs=0.04)
     share = np.mean([p.dynamics.reference_inertia for p in plants])
@@ -259,12 +262,12 @@ def test_frequencies_of_the_plants_scatter_and_a_stated_share_of_them_moves_with
 
 
 def test_imperfections_of_the_plants_are_spread_evenly_up_to_what_is_stated(cell):
-    plants, how = draw(cell, 400), cell.uncertainty
+    plants, uncertainty = draw(cell, 400), cell.uncertainty
     for name in ("pose_noise", "repeatability", "joining"):
-        drawn = np.array([getattr(p.imperfections, name) for p in plants]) / getattr(how, name)
+        drawn = np.array([getattr(p.imperfections, name) for p in plants]) / getattr(uncertainty, name)
         assert drawn.min() >= 0.0 and drawn.max() <= 1.0 and drawn.mean() == pytest.approx(0.5, abs=0.06)
     times = np.array([p.imperfections.backlash / p.arm.backlash for p in plants])
-    assert times.max() <= how.backlash and times.mean() == pytest.approx(0.5 * how.backlash, rel=0.12)
+    assert times.max() <= uncertainty.backlash and times.mean() == pytest.approx(0.5 * uncertainty.backlash, rel=0.12)
     assert len({p.imperfections.seed for p in plants}) == 400
 
 
@@ -272,8 +275,8 @@ def test_the_method_whose_95_percent_are_least_and_that_harms_no_plant_is_recomm
     before = np.full(20, 80 * UM)
     often = np.where(np.arange(20) < 17, 1 * UM, 200 * UM)  # the best one mostly, and worse than none in 3 of 20
     methods = {"spline": often, "mirror": np.full(20, 20 * UM), "inverse": np.full(20, 9 * UM)}
-    found = Verdict(HELPS, "", before, before, 1, methods)
-    assert found.recommended == "inverse"
+    verdict = Verdict(HELPS, "", before, before, 1, methods)
+    assert verdict.recommended == "inverse"
     assert Verdict(HELPS, "", before, before, 1, {"spline": often}).recommended == "none"
     assert Verdict(HELPS, "", before, before, 1, {"linear": np.full(20, 79 * UM)}).recommended == "none"
 
@@ -288,9 +291,9 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     others = alternatives(moving, original, "spline")
     assert set(others) == {"linear", "mirror", "inverse"}
     others.pop("mirror")
-    found = monte_carlo(moving, spline.reference, 3, method="spline", others=others)
-    assert found.recommended == "inverse" and found.as_dict()["recommended_method"] == "inverse"
-    assert np.quantile(found.methods[TRACKED], 0.95) < np.quantile(found.methods["inverse"], 0.95)
+    verdict = monte_carlo(moving, spline.reference, 3, method="spline", others=others)
+    assert verdict.recommended == "inverse" and verdict.as_dict()["recommended_method"] == "inverse"
+    assert np.quantile(verdict.methods[TRACKED], 0.95) < np.quantile(verdict.methods["inverse"], 0.95)
 
 
 def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path):
@@ -326,8 +329,8 @@ def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.nda
     ],
 )
 def test_the_rule(pair, word):
-    found, reason = judge_plants(*pair, 10 * UM)
-    assert found == word and reason
+    word_of_rule, reason = judge_plants(*pair, 10 * UM)
+    assert word_of_rule == word and reason
 
 
 def test_uncertainty_is_read_and_checked_like_every_other_group(tmp_path):

@@ -161,6 +161,6 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
 
 def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """The pass whose exchange was the coarsest, where that was too coarse."""
-    shares = {ran.name: exchange_share(cell, ran) for ran in passes}
-    name, worst = max(shares.items(), key=lambda item: item[1].share)
+    shares = [(ran.name, exchange_share(cell, ran)) for ran in passes]
+    name, worst = max(shares, key=lambda item: item[1].share)
     return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""
