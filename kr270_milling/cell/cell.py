@@ -35,6 +35,7 @@ __all__ = ["Cell", "read_cell", "read_cells", "with_program"]
 
 SAME_PLACE = 1e-3  #: [mm], [deg]
 MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
+RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: the edge of a slot then has 97 % of its force
 LONG_CUTTING = 60.0  #: [s]; programs that cut longer are not swept tooth by tooth where cutting.detail is auto
 
 
@@ -225,9 +226,27 @@ class Cell(Record):
         """The models of cut and tool in one line."""
         tool = self.tool.compliance_text
         if not self.by_engagement:
-            return f"cut: teeth, each tooth by itself; {tool}"
+            return f"cut: teeth, each tooth by itself{self._thin_chips}; {tool}"
         period, step = 1e3 * self.exchange.period, 1e3 * self.stock.grid_step
         return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
+
+    @property
+    def _thin_chips(self) -> str:
+        """A clause where the sweep of the teeth resolves the chips of a slow feed too coarsely, else empty.
+
+        A tooth meets f R dphi / ds^2 nodes in a micro-step, f the feed per tooth. A micro-step that meets none has no
+        force of the edge: with 5, 2.7, 1.4 and 0.7 nodes a slot showed 95, 88, 73 and 46 % of it.
+        """
+        feed, tool = self.programmed.slow_feed, self.tool
+        per_tooth = feed * 2.0 * math.pi / (tool.spindle_speed * tool.teeth) if tool.spindle_speed else math.inf
+        nodes = per_tooth * float(tool.radii.max()) * self.exchange.micro_step / self.stock.grid_step**2
+        if feed == 0.0 or nodes >= RESOLVED_NODES:
+            return ""
+        return (
+            f" (at {6e4 * feed:.3g} mm/min a tooth meets {nodes:.2g} nodes of the grid a micro-step, below "
+            f"{RESOLVED_NODES:g}: the force of thin chips is too low; set a finer stock.grid_step_um or a coarser "
+            "exchange.micro_step_deg)"
+        )
 
     def cut(self, rigid: bool = False) -> CutModel:
         """Fresh workpiece; of a later tool the stock that the earlier tools leave, rigid: on their programmed paths."""

@@ -146,27 +146,23 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
         _, first, posture = np.unique(place, return_index=True, return_inverse=True)
         middle = (target.time_ns[1:] + target.time_ns[:-1])[first] // 2
         models = cell.modes_at(cell.joints_along(target, middle))
-    after = np.append(posture[1:], posture[-1])
-
-    def along(rows) -> np.ndarray:
-        return np.ascontiguousarray(np.stack(rows)[posture])
-
     return ArmResponse(
-        frequency=along([model.frequency for model in models]),
-        damping=along([model.ratios(cell.dynamics.damping_ratio) for model in models]),
-        inward=along([(model.shape.T @ model.mass @ model.reference)[:, :3] for model in models]),
-        outward=along([(model.output @ model.shape)[:3] for model in models]),
-        push=along([model.shape.T @ model.force for model in models]),
-        tool=along([model.tool for model in models]) if cell.tool.lateral_compliance else None,
-        carry=np.array([_carry(models[k], models[n]) for k, n in zip(posture.tolist(), after.tolist(), strict=True)]),
+        frequency=np.stack([model.frequency for model in models]),
+        damping=np.stack([model.ratios(cell.dynamics.damping_ratio) for model in models]),
+        inward=np.stack([(model.shape.T @ model.mass @ model.reference)[:, :3] for model in models]),
+        outward=np.stack([(model.output @ model.shape)[:3] for model in models]),
+        push=np.stack([model.shape.T @ model.force for model in models]),
+        tool=np.stack([model.tool for model in models if model.tool is not None])
+        if cell.tool.lateral_compliance
+        else None,
+        carry=np.stack([_carry(one, after) for one, after in zip(models, [*models[1:], models[-1]], strict=True)]),
         moves=cell.dynamics.reference_inertia,
+        posture=posture,
     )
 
 
 def _carry(before: ModalModel, after: ModalModel) -> np.ndarray:
     """The displacement stays from one posture to the next: u_after = Phi_after^T M_after Phi_before u_before."""
-    if before is after:
-        return np.eye(before.frequency.size)
     return after.shape.T @ after.mass @ before.shape
 
 

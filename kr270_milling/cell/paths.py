@@ -27,6 +27,7 @@ from kr270_milling.physics.robot.errors import JointLimitError, ReachError, Sing
 
 __all__ = ["ProgramPath", "StraightCut"]
 
+SLOW = 0.1  #: share of the time of the milling moves, for ``slow_feed``
 WIDE = 5.0  #: ratio of the widths of path and stock above which the unit is probably wrong
 
 
@@ -69,6 +70,11 @@ class StraightCut:
     @property
     def feed_rate(self) -> float:
         """[m/s]"""
+        return self.path.feed_rate
+
+    @property
+    def slow_feed(self) -> float:
+        """[m/s], as ``feed_rate``."""
         return self.path.feed_rate
 
     @property
@@ -167,6 +173,15 @@ class ProgramPath:
         milling = ~toolpath.rapid & ~toolpath.drilling
         cuts = milling if milling.any() else ~toolpath.rapid
         return float(np.max(toolpath.feed[cuts], initial=0.0))
+
+    @property
+    def slow_feed(self) -> float:
+        """[m/s], feed that is not exceeded in a tenth of the time of the milling moves in the xy plane; 0: none."""
+        path = self.fed.toolpath
+        milling = np.flatnonzero(~path.rapid & ~path.drilling & (path.plane_length > 0.0) & (path.feed > 0.0))
+        milling = milling[np.argsort(path.feed[milling], kind="stable")]
+        time = np.cumsum(path.block_length[milling] / path.feed[milling])
+        return float(path.feed[milling[np.searchsorted(time, SLOW * time[-1])]]) if milling.size else 0.0
 
     @property
     def spindle_speed_needed(self) -> bool:

@@ -34,6 +34,7 @@ from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import BEST, METHODS
+from kr270_milling.physics.motion.scores import Scores
 
 __all__ = [
     "NO_METHOD", "USUAL_BUDGET", "JudgedCompensation", "VerdictOrder", "compensate", "limit_sentence",
@@ -63,7 +64,7 @@ class JudgedCompensation:
     """Both passes and the decision on them."""
 
     original: ScoredPass  #: of the original program as written
-    planned: ScoredPass  #: along the planned reference
+    planned: Scores  #: of the pass along the planned reference
     revised: ScoredPass  #: of the program as written; its reference is the planned one
     by: Compensator
     parts: tuple[PartAssessment, ...]  #: of both passes along a tool path
@@ -149,6 +150,11 @@ def compensate(
         each = time.perf_counter() - begin
     if method == NO_METHOD:
         planned = revised = replace(programmed, name=NO_METHOD)
+    if verdict is not None and not verdict.asked_for and _verdict_seconds(cell, verdict, each) == 0.0:
+        verdict = None
+    plan, first = planned.scores, original if verdict else None  # the series of a pass of an hour fill 180 MB
+    by.first = None
+    del original, planned
     with progress("surfaces"):
         parts = () if cell.programmed.straight else assess_all(cell, (programmed, revised))
     limited = [
@@ -157,17 +163,16 @@ def compensate(
     ]
     checked = check(
         cell, revised.reference, motion, revised, progress,
-        [*limited, *unlike(planned, revised, cell.program.tolerance)],
+        [*limited, *unlike(plan, revised.scores, cell.program.tolerance)],
     )  # fmt: skip
     judged: Verdict | None = None
     with progress("verdict") as report:
-        too_long = verdict is not None and not verdict.asked_for and _verdict_seconds(cell, verdict, each) == 0.0
-        if verdict is not None and not too_long:
-            judged = _verdict(cell, original, revised, verdict, report, comparison is None, motion)
+        if verdict is not None and first is not None:
+            judged = _verdict(cell, first, revised, verdict, report, comparison is None, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
-    return JudgedCompensation(programmed, planned, revised, by, parts, checked, decision, motions)
+    return JudgedCompensation(programmed, plan, revised, by, parts, checked, decision, motions)
 
 
 def _verdict(
@@ -193,13 +198,13 @@ WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the writ
 WRITTEN_STEP = 0.5e-6  #: [m], differences below it come from the 0.1 um of the points
 
 
-def unlike(planned: ScoredPass, written: ScoredPass, tolerance: float) -> list[Violation]:
+def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation]:
     """A violation where planned and written program differ by more than a share of the planned deviation.
 
     tolerance [m]: by which the points of the program may leave the planned path. After a step of the path by it, an
     arm with little damping swings by twice of it.
     """
-    plan, error = planned.scores.max_deviation, written.scores.max_deviation
+    plan, error = planned.max_deviation, written.max_deviation
     if abs(error - plan) <= max(WRITTEN_SHARE * plan, 2.0 * tolerance + WRITTEN_STEP):
         return []
     return [violation("written program", error, plan)]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from decimal import Decimal
 
 import numpy as np
 
+from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.table import Table, read_table
@@ -39,13 +41,15 @@ def write_csv(path, trajectory: Trajectory, joints=None) -> None:
     write_files({path: (line for part in ([",".join(header) + "\n"], lines) for line in part)})
 
 
-def _texts(values: np.ndarray) -> list[list[str]]:
-    return [list(map(repr, row)) for row in values.tolist()]
+def _texts(values: np.ndarray) -> Iterator[list[str]]:
+    for part in blocks(len(values)):
+        yield from (list(map(repr, row)) for row in values[part].tolist())
 
 
-def _in_mm(values: np.ndarray) -> list[list[str]]:
+def _in_mm(values: np.ndarray) -> Iterator[list[str]]:
     """Metres as texts in mm: the decimal point is moved, so that no bit is lost."""
-    return [[str(Decimal(repr(v)).scaleb(3)) for v in row] for row in values.tolist()]
+    for part in blocks(len(values)):
+        yield from ([str(Decimal(repr(v)).scaleb(3)) for v in row] for row in values[part].tolist())
 
 
 def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | None]:

@@ -122,14 +122,18 @@ def _of(measure, values: np.ndarray) -> float:
     return float(measure(values)) if values.size else np.nan
 
 
-def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartAssessment:
-    """Assess a pass of a cell; ideal: the part that the target itself leaves, if it is known already."""
-    return assess_result(cell, ran.name, ran.result, ideal)
+def assess(
+    cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None, path: Course | None = None
+) -> PartAssessment:  # fmt: skip
+    """Assess a pass of a cell; ideal: the part that the target itself leaves, path: its course, if known already."""
+    return assess_result(cell, ran.name, ran.result, ideal, path)
 
 
-def assess_result(cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None) -> PartAssessment:
+def assess_result(
+    cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None, path: Course | None = None
+) -> PartAssessment:  # fmt: skip
     """Assess the series of a pass along the path of a cell, also of a plant that is not the cell."""
-    path = course(cell, result.time_ns)
+    path = path or course(cell, result.time_ns)
     return PartAssessment(
         name,
         path,
@@ -143,9 +147,15 @@ def assess_result(cell: Cell, name: str, result: PassResult, ideal: IdealPart | 
 
 
 def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
-    """Several passes of one cell, two at a time; the part of the rigid arm is made once."""
+    """Several passes of one cell, two at a time; course and part of the rigid arm are made once."""
     first = passes[0].result
-    ideal = ideal_part(cell, course(cell, first.time_ns), first.target)
-    same = [np.array_equal(p.result.target, first.target) for p in passes]
+    path = course(cell, first.time_ns)
+    ideal = ideal_part(cell, path, first.target)
+
+    def assessed(ran: ScoredPass) -> PartAssessment:
+        result = ran.result
+        same = np.array_equal(result.time_ns, first.time_ns) and np.array_equal(result.target, first.target)
+        return assess(cell, ran, ideal, path) if same else assess(cell, ran)
+
     with ThreadPoolExecutor(2) as pool:  # the sweep of a workpiece runs without the interpreter's lock
-        return tuple(pool.map(lambda p, s: assess(cell, p, ideal if s else None), passes, same))
+        return tuple(pool.map(assessed, passes))

@@ -6,11 +6,12 @@ The manifest beside them says which file goes where, and in which order to try t
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import JOINT_NAMES, TOOL0, quaternion_from_rotation
@@ -207,7 +208,10 @@ def write_joint_table(path, trajectory: Trajectory, joints) -> None:
 
 
 def _write_rows(path, names: str, time_ns: np.ndarray, rows: np.ndarray, text: Callable[[float], str]) -> None:
-    lines = [f"time_s,{names}\n"]
-    for time, row in zip(time_ns.tolist(), rows.tolist(), strict=True):
-        lines.append(f"{seconds(time)},{','.join(map(text, row))}\n")
-    write_files({path: lines})
+    def lines() -> Iterator[str]:
+        yield f"time_s,{names}\n"
+        for part in blocks(len(rows)):
+            for time, row in zip(time_ns[part].tolist(), rows[part].tolist(), strict=True):
+                yield f"{seconds(time)},{','.join(map(text, row))}\n"
+
+    write_files({path: lines()})

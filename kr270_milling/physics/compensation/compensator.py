@@ -182,4 +182,6 @@ class Compensator:
         self.revise(first)
         while self.repeats and not self.finished:
             self.revise(run(self.reference))
+        if self.learner is not None:
+            self.learner.forget()
         return self.reference

@@ -101,6 +101,10 @@ class Learner:
         self.passes = (*self.passes, last)
         self.expected = self._expected()
 
+    def forget(self) -> None:
+        """Drop the passes, of which an hour of machining fills 170 MB each; arm and expectation stay."""
+        self.passes, self._ideal = (), None
+
     def expect(self) -> Learner:
         """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""
         if self._cut is None:

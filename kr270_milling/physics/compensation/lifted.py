@@ -5,8 +5,8 @@ of the arm. The sum of (d0 + H c)^T W (d0 + H c) and of the smoothness is made l
 (dynamic programming, [Bryson1975]): what is left to pay from a knot on is x^T P x / 2 + p^T x of the state x there. So
 nothing of a slowly decaying response is cut off, and the cost is linear in the length of the path.
 
-The matrices of a segment take 12 kB. They are made for a block of segments at a time, so that a long program needs no
-more memory for them than a short one.
+The matrices of a segment take 12 kB, the policy 1 kB. They are made for a block of segments at a time, and again on the
+way forward, so that a long program needs no more memory for them than a short one.
 
 The numbers of one segment are y = [u, u', c, v, a, j]: relative modal coordinates of the arm and their rates, and the
 cubic of the correction, 2 r + 12 of them; the state x at a knot is y without j. Where the correction is smooth j is
@@ -84,30 +84,40 @@ class Lifted:
         """
         m, size, r = len(self._segments), 2 * self.order + 9, self.order
         later, linear = np.zeros((size, size)), np.zeros(size)
-        policy, push = np.zeros((m, CONTROLS, size)), np.zeros((m, CONTROLS))
         bend = np.zeros((size + CONTROLS, size + CONTROLS))
         if not self.smooth:
             difference = np.zeros((3, size + CONTROLS))  # what is free minus v of the state
             difference[:, 2 * r + 3 : 2 * r + 6], difference[:, size : size + 3] = -np.eye(3), np.eye(3)
             bend = smoothness * difference.T @ difference
         blocks = list(self._segments.blocks())
-        for part in reversed(blocks):
+
+        def go_back(part: slice, later: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Policy and push of a block; P and p of its last knot become those of its first."""
             output, step, given, free = self._matrices(part)
             weighted = np.swapaxes(output, -1, -2) @ weight[part]
             cost = np.sum(weighted @ output, axis=1)
             slope = np.sum(weighted @ deviation[part, ..., None], axis=1)[..., 0]
             if self.smooth:  # weight of j
                 cost[:, 2 * r + 9 :, 2 * r + 9 :] += smoothness * np.eye(3)
-            _backward(cost, slope, step, given, free, bend, later, linear, policy[part], push[part])
+            policy, push = np.zeros((len(step), CONTROLS, size)), np.zeros((len(step), CONTROLS))
+            _backward(cost, slope, step, given, free, bend, later, linear, policy, push)
+            return policy, push
+
+        ends = []  # P and p of the last knot of each block
+        for part in reversed(blocks):
+            ends.append((later.copy(), linear.copy()))
+            first = go_back(part, later, linear)  # at the end that of the first block
         start = first_state(self._arm, self._conditions, self._unit)
         chosen = start.T @ later @ start
         chosen += np.diag(np.where(np.diag(chosen) > 0.0, TINY * np.trace(chosen), 1.0))
         state = -start @ np.linalg.solve(chosen, start.T @ linear)
         cubic, left = np.zeros((m, 4, 3)), np.array(deviation)
         for part in blocks:
+            end = ends.pop()
+            policy, push = first if part.start == 0 else go_back(part, *end)
             output, step, given, free = self._matrices(part)
             local = np.zeros((len(step), 2 * r + 12))
-            _forward(step, given, free, policy[part], push[part], state, local)
+            _forward(step, given, free, policy, push, state, local)
             left[part] += (output @ local[:, None, :, None])[..., 0]
             cubic[part] = (local * self._unit)[:, 2 * r :].reshape(-1, 4, 3)
         return LiftedCorrection(cubic, left)

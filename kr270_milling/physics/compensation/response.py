@@ -124,18 +124,23 @@ def cubic_coefficients(time_ns: np.ndarray, value: np.ndarray, rate: np.ndarray 
 
 @dataclass(frozen=True, eq=False)
 class ArmResponse:
-    """Modes of the arm on each of the m segments; no modes (r = 0): the tool follows the reference at once."""
+    """Modes of the arm on each of the m segments; no modes (r = 0): the tool follows the reference at once.
 
-    frequency: np.ndarray  #: omega [rad/s], (m, r)
-    damping: np.ndarray  #: zeta, (m, r)
-    inward: np.ndarray  #: reference -> modal coordinate q, (m, r, 3)
-    outward: np.ndarray  #: relative modal coordinates u -> displacement of the tool, (m, 3, r)
-    push: np.ndarray  #: wrench -> modal force, (m, r, 6)
-    carry: np.ndarray  #: u at the end of a segment -> u of the next one, (m, r, r)
+    Many segments share a posture: ``posture`` numbers those in the order of the path, and the arrays have a row of
+    each of the n postures. Without ``posture`` each segment has its own row, n = m.
+    """
+
+    frequency: np.ndarray  #: omega [rad/s], (n, r)
+    damping: np.ndarray  #: zeta, (n, r)
+    inward: np.ndarray  #: reference -> modal coordinate q, (n, r, 3)
+    outward: np.ndarray  #: relative modal coordinates u -> displacement of the tool, (n, 3, r)
+    push: np.ndarray  #: wrench -> modal force, (n, r, 6)
+    carry: np.ndarray  #: u at the end of the last segment of a posture -> u of the next posture, (n, r, r)
     moves: bool = True  #: the reference moves the motors' side of the springs; false: eq. (1) as printed
     gain: float = 1.0  #: of the response to the reference: what the process takes back or adds
-    tool: np.ndarray | None = None  #: compliance of the tool tip against the spindle [m/N], (m, 3, 3); None: rigid
+    tool: np.ndarray | None = None  #: compliance of the tool tip against the spindle [m/N], (n, 3, 3); None: rigid
     softness: float = 1.0  #: factor of the displacement under the wrench
+    posture: np.ndarray | None = None  #: number of the posture of each segment, (m,); None: each has its own
 
     @classmethod
     def rigid(cls, segments: int) -> ArmResponse:
@@ -149,10 +154,15 @@ class ArmResponse:
         return self.frequency.shape[1]
 
     def cut(self, part: slice | np.ndarray) -> ArmResponse:
-        """The modes on the segments of ``part``."""
+        """The modes on the segments of ``part``, a row of each segment."""
         names = ["frequency", "damping", "inward", "outward", "push", "carry"]
         names += [] if self.tool is None else ["tool"]
-        return dataclasses.replace(self, **{name: getattr(self, name)[part] for name in names})
+        rows = part if self.posture is None else self.posture[part]
+        cut = dataclasses.replace(self, posture=None, **{name: getattr(self, name)[rows] for name in names})
+        if self.posture is not None:
+            after = np.append(self.posture[1:], self.posture[-1])[part]
+            cut.carry[rows == after] = np.eye(self.order)
+        return cut
 
     def scaled(self, frequency, damping, gain: float = 1.0, softness: float = 1.0) -> ArmResponse:
         """Factors on frequencies (r,), damping ratios (r,), gain and static compliance; the shapes stay.
@@ -199,26 +209,26 @@ class ArmResponse:
         """
         if not (self.order and self.moves):
             return np.zeros((len(segments), segments.parts, 3))
-        starts = self._starts(segments.duration[:, None], cubic, approach)[:, :, None]
-        swung = np.empty((len(segments), segments.parts, 3))
+        swung, state = np.empty((len(segments), segments.parts, 3)), np.zeros((2, self.order))
         for part in segments.blocks():
-            arm, place, start = self.cut(part), segments.cut(part).place, starts[part]
+            arm, block = self.cut(part), segments.cut(part)
+            start = arm.starts(block.duration[:, None], cubic[part], approach, state)[:, :, None]
+            place, approach = block.place, _end_speed(block.duration[-1:, None], cubic[part][-1:])[0]
             free, forced = arm.free(place), arm.forced(place)
             bend, jerk = (np.einsum("mrd,md->mr", arm.inward, cubic[part, i])[:, None] for i in (2, 3))
             u = free[0] * start[:, 0] + free[1] * start[:, 1] + forced[0] * bend + forced[1] * jerk
             swung[part] = u @ np.swapaxes(arm.outward, 1, 2)
         return swung
 
-    def _starts(self, duration: np.ndarray, cubic: np.ndarray, approach: np.ndarray) -> np.ndarray:
-        """u and u' at the start of each segment, (m, 2, r)."""
+    def starts(self, duration: np.ndarray, cubic: np.ndarray, approach: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """u and u' at the start of each segment, (m, 2, r); state (2, r): those before, becomes those after."""
         forced = tuple(f[:, 0] for f in self.forced(duration))
         bend, jerk = (np.einsum("mrd,md->mr", self.inward, cubic[:, i]) for i in (2, 3))
-        speed = cubic[:, 1] + cubic[:, 2] * duration + cubic[:, 3] * duration**2 / 2.0  # at the end of each segment
-        before = np.vstack([approach, speed[:-1]])
+        before = np.vstack([approach, _end_speed(duration, cubic)[:-1]])
         corner = np.einsum("mrd,md->mr", self.inward, before - cubic[:, 1])
         added = np.stack([forced[0] * bend + forced[1] * jerk, forced[2] * bend + forced[3] * jerk], axis=1)
         free = np.stack([h[:, 0] for h in self.free(duration)], axis=1)
-        return _march(free, added, corner, self.carry, 1, np.zeros((2, self.order)))[0]
+        return _march(free, added, corner, self.carry, 1, state)[0]
 
     def deflect(self, segments: Segments, wrench: np.ndarray) -> np.ndarray:
         """Displacement of the tool [m], (m, parts, 3), under mean wrenches (m, parts, 6), from rest."""
@@ -236,9 +246,14 @@ class ArmResponse:
             # the cubic through both ends with their slopes, in the middle
             middle = 0.5 * (start[:, 0] + end[:, 0]) + np.repeat(step, parts, axis=0) * (start[:, 1] - end[:, 1]) / 8.0
             moved[part] = self.softness * middle.reshape(static.shape) @ np.swapaxes(arm.outward, 1, 2)
-        if self.tool is not None:
-            moved += self.softness * wrench[..., :3] @ self.tool
+            if arm.tool is not None:
+                moved[part] += self.softness * wrench[part, :, :3] @ arm.tool
         return moved
+
+
+def _end_speed(duration: np.ndarray, cubic: np.ndarray) -> np.ndarray:
+    """Velocity at the end of each segment, (m, 3), from durations (m, 1) and cubics (m, 4, 3)."""
+    return cubic[:, 1] + cubic[:, 2] * duration + cubic[:, 3] * duration**2 / 2.0
 
 
 @njit(cache=True)

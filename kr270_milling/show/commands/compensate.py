@@ -157,7 +157,7 @@ def _values(cell, done) -> dict:
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     values |= {k: v for k, v in revised.row().items() if k != "name"}
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-    values["planned_max_deviation_um"] = 1e6 * done.planned.scores.max_deviation
+    values["planned_max_deviation_um"] = 1e6 * done.planned.max_deviation
     values["time_law"] = time_law(cell)
     values["original"] = {k: v for k, v in original.row().items() if k != "name"}
     values["passes"] = [ran.row() for ran in (original, revised)]
@@ -315,9 +315,9 @@ def _time_law_table(cell, done, whole):
 
     with whole.under(title_of(cell))(SOFTER_PASS) as report:
         softer = softer_pass(cell, done.revised.reference, progress=report)
-    rows = [("plan", done.planned), ("written program", done.revised)]
-    rows += [(f"written program, {SOFTER:g} times the acceleration", softer)] if softer else []
-    texts = tuple((name, f"{1e6 * ran.scores.max_deviation:.2f}") for name, ran in rows)
+    rows = [("plan", done.planned), ("written program", done.revised.scores)]
+    rows += [(f"written program, {SOFTER:g} times the acceleration", softer.scores)] if softer else []
+    texts = tuple((name, f"{1e6 * scores.max_deviation:.2f}") for name, scores in rows)
     return TextTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(cell))
 
 

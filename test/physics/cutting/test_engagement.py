@@ -57,12 +57,12 @@ def straight(dt: float, length: float, start: float = -RADIUS - 1e-3) -> tuple[n
     return np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)]), n * np.arange(x.size)
 
 
-def closed_form(cutting, cutter: Tool, low: float, high: float) -> np.ndarray:
+def closed_form(cutting, cutter: Tool, low: float, high: float, feed: float = FEED) -> np.ndarray:
     """Mean force (3,) [N] over a revolution, (29) integrated over phi from the feed, clockwise from -y to +y."""
     edges = np.linspace(-math.pi / 2, math.pi / 2, 20001)
     phi, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
     engaged = (np.sin(phi) > low) & (np.sin(phi) < high)
-    tangential, radial, axial = np.where(engaged, cutting.active.per_depth(FEED * np.cos(phi)), 0.0)
+    tangential, radial, axial = np.where(engaged, cutting.active.per_depth(feed * np.cos(phi)), 0.0)
     forward, across = np.cos(phi), np.sin(phi)
     share = TEETH / (2 * math.pi) * width * DEPTH
     return share * np.array([
@@ -279,6 +279,28 @@ def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_p
     assert cell.stock.grid_step == pytest.approx(2e-4)
     assert "engagement" in cell.cut_text
     assert not read_cell(find_file("test_piece.yaml"), [*words, "cutting.detail=teeth"]).by_engagement
+
+
+@pytest.mark.parametrize(
+    ("feed_um", "grid_um", "micro_step", "share"),
+    [(2.0, 40.0, 1.0, 0.25), (4.0, 16.0, 1.0, 0.9), (4.0, 16.0, 5.0, 0.99), (10.0, 16.0, 2.0, 0.99)],
+)
+def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_force(
+    feed_um, grid_um, micro_step, share
+):  # fmt: skip
+    """A rigid slot of one revolution: the sweep beside the closed form, and the line that a command prints."""
+    feed, n = 1e-6 * feed_um, round(360 / micro_step)
+    cut = Cut(tool(), AXIAL, block(*IMMERSIONS["slot"], 1e-6 * grid_um, 20e-3), math.radians(micro_step))
+    x = 8e-3 + feed * TEETH * np.arange(5)
+    path = np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)])
+    force = cut.along(path, n * np.arange(5))[0][-1, :3]
+    found = np.linalg.norm(force) / np.linalg.norm(closed_form(AXIAL, tool(), *IMMERSIONS["slot"], feed))
+    rate = 60 * feed * TEETH * SPEED / (2 * math.pi)
+    words = [f"path.feed_rate_m_per_min={rate}", f"stock.grid_step_um={grid_um}"]
+    words += [f"exchange.micro_step_deg={micro_step}", "exchange.period_ms=7.5", "path.length_mm=1"]
+    stated = "the force of thin chips is too low" in read_cell(find_file("paper.yaml"), words).cut_text
+    assert stated == (share < 0.95)
+    assert found < share if stated else found == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_map_of_a_small_cutter_is_finer():
