@@ -15,6 +15,7 @@ from kr270_milling.physics.cutting.lanes import LANES, lower_lanes
 from kr270_milling.physics.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
 
 SLACK = 1e-9
+MOST_SUMMED = 65_536  # nodes, of up to 65535 levels each
 COLUMNS = np.arange(float(BLOCK))
 VECTOR = 32  # nodes from which on it pays to look first whether anything is left
 
@@ -22,17 +23,21 @@ VECTOR = 32  # nodes from which on it pays to look first whether anything is lef
 @inlined
 def tally_log(ints, old, tally, level):
     """Add to tally what the log holds since the last call: nodes, sum of level differences, lowest level, new nodes."""
-    count, new, deficit, lowest = np.uint32(0), np.uint32(0), np.uint64(0), np.uint16(level)
-    for n in range(np.uint64(ints[TALLIED]), np.uint64(ints[LOGGED])):
-        k = min(old[n], np.uint16(level))
-        count += np.uint32(k < np.uint16(level))
-        new += np.uint32(k == 0)
-        deficit += np.uint64(np.uint16(level) - k)
-        lowest = min(lowest, k)
-    tally[0] += np.int64(count)
-    tally[1] += np.int64(deficit)
-    tally[2] = min(tally[2], np.int64(lowest))
-    tally[3] += np.int64(new)
+    done, end = np.uint64(ints[TALLIED]), np.uint64(ints[LOGGED])
+    while done < end:  # so many at a time that their sum fits 32 bits
+        stop = min(end, done + np.uint64(MOST_SUMMED))
+        count, new, deficit, lowest = np.uint32(0), np.uint32(0), np.uint32(0), np.uint16(level)
+        for n in range(done, stop):
+            k = min(old[n], np.uint16(level))
+            count += np.uint32(k < np.uint16(level))
+            new += np.uint32(k == 0)
+            deficit += np.uint32(np.uint16(level) - k)
+            lowest = min(lowest, k)
+        tally[0] += np.int64(count)
+        tally[1] += np.int64(deficit)
+        tally[2] = min(tally[2], np.int64(lowest))
+        tally[3] += np.int64(new)
+        done = stop
     ints[TALLIED] = ints[LOGGED]
 
 
