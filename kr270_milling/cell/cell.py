@@ -35,7 +35,7 @@ __all__ = ["Cell", "read_cell", "read_cells", "with_program"]
 
 SAME_PLACE = 1e-3  #: [mm], [deg]
 MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
-RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: the edge of a slot then has 97 % of its force
+RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: a slot then has 97 % of its force
 LONG_CUTTING = 60.0  #: [s]; programs that cut longer are not swept tooth by tooth where cutting.detail is auto
 
 
@@ -235,7 +235,7 @@ class Cell(Record):
         """A clause where the sweep of the teeth resolves the chips of a slow feed too coarsely, else empty.
 
         A tooth meets f R dphi / ds^2 nodes in a micro-step, f the feed per tooth. A micro-step that meets none has no
-        force of the edge: with 5, 2.7, 1.4 and 0.7 nodes a slot showed 95, 88, 73 and 46 % of it.
+        force of the edge: with 5, 2.7, 1.4 and 0.7 nodes a slot showed 95, 88, 73 and 46 % of its force.
         """
         feed, tool = self.programmed.slow_feed, self.tool
         per_tooth = feed * 2.0 * math.pi / (tool.spindle_speed * tool.teeth) if tool.spindle_speed else math.inf

@@ -160,7 +160,8 @@ class ArmResponse:
         rows = part if self.posture is None else self.posture[part]
         cut = dataclasses.replace(self, posture=None, **{name: getattr(self, name)[rows] for name in names})
         if self.posture is not None:
-            after = np.append(self.posture[1:], self.posture[-1])[part]
+            following = part + 1 if isinstance(part, np.ndarray) else np.arange(part.start + 1, part.stop + 1)
+            after = self.posture[np.minimum(following, self.posture.size - 1)]
             cut.carry[rows == after] = np.eye(self.order)
         return cut
 

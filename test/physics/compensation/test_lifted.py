@@ -60,10 +60,10 @@ def test_lifted_response(kind, damping):
     shift = run.sample(time)[:, 1]
     top, bottom = [2 * damping * OMEGA, OMEGA**2], [1.0, 2 * damping * OMEGA, OMEGA**2]
     expected = lsim((top, bottom), shift - shift[0], time * 1e-9)[1] + shift[0]
-    found = one_mode(damping=damping).follow(SEGMENTS, cubic_coefficients(KNOTS, run.position, run.velocity))
-    assert found[..., 0] == pytest.approx(run.sample(SEGMENTS.middle_ns)[..., 0], abs=1e-18)  # rigid there
+    obtained = one_mode(damping=damping).follow(SEGMENTS, cubic_coefficients(KNOTS, run.position, run.velocity))
+    assert obtained[..., 0] == pytest.approx(run.sample(SEGMENTS.middle_ns)[..., 0], abs=1e-18)  # rigid there
     middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
-    return 0.0, np.abs(found[..., 1].ravel() - middle).max(), 1e-9  # 50 us steps of lsim: 2e-5 of 50 um
+    return 0.0, np.abs(obtained[..., 1].ravel() - middle).max(), 1e-9  # 50 us steps of lsim: 2e-5 of 50 um
 
 
 def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last_by_its_compliance():
@@ -73,9 +73,9 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     time = fine()
     step = np.where(time >= KNOTS[4], force, 0.0)
     expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, time * 1e-9)[1]
-    found = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
+    obtained = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
     middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
-    assert found == pytest.approx(middle, abs=1e-3 * force / OMEGA**2)  # a cubic over parts of up to 5 ms
+    assert obtained == pytest.approx(middle, abs=1e-3 * force / OMEGA**2)  # a cubic over parts of up to 5 ms
     stiff = one_mode(damping=0.9).scaled(2.0, 1.0, softness=1.5).deflect(SEGMENTS, wrench)[-1, -1, 1]
     assert stiff == pytest.approx(1.5 * force / OMEGA**2, rel=1e-3)  # softness alone changes it, not the frequency
 
@@ -130,9 +130,9 @@ def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
     segments = Segments.of(target.time_ns)
     straight = cubic_coefficients(target.time_ns, target.position, target.velocity)
     cubic = cubic_coefficients(target.time_ns, smooth.position, smooth.velocity) - straight
-    found = arm_response(cell, target).follow(segments, cubic)
+    obtained = arm_response(cell, target).follow(segments, cubic)
     deviation = np.stack([np.interp(segments.middle_ns, ran.time_ns, d) for d in (ran.actual - ran.target).T], axis=-1)
-    assert found == pytest.approx(deviation, abs=2e-3 * np.abs(deviation).max())  # linear between samples of 0.5 ms
+    assert obtained == pytest.approx(deviation, abs=2e-3 * np.abs(deviation).max())  # linear between samples of 0.5 ms
 
 
 def test_eq_1_as_printed_moves_the_tool_with_the_reference():
@@ -197,18 +197,18 @@ def line_numbers(number):
 @pytest.mark.parametrize("smooth", [True, False])
 def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     arm = one_mode()
-    found = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
+    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
     expected = dense(arm, *((spline_numbers, M + 3) if smooth else (line_numbers, M + 1)), smooth)
     scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
-    difference = np.abs(found.cubic[:, :, 1] - expected)[:, : scale.size]
+    difference = np.abs(obtained.cubic[:, :, 1] - expected)[:, : scale.size]
     assert np.all(difference.max(axis=0) < 1e-5 * scale)
 
 
 @pytest.mark.parametrize("smooth", [True, False])
 def test_what_is_left_is_what_the_response_to_the_correction_leaves(smooth):
     arm = one_mode()
-    found = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
-    assert found.left == pytest.approx(deviation() + arm.follow(EIGHTH, found.cubic), abs=1e-15)
+    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
+    assert obtained.left == pytest.approx(deviation() + arm.follow(EIGHTH, obtained.cubic), abs=1e-15)
 
 
 @check("lifted model: deviation left of one that knots can make", "least squares reach 0, however slowly the arm rings",
@@ -218,15 +218,17 @@ def test_lifted_inverse():
     arm = one_mode(damping=0.005)
     cubic = np.zeros((M, 4, 3))
     cubic[:, :, 1] = spline_numbers(np.random.default_rng(1).normal(0, 1e-5, M + 3) * ([1] * (M + 1) + [10, 10]))
-    found = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), weights(), 1e-14)
+    obtained = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), weights(), 1e-14)
     assert np.abs(cubic[:, 0, 1]).max() > 1e-5
-    return 0.0, np.abs(found.left[..., 1]).max(), 1e-9
+    return 0.0, np.abs(obtained.left[..., 1]).max(), 1e-9
 
 
 def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_path_rests():
-    found = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,))).least_squares(deviation(), weights(), SMOOTH)
+    obtained = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,))).least_squares(
+        deviation(), weights(), SMOOTH
+    )
     t = EIGHTH.duration[:, None]
-    c, v, a, j = np.swapaxes(found.cubic, 0, 1)
+    c, v, a, j = np.swapaxes(obtained.cubic, 0, 1)
     ends = c + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
     for end, start, size in zip(ends, (c, v, a), (1e-5, 1e-3, 1e-1), strict=True):
         jump = np.abs(end[:-1] - start[1:]).max(axis=1)
@@ -234,7 +236,7 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_
         assert size == 1e-1 or jump.max() < 1e-8 * size
     for knot in (5, 8, 9):
         assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
-    assert not found.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
+    assert not obtained.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
     assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a bend of its own after a stop
 
 
@@ -242,8 +244,8 @@ def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():
     scored = EIGHTH.middle_ns >= 150_000_000
     lifted = Lifted(one_mode(), EIGHTH, course())
     plain, even = (
-        np.abs(found.left[..., 1][scored])
-        for found in (
+        np.abs(obtained.left[..., 1][scored])
+        for obtained in (
             lifted.least_squares(deviation(), weights(), 1e-9),
             lifted.min_max(deviation(), weights(), 1e-9, scored),
         )
@@ -262,10 +264,10 @@ def test_a_long_path_costs_in_proportion_to_its_length():
         still = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
         d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
         weight = np.broadcast_to(np.eye(3), (count, 4, 3, 3))
-        begun = time.process_time()
+        start = time.process_time()
         left = Lifted(arm, segments, still).least_squares(d0, weight, 1e-6).left
         assert np.abs(left).max() < 1e-6
-        return time.process_time() - begun
+        return time.process_time() - start
 
     cost(50)
     assert cost(3000) < 40 * cost(300)
@@ -293,11 +295,11 @@ def test_pieces_of_a_long_path_identify_the_arm():
     true = LONG_ARM.scaled(1.1, 0.8, 1.0, 1.15)
     wrench = np.random.default_rng(3).normal(0.0, 0.1, (MANY, 4, 6))
     passes = (Evidence(LONG_PATH, true.deflect(LONG, wrench), wrench),)
-    fitted, found = fit_arm(LONG_ARM, LONG, LONG_PATH, np.zeros(3), passes, np.ones((MANY, 4)), 0.0)
+    fitted, obtained = fit_arm(LONG_ARM, LONG, LONG_PATH, np.zeros(3), passes, np.ones((MANY, 4)), 0.0)
     assert len(fitted.frequency) == MANY
-    assert found.frequency_hz[0] * 2 * np.pi == pytest.approx(true.frequency[0, 0], rel=1e-3)
-    assert found.damping_ratio[0] == pytest.approx(true.damping[0, 0], rel=0.02)
-    assert found.compliance_factor == pytest.approx(1.15, rel=1e-3)
+    assert obtained.frequency_hz[0] * 2 * np.pi == pytest.approx(true.frequency[0, 0], rel=1e-3)
+    assert obtained.damping_ratio[0] == pytest.approx(true.damping[0, 0], rel=0.02)
+    assert obtained.compliance_factor == pytest.approx(1.15, rel=1e-3)
 
 
 def test_blocks_of_segments_are_one_path(monkeypatch):

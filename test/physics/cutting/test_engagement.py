@@ -294,13 +294,13 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
     x = 8e-3 + feed * TEETH * np.arange(5)
     path = np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)])
     force = cut.along(path, n * np.arange(5))[0][-1, :3]
-    found = np.linalg.norm(force) / np.linalg.norm(closed_form(AXIAL, tool(), *IMMERSIONS["slot"], feed))
+    ratio = np.linalg.norm(force) / np.linalg.norm(closed_form(AXIAL, tool(), *IMMERSIONS["slot"], feed))
     rate = 60 * feed * TEETH * SPEED / (2 * math.pi)
     words = [f"path.feed_rate_m_per_min={rate}", f"stock.grid_step_um={grid_um}"]
     words += [f"exchange.micro_step_deg={micro_step}", "exchange.period_ms=7.5", "path.length_mm=1"]
     stated = "the force of thin chips is too low" in read_cell(find_file("paper.yaml"), words).cut_text
     assert stated == (share < 0.95)
-    assert found < share if stated else found == pytest.approx(1.0, abs=0.05)
+    assert ratio < share if stated else ratio == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_map_of_a_small_cutter_is_finer():
