@@ -115,6 +115,11 @@ class CutModel:
         used = self.state.ints[TILES] * TILE**2
         self.state.pool[used : most // self.state.pool.itemsize].fill(0)
 
+    @property
+    def state_of_pass(self) -> State | EngagementState:
+        """The state for a pass in which no step is taken back."""
+        return self.state
+
     def restore(self) -> None:
         """Take the last sweep back, once. Raises UndoError."""
         if not cut_undo(self.state):
@@ -212,3 +217,9 @@ class EngagementCut(CutModel):
         super().__init__(tool, cutting, stock)
         self.params = make_engagement_params(tool, cutting, stock, micro_step, bins)
         self.state = make_engagement_state(self.params, stock)
+
+    @property
+    def state_of_pass(self) -> EngagementState:
+        """Without an undo log, whose writing takes time."""
+        nodes = np.empty(0, np.uint16)
+        return self.state._replace(log_place=np.empty(0, np.int64), log_level=nodes, log_rest=nodes)

@@ -46,7 +46,7 @@ def _undo_of(s):
     return None
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def cut_step(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Move the tool tip straight from one position (3,) [m] to another in n micro-steps of the spindle angle.
 

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
@@ -52,6 +52,7 @@ __all__ = [
 ]
 
 BINS = 72  #: K, of a whole turn
+SECTORS = 18  # bins of a whole turn below a sinking tool, whose force is nearly axial
 SINES = 4096  # entries of the table ``front`` from one side of the tool to the other
 BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of a node reach beyond the sides
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
@@ -60,6 +61,7 @@ FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 32  # nodes
+LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOOR_LEVEL = 5  # place in ints: the whole footprint is cut at least to this level (-1: not known)
 
 
@@ -85,13 +87,13 @@ class EngagementParams(NamedTuple):
     end_factor: float  # axial force of end cutting over that of the law
     moments: bool  # whether forces turn the tool about its tip
     front: np.ndarray  # int16, (SINES + 2 BEYOND,): front bin by BEYOND + SINES (1 + sin(phi)) / 2
-    around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): bin of a whole turn by the place beside the axis [nodes]
+    around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
     reach: int  # nodes
     shift: np.ndarray  # int64, (64, 64): of a node within its cell across the feed [entries / FINE], by its last bits
     widths: np.ndarray  # (ahead,): of the front bins [rad]
     cosines: np.ndarray  # (ahead,): C_k
     directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
-    turns: np.ndarray  # (bins, 2): cos and sin of the middle of each bin of a whole turn
+    turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
 
 
 class EngagementState(NamedTuple):
@@ -113,7 +115,7 @@ class EngagementState(NamedTuple):
     log_rest: np.ndarray  # uint16
     spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
     ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
-    sunk: np.ndarray  # (bins, 2): removed below the former footprint: levels and nodes
+    sunk: np.ndarray  # (sectors, 2): removed below the former footprint: levels and nodes
 
 
 def make_engagement_params(
@@ -129,6 +131,7 @@ def make_engagement_params(
     reach = int((1.0 + 0.5 * LONGEST) * radius / stock.grid_step) + 3
     offset = np.arange(-reach, reach + 1)
     angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
+    sector = 2.0 * np.pi / SECTORS
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
     last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
     inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
@@ -136,7 +139,7 @@ def make_engagement_params(
     middles = 0.5 * (edges[1:] + edges[:-1])
     sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
     node = 0.5 * SINES * stock.grid_step / radius * FINE
-    whole = (np.arange(bins) + 0.5) * 2.0 * np.pi / bins - np.pi
+    whole = (np.arange(SECTORS) + 0.5) * sector - np.pi
     return EngagementParams(
         radius=radius,
         teeth=tool.teeth,
@@ -157,7 +160,7 @@ def make_engagement_params(
         end_factor=cutting.end_ratio,
         moments=cutting.moments,
         front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16),
-        around=np.clip(np.floor((angle / (2 * np.pi) + 0.5) * bins), 0, bins - 1).astype(np.int16),
+        around=np.clip(np.floor((angle + np.pi) / sector), 0, SECTORS - 1).astype(np.int16),
         reach=reach,
         shift=np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
         widths=np.diff(edges),
@@ -190,11 +193,11 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         log_rest=np.empty(8 * footprint, np.uint16),
         spans=np.zeros((4, 2 * params.reach + 3), np.int32),
         ahead=np.zeros((params.widths.size, 2)),
-        sunk=np.zeros((len(params.turns), 2)),
+        sunk=np.zeros((SECTORS, 2)),
     )
 
 
-@compiled
+@inlined
 def engage(s, p, pose_from, pose_to, n, wrench):
     """Move the tool tip straight from one position to another while the spindle turns by n micro-steps.
 
@@ -211,9 +214,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         s.saved_load[j] = s.load[j]
     s.ints[LOGGED] = 0
     if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
-        s.ints[
-            FLOOR_LEVEL
-        ] = -1  # the tool did not come from its last place: its footprint there is not known to be cut
+        s.ints[FLOOR_LEVEL] = -1  # the tool did not come from its last place: what its footprint has cut is not known
     for j in range(6):
         wrench[j] = 0.0
     dx, dy, dz = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], pose_to[2] - pose_from[2]
@@ -244,7 +245,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     return s.load[6]
 
 
-@compiled
+@inlined
 def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     """One straight move of at most a quarter of the radius: first down, then level; returns torque and height.
 
@@ -256,19 +257,20 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
         return 0.0, 0.0
     for k in range(s.ahead.shape[0]):
         s.ahead[k, 0] = s.ahead[k, 1] = 0.0
-    for k in range(s.sunk.shape[0]):
-        s.sunk[k, 0] = s.sunk[k, 1] = 0.0
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
-    if level > s.ints[FLOOR_LEVEL]:
+    sinking = level > s.ints[FLOOR_LEVEL]
+    if sinking:
+        for k in range(SECTORS):
+            s.sunk[k, 0] = s.sunk[k, 1] = 0.0
         _clear(s, p, x0, y0, x0, y0, level, True, ahead_x, ahead_y)
     if m > 0.0:
         _clear(s, p, x0, y0, x1, y1, level, False, ahead_x, ahead_y)
     s.ints[FLOOR_LEVEL] = level
     if passes <= 0.0:
         return 0.0, 0.0
-    return _load(s, p, m, ahead_x, ahead_y, passes, wrench)
+    return _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench)
 
 
 @inlined
@@ -339,7 +341,7 @@ def _column(s, p, i, low, high, level, sinking, frame):
     ahead, sunk, shift = s.ahead, s.sunk, p.shift[i & 63]
     room = logged + high - low < log_place.size
     if not room:
-        logged = log_place.size
+        logged = LOG_LOST
     while j <= high:
         stop = min(high, j | 255) + 1
         slot = s.table[i >> 8, j >> 8]
@@ -363,10 +365,8 @@ def _column(s, p, i, low, high, level, sinking, frame):
                 if before < level:
                     dv = j - v
                     rest = np.int64(rests[place])
-                    cover = 2.0 * (inside - dv * dv) + 2.0 * (
-                        beside + abs(dv)
-                    )  # 4 (|du| + |dv|) times the covered share
                     full = 4.0 * (beside + abs(dv))
+                    cover = 2.0 * (inside - dv * dv) + 0.5 * full  # ``full`` times the covered share
                     after = level
                     if cover < full:
                         after = rest + np.int64(cover * (level - rest) / full + 0.5)
@@ -397,7 +397,7 @@ def _column(s, p, i, low, high, level, sinking, frame):
 
 
 @inlined
-def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
+def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
     """Add the mean wrench of the removed bins; returns the mean torque and the mean height above the tip."""
     cell = p.spacing * p.spacing * p.level_step
     share = p.teeth / (2.0 * math.pi)
@@ -418,8 +418,8 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
             moment_y += middle * x - p.radius * c * z
             torque += f_t * height * p.radius
             total, raised = total + volume, raised + volume * middle
-    dphi = 2.0 * math.pi / s.sunk.shape[0]
-    for k in range(s.sunk.shape[0]):
+    dphi = 2.0 * math.pi / SECTORS
+    for k in range(SECTORS if sinking else 0):
         volume, nodes = s.sunk[k, 0], s.sunk[k, 1]
         if volume > 0.0:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
             h = nodes * p.spacing * p.spacing / (p.radius * dphi)
@@ -444,7 +444,7 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
     return torque, raised / total if total > 0.0 else 0.0
 
 
-@compiled
+@inlined
 def undo_engagement(s):
     """Take the last step back; False where the log was too small and nothing was done."""
     logged = s.ints[LOGGED]

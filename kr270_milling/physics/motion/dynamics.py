@@ -242,8 +242,9 @@ def push(motion, response, steps_per_knot, first, out):
         for i in range(order):
             total = 0.0
             for j in range(motion.shape[1]):
-                r = response[k, i, j]
-                total += (r + f * (response[m, i, j] - r)) * motion[step, j]
+                if motion[step, j] != 0.0:  # most references do not turn, and have corners in few periods
+                    r = response[k, i, j]
+                    total += (r + f * (response[m, i, j] - r)) * motion[step, j]
             out[step, i] = total
 
 

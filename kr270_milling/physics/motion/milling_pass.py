@@ -131,9 +131,9 @@ def _follow(wrenches, state, pushes, arrays, deflections):
 
 
 def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
-    far = ~(np.abs(deflections[:, :3]).max(axis=1) <= FLIGHT)  # NaN is far
-    if far.any():
-        first = int(np.argmax(far))
+    near = np.abs(deflections[:, :3]) <= FLIGHT  # NaN is far
+    if not near.all():
+        first = int(np.argmin(near.all(axis=1)))
         raise PassError(float(np.linalg.norm(deflections[first, :3])), float(stamps[first]) * 1e-9)
 
 
@@ -214,6 +214,7 @@ def run_pass(
     state, wrench = np.zeros(model.states), np.zeros(6)
     tool = reference.sample(np.zeros(1, np.int64))
     rows: list[tuple[np.ndarray, ...]] = []
+    cut_state = cut.state if iterations > 1 else cut.state_of_pass
     area, volume, wall = cut.removed_area, cut.removed_volume, 0.0
     for begin in range(0, max(n, 1), window):
         end = min(begin + window, n)
@@ -226,7 +227,7 @@ def run_pass(
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
         arm = (model.push(reference, stamps, begin), model.arrays)
         carried = (
-            iterations, course, without[-size:], arm, state, wrench, (cut.state, cut.params), clock.micro_steps, out
+            iterations, course, without[-size:], arm, state, wrench, (cut_state, cut.params), clock.micro_steps, out
         )  # fmt: skip
         _exchange(begin, begin, begin, *carried)  # compiled before the clock runs
         start = time.perf_counter()
