@@ -42,10 +42,11 @@ __all__ = [
 ]  # fmt: skip
 
 
-USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for; none where 8 plants take longer
+USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for, where more than 8 plants run
+LONGEST_VERDICT = 100.0  #: [s], of 8 plants that are not asked for; where 8 take longer no verdict is made
 COMPARISON, PLANNING, SURFACES, COARSE = 1.0, 0.3, 0.1, 0.25  #: time as multiples of that of a pass, on the test piece
 REPEATS = 3  #: passes that a method that repeats usually takes
-LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
+LONGEST_PASS = LONGEST_VERDICT / 4  #: [s]; after a longer one not even a first plant is tried
 
 
 @dataclass(frozen=True)
@@ -106,9 +107,9 @@ def _verdict_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
     learning = each * FEWEST * 2 * REPEATS / cores() if straight and order.compare else 0.0
     if order.asked_for:
         return order.samples * plant + learning
-    if FEWEST * plant > USUAL_BUDGET or each > LONGEST_PASS:
+    if FEWEST * plant > LONGEST_VERDICT or each > LONGEST_PASS:
         return 0.0
-    return min(order.samples * plant + learning, USUAL_BUDGET)
+    return min(order.samples * plant + learning, max(USUAL_BUDGET, FEWEST * plant))
 
 
 def compensate(
@@ -190,7 +191,7 @@ def _verdict(
     program = written_trajectory(cell, revised.reference, motion)
     return monte_carlo(
         cell, program, order.samples, order.seed, budget=math.inf if order.asked_for else USUAL_BUDGET,
-        give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=programs,
+        longest=math.inf if order.asked_for else LONGEST_VERDICT, progress=report, estimate=order.estimate, method=revised.name, others=programs,
     )  # fmt: skip
 
 

@@ -38,6 +38,7 @@ TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are m
 NO_METHOD = "none"  #: run the path as it was programmed
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
+MOST_ROWS = 2**18  #: of the series of a plant's pass, so that the plants of a long program fit into memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +206,7 @@ def monte_carlo(
     seed: int = 1,
     *,
     budget: float = np.inf,
-    give_up: bool = False,
+    longest: float = np.inf,
     progress: Callable[[int, int], None] | None = None,
     estimate: Callable[[int, float], None] = lambda *_: None,
     method: str = "compensated",
@@ -213,8 +214,8 @@ def monte_carlo(
 ) -> Verdict | None:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
-    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; give_up: None is
-    returned where 8 take longer as well. progress(done, total): in plants, where a plant that learns counts more;
+    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; longest [s]: None is
+    returned where these 8 would take longer. progress(done, total): in plants, where a plant that learns counts more;
     estimate(plants, seconds): receives what is to come.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
     first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
@@ -243,7 +244,7 @@ def monte_carlo(
     drawn = [run(0)]
     each = (time.perf_counter() - start) / threads
     count = min(samples, max(FEWEST, int(min(budget / each, samples))))
-    if give_up and count * each > budget:
+    if count > 1 and min(count, FEWEST) * each > longest:
         return None
     estimate(count, each * work(count) / work(1))
     pool = ThreadPoolExecutor(threads)
@@ -314,7 +315,9 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
             course = imperfect_course(plant, reference, k, target)
             silent = plant.programmed.drilling_at
             cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
-            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
+            ran = run_pass(
+                arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent, most_rows=MOST_ROWS
+            )
             if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
                 continue
             heights = None if gauge.ideal is None else cut.map_heights()[2]

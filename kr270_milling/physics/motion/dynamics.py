@@ -220,10 +220,12 @@ def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarra
     """Angular velocity (n, 3) [rad/s] of the reference at the stamps, workpiece axes: constant between its knots."""
     if np.ptp(reference.quaternion, axis=0).max() == 0.0:
         return np.zeros((stamps.size, 3))
-    knots = Rotation.from_quat(reference.quaternion)
-    rates = (knots[1:] * knots[:-1].inv()).as_rotvec() / np.diff(reference.time)[:, None]
     segment, _, _ = reference.locate(stamps, side)
-    return np.where(reference.moving(stamps)[:, None], rates[segment], 0.0)
+    first = int(segment.min())
+    used = slice(first, int(segment.max()) + 2)  # of a long reference the knots about these stamps alone
+    knots = Rotation.from_quat(reference.quaternion[used])
+    rates = (knots[1:] * knots[:-1].inv()).as_rotvec() / np.diff(reference.time[used])[:, None]
+    return np.where(reference.moving(stamps)[:, None], rates[segment - first], 0.0)
 
 
 @njit(cache=True, error_model="numpy")
