@@ -189,9 +189,10 @@ def _verdict(
         with contextlib.suppress(MillingError):
             programs[name] = written_trajectory(cell, run, motion if run.velocity is not None else "LIN")
     program = written_trajectory(cell, revised.reference, motion)
+    budget, longest = (math.inf, math.inf) if order.asked_for else (USUAL_BUDGET, LONGEST_VERDICT)
     return monte_carlo(
-        cell, program, order.samples, order.seed, budget=math.inf if order.asked_for else USUAL_BUDGET,
-        longest=math.inf if order.asked_for else LONGEST_VERDICT, progress=report, estimate=order.estimate, method=revised.name, others=programs,
+        cell, program, order.samples, order.seed, budget=budget, longest=longest, progress=report,
+        estimate=order.estimate, method=revised.name, others=programs,
     )  # fmt: skip
 
 

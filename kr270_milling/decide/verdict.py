@@ -214,9 +214,9 @@ def monte_carlo(
 ) -> Verdict | None:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
-    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; longest [s]: None is
-    returned where these 8 would take longer. progress(done, total): in plants, where a plant that learns counts more;
-    estimate(plants, seconds): receives what is to come.
+    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; longest [s]: None
+    is returned where these 8 would take longer. progress(done, total): in plants, where a plant that learns counts
+    more; estimate(plants, seconds): receives what is to come.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
     first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
     cores; the numbers do not depend on how many.
