@@ -44,6 +44,14 @@ def ask(*words: str) -> Answer:
     return Answer(code, *texts)
 
 
+def answered(*words: str, code: int = 0) -> dict:
+    """The JSON object of a command; beside it only the caution of a decision may be printed."""
+    answer = ask(*map(str, words), "--json")
+    assert answer.code == code, answer
+    assert answer.err == "" or answer.err.startswith("warning: decision: caution: "), answer.err
+    return json.loads(answer.out, parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))
+
+
 def refused(*words: str) -> str:
     """The one sentence about a command that exits with 2."""
     answer = ask(*words)
