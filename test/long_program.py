@@ -9,9 +9,6 @@ import math
 import sys
 from pathlib import Path
 
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import Cell, read_cell
-
 FEED = 348.0  #: [mm/min]
 ROW = 300.0  #: [mm], length of a row
 POINTS = 136  #: of a row
@@ -37,14 +34,8 @@ def program(minutes: float) -> str:
     return "\n".join([*lines, f"G0 Z{SAFE}", "M5", "M30", "%", ""])
 
 
-def long_cell(directory, minutes: float, *more: str) -> Cell:
-    """The cell of the shipped test piece with a long program, a plate and a cutter of 10 mm; more: ``key=value``."""
-    path = Path(directory, f"long_{minutes:g}.nc")
-    path.write_text(program(minutes))
-    return read_cell(find_file("test_piece.yaml"), assignments(path, minutes) + list(more))
-
-
 def assignments(path, minutes: float) -> list[str]:
+    """``key=value`` for the cell of the shipped test piece: a plate and a cutter of 10 mm."""
     half = 0.5 * minutes * FEED / ROW * STEPOVER + 10.0
     return [
         f"path.file={path}", "tool.diameter_mm=10", "tool.teeth=2", "tool.spindle_speed_rpm=4000",
