@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import contextlib
 
 import numpy as np
 import pytest
 from browser import Visit
 
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.cell.jobs import ScoredPass, commanded_joints, compensated, simulate
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, commanded_joints
 from kr270_milling.physics.robot import pose
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.study_page import points, write_page
@@ -22,59 +21,35 @@ MARKS = """() => {
   const L = KR.data.linked, k = KR.place, way = document.querySelector("input[name=axis]:checked").value === "way";
   const marks = {};
   for (const id of ["before", "after", "difference"]) {
-    const gd = document.getElementById("map_" + id);
+    const gd = KR.by("map_" + id);
     if (gd) marks[id] = [gd.layout.shapes[1].xanchor - L.x[k], gd.layout.shapes[1].yanchor - L.y[k]];
   }
-  const gd = document.getElementById("series");
+  const gd = KR.by("series");
   marks.series = [gd.layout.shapes[0].x0 - (way ? L.way : L.time)[k], gd.layout.shapes[0].x1 - gd.layout.shapes[0].x0];
-  const part = document.getElementById("part");
+  const part = KR.by("part");
   if (part.drawn && KR.seen("part")) {
     const here = part.data[3];
     marks.part = [here.x[0] - L.x[k], here.y[0] - L.y[k], here.z[0] - L.z[k]];
   }
   const line = document.querySelector("#source li.here");
   if (line) marks.source = [Number(line.dataset.n) - L.line[k]];
-  marks.slider = [Number(document.getElementById("slider").value) - k];
+  marks.slider = [Number(KR.by("slider").value) - k];
   return marks;
 }"""
 
 
-class Shown(NamedTuple):
-    """A report in the browser, everything on it drawn."""
-
-    cell: Cell
-    passes: list[ScoredPass]
-    visit: Visit
-
-
-def shown(browser, directory, cell: Cell, passes: list[ScoredPass], width: int, **words) -> Shown:
-    """The report of some passes; solids are drawn small, since here the processor draws them."""
+def shown(browser, directory, cell: Cell, passes: list[ScoredPass], width: int, **words) -> Visit:
+    """The report of some passes, everything on it drawn; solids are small, since here the processor draws them."""
     visit = Visit(browser, write_report(directory, cell, passes, **WORDS, **words).as_uri(), width, touch=width < 600)
     visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
     visit.ask("KR.drawEverything()")
-    return Shown(cell, passes, visit)
+    return visit
 
 
 @pytest.fixture(scope="module")
-def part(browser, milled, tmp_path_factory):
-    page = shown(browser, tmp_path_factory.mktemp("part"), *milled, 1400, title="A part")
-    yield page
-    page.visit.close()
-
-
-@pytest.fixture(scope="module")
-def visit(part):
-    return part.visit
-
-
-@pytest.fixture(scope="module")
-def phone(browser, tmp_path_factory):
-    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20.0", "stock.grid_step_um=40.0"])
-    original = simulate(cell)
-    passes = [original, compensated(cell, original, "linear")]
-    page = shown(browser, tmp_path_factory.mktemp("demo"), cell, passes, 390, title="The paper", paper=True)
-    yield page.visit
-    page.visit.close()
+def visit(browser, milled, tmp_path_factory):
+    with contextlib.closing(shown(browser, tmp_path_factory.mktemp("part"), *milled, 1400, title="A part")) as page:
+        yield page
 
 
 def settled(visit) -> dict:
@@ -107,7 +82,7 @@ def test_hovering_a_map_and_a_curve_moves_the_mark_everywhere(visit):
         visit.ask("KR.go(0)")
         visit.page.locator(f"#{picture}").scroll_into_view_if_needed()
         place = visit.ask(
-            """([id, n]) => { const gd = document.getElementById(id), t = gd.data[n], a = gd._fullLayout;
+            """([id, n]) => { const gd = KR.by(id), t = gd.data[n], a = gd._fullLayout;
                const k = Math.floor(t.x.length * 0.4), box = gd.getBoundingClientRect();
                return [box.left + a.xaxis._offset + a.xaxis.d2p(t.x[k]),
                        box.top + a.yaxis._offset + a.yaxis.d2p(t.y[k] ?? 0), t.customdata[k]]; }""",
@@ -127,7 +102,7 @@ def test_what_was_off_the_screen_catches_up_when_it_comes_there(visit):
     visit.ask("() => { scrollTo(0, 0); KR.go(200); }")
     visit.page.locator("#part").scroll_into_view_if_needed()
     visit.page.wait_for_function(
-        """() => { const d = document.getElementById("part").data, L = KR.data.linked;
+        """() => { const d = KR.by("part").data, L = KR.data.linked;
                    return KR.place === 200 && d[3].x[0] === L.x[200]; }"""
     )
     agrees(visit)
@@ -151,15 +126,7 @@ def test_keys_slider_and_findings_step_through_the_path(visit):
     agrees(visit)
 
 
-def test_playing_runs_along_the_path_and_stops_at_its_end(visit):
-    visit.ask("KR.go(KR.data.linked.time.length - 5)")
-    visit.page.locator("#play").click()
-    visit.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
-    visit.page.wait_for_function("document.getElementById('play').getAttribute('aria-pressed') === 'false'")
-    agrees(visit)
-
-
-def test_play_runs_at_real_speed(visit):
+def test_play_runs_at_real_speed_and_stops_at_the_end_of_the_path(visit):
     """With a clock of the test: 0.4 s of the clock are 0.4 s of the path, ten times as many at ten times the speed."""
     visit.ask("() => { KR.now = performance.now; performance.now = () => KR.clock; KR.clock = 0; }")
     for speed, seconds in (("1", 0.4), ("10", 0.04)):
@@ -171,23 +138,27 @@ def test_play_runs_at_real_speed(visit):
         visit.page.locator("#play").click()
     visit.ask("() => { performance.now = KR.now; }")
     assert visit.ask("KR.place") > 21
+    visit.ask("KR.go(KR.data.linked.time.length - 5)")
+    visit.page.locator("#play").click()
+    visit.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
+    visit.page.wait_for_function("KR.by('play').getAttribute('aria-pressed') === 'false'")
+    agrees(visit)
 
 
 def test_a_place_has_an_address(browser, visit):
     point = visit.ask("KR.data.linked.point[300]")
-    other = Visit(browser, f"{visit.page.url.partition('#')[0]}#XP{point}")
-    place = other.ask("KR.place")
-    assert other.ask("(k) => [KR.data.linked.point[k], KR.data.linked.point[k - 1]]", place) == [point, point - 1]
-    other.ask("KR.go(40)")
-    other.page.wait_for_function("location.hash === `#XP${KR.data.linked.point[40]}`")
-    other.ask("() => { location.hash = '#XP99999999'; }")
-    other.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
-    assert other.complaints == []
-    other.close()
+    with contextlib.closing(Visit(browser, f"{visit.page.url.partition('#')[0]}#XP{point}")) as other:
+        here = other.ask("() => [KR.data.linked.point[KR.place], KR.data.linked.point[KR.place - 1]]")
+        assert here == [point, point - 1]
+        other.ask("KR.go(40)")
+        other.page.wait_for_function("location.hash === `#XP${KR.data.linked.point[40]}`")
+        other.ask("() => { location.hash = '#XP99999999'; }")
+        other.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
+        assert other.complaints == []
 
 
 def test_the_filter_leaves_what_is_beyond_the_tolerance(visit):
-    values = "() => ['before', 'after'].map((id) => document.getElementById('map_' + id).data[1].marker.color)"
+    values = "() => ['before', 'after'].map((id) => KR.by('map_' + id).data[1].marker.color)"
     every = visit.ask(values)
     visit.page.locator("#beyond").check()
     beyond = visit.ask(values)
@@ -198,8 +169,8 @@ def test_the_filter_leaves_what_is_beyond_the_tolerance(visit):
     assert visit.ask(values) == every
 
 
-SERIES_RANGE = "() => document.getElementById('series')._fullLayout.xaxis.range"
-MAP_RANGES = """() => ['before', 'after'].map((id) => { const a = document.getElementById('map_' + id)._fullLayout;
+SERIES_RANGE = "() => KR.by('series')._fullLayout.xaxis.range"
+MAP_RANGES = """() => ['before', 'after'].map((id) => { const a = KR.by('map_' + id)._fullLayout;
                                                       return [...a.xaxis.range, ...a.yaxis.range]; })"""
 
 
@@ -208,7 +179,7 @@ def test_a_zoom_of_the_curves_moves_the_maps_and_a_zoom_of_a_map_moves_the_curve
     visit.ask("() => Plotly.relayout('series', {'xaxis.range': [KR.data.linked.way[100], KR.data.linked.way[140]]})")
     visit.page.wait_for_function("KR.zoom?.first === 100 && KR.zoom.last === 140")
     visit.page.wait_for_function(
-        """() => { const [a, b] = document.getElementById('map_after')._fullLayout.xaxis.range;
+        """() => { const [a, b] = KR.by('map_after')._fullLayout.xaxis.range;
                    return b - a < 0.9 * (KR.mapFrame[1] - KR.mapFrame[0]); }"""
     )
     left, right, low, high = visit.ask(MAP_RANGES)[0]
@@ -239,25 +210,23 @@ def test_a_zoom_of_the_curves_moves_the_maps_and_a_zoom_of_a_map_moves_the_curve
 
 
 def test_the_switches_change_scale_axis_and_pass(visit):
-    ends = (
-        "() => ['before', 'after', 'difference'].map((id) => document.getElementById('map_' + id).data[1].marker.cmax)"
-    )
+    ends = "() => ['before', 'after', 'difference'].map((id) => KR.by('map_' + id).data[1].marker.cmax)"
     own = visit.ask(ends)
     assert len(set(own)) == 3
     visit.page.get_by_label("one for all").check()
-    assert len(set(visit.ask(ends))) == 1 and visit.ask(ends)[0] == max(own)
+    assert set(visit.ask(ends)) == {max(own)}
     visit.page.get_by_label("time", exact=True).check()
-    assert "time" in visit.ask("() => document.getElementById('series').layout.xaxis.title.text")
+    assert "time" in visit.ask("() => KR.by('series').layout.xaxis.title.text")
     agrees(visit)
     visit.page.locator("#pass").select_option(label="linear")
-    visit.page.wait_for_function("document.getElementById('map_after_title').textContent.startsWith('linear')")
+    visit.page.wait_for_function("KR.by('map_after_title').textContent.startsWith('linear')")
     visit.page.get_by_label("each its own").check()
     visit.page.get_by_label("way", exact=True).check()
     assert visit.complaints == []
 
 
-def test_the_robot_holds_the_tool_where_it_is_commanded(visit, part):
-    cell, passes, _ = part
+def test_the_robot_holds_the_tool_where_it_is_commanded(visit, milled):
+    cell, passes = milled
     model = visit.ask("() => KR.data.robot.pass_name")
     reference = next(p for p in passes if p.name == model).reference
     for station in (0, 700):
@@ -271,14 +240,9 @@ def test_the_robot_holds_the_tool_where_it_is_commanded(visit, part):
 
 
 def test_tolerance_and_largest_values_are_marked(visit):
-    shapes = visit.ask(
-        "() => document.getElementById('series').layout.shapes.filter((s) => s.line.dash === 'dash').map((s) => s.y0)"
-    )
-    assert sorted(set(np.round(shapes, 3))) == [-30.0, 30.0]
-    marked = visit.ask(
-        "() => document.getElementById('series').data.filter((t) => t.mode === 'markers+text').map((t) => t.y[0])"
-    )
-    assert len(marked) == 3
+    dashed = visit.ask("() => KR.by('series').layout.shapes.filter((s) => s.line.dash === 'dash').map((s) => s.y0)")
+    assert sorted(set(np.round(dashed, 3))) == [-30.0, 30.0]
+    assert visit.ask("() => KR.by('series').data.filter((t) => t.mode === 'markers+text').length") == 3
 
 
 def look(visit, width: int, dark: bool, height: int = 900) -> None:
@@ -286,7 +250,7 @@ def look(visit, width: int, dark: bool, height: int = 900) -> None:
     visit.page.emulate_media(color_scheme="dark" if dark else "light")
     visit.page.set_viewport_size({"width": width, "height": height})
     visit.page.wait_for_function(
-        """([wide, ink]) => { const s = document.getElementById('series')._fullLayout;
+        """([wide, ink]) => { const s = KR.by('series')._fullLayout;
                               return s.width <= wide && s.width > 0.6 * wide && s.font.color === ink; }""",
         arg=[width, "#e8ecf0" if dark else "#1d2329"],
     )
@@ -305,32 +269,28 @@ def test_nothing_is_wider_than_the_screen_in_light_and_dark(visit):
     )
 
 
-def test_a_phone_opened_turned_and_a_page_printed(phone):
-    look(phone, 390, False)
-    look(phone, 844, True, 390)
-    phone.page.emulate_media(media="print", color_scheme="dark")
-    phone.ask("dispatchEvent(new Event('beforeprint'))")
-    assert phone.ask("() => document.getElementById('series').layout.font.color") == "#000"
-    assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
-    assert phone.settled_overhang() <= 0.5
+def test_a_phone_opened_turned_and_a_page_printed(browser, straight, tmp_path):
+    cell, passes = straight
+    with contextlib.closing(shown(browser, tmp_path, cell, passes[:2], 390, title="The paper", paper=True)) as phone:
+        look(phone, 390, False)
+        look(phone, 844, True, 390)
+        phone.page.emulate_media(media="print", color_scheme="dark")
+        phone.ask("dispatchEvent(new Event('beforeprint'))")
+        assert phone.ask("() => KR.by('series').layout.font.color") == "#000"
+        assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
+        assert phone.settled_overhang() <= 0.5
 
 
 def test_the_page_of_a_study_loads_plotly_from_its_folder_and_has_the_colours_of_each_theme(browser, tmp_path):
     figures = [points("Lines", "x [um]", "y [N]", {"one": ([0, 1], [1, 2]), "other": ([0, 1], [2, np.nan])}, ("one",))]
     path = write_page(tmp_path / "study.html", "A study", ["found 3 mm3"], [], figures)
+    drawn = "() => { const p = KR.by('figure_0'); return [p.data[1].marker.color, p._fullLayout.xaxis.title.text]; }"
     for width, dark, colour in ((1400, False, "#c44e00"), (390, True, "#ff8f4f")):
-        visit = Visit(browser, path.as_uri(), width, dark)
-        drawn = (
-            "() => { const p = KR.by('figure_0'); return [p.data[1].marker.color, p._fullLayout.xaxis.title.text]; }"
-        )
-        assert visit.ask(drawn) == [colour, "x [µm]"]
-        assert visit.settled_overhang() <= 0.5 and visit.complaints == []
-        assert [url.rsplit("/", 1)[1] for url in visit.requests] == ["study.html", "plotly.min.js"]
-        assert not visit.page.locator("#missing").is_visible()
-        visit.close()
-    alone = tmp_path / "alone" / "study.html"
-    alone.parent.mkdir()
-    alone.write_text(path.read_text())
-    visit = Visit(browser, alone.as_uri())
-    assert "plotly.min.js next to this page" in visit.page.locator("#missing").inner_text()
-    visit.close()
+        with contextlib.closing(Visit(browser, path.as_uri(), width, dark)) as visit:
+            assert visit.ask(drawn) == [colour, "x [µm]"]
+            assert visit.settled_overhang() <= 0.5 and visit.complaints == []
+            assert [url.rsplit("/", 1)[1] for url in visit.requests] == ["study.html", "plotly.min.js"]
+            assert not visit.page.locator("#missing").is_visible()
+    path.with_name("plotly.min.js").unlink()
+    with contextlib.closing(Visit(browser, path.as_uri())) as visit:
+        assert "plotly.min.js next to this page" in visit.page.locator("#missing").inner_text()

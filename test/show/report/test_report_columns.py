@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from kr270_milling.base.column import as_dict, column, columns, columns_of, computed, table_of
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import commanded_joints, simulate
+from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.decide.part import FeatureRow
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.robot import forward
@@ -113,17 +114,9 @@ def test_meshes_are_closed_and_point_outwards(text):
 
 
 def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
-    if cell.path.file:
-        cell = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
-    short = cell if cell.path.file else cell.replace(path=cell.path.replace(length=0.005))
-    reference = short.target()
-    if cell.path.file:  # only the posture is looked at: no pass is needed
-        from kr270_milling.show.report.robot_model import _postures
-
-        time, joints = _postures(short, reference)
-        assert np.abs(joints[0] - short.posture).max() > 0.01
-    else:
-        model = robot_model(short, simulate(short))
-        time, joints = model.time, model.joints
-    np.testing.assert_allclose(joints[0], commanded_joints(short, reference)[0], atol=1e-9)
-    assert time[-1] == pytest.approx(reference.duration_ns * 1e-9)
+    cell = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
+    reference = cell.target()
+    model = robot_model(cell, SimpleNamespace(reference=reference, name="original"))
+    np.testing.assert_allclose(model.joints[0], commanded_joints(cell, reference)[0], atol=1e-9)
+    assert np.abs(model.joints[0] - cell.posture).max() > 1e-4  # [rad], of the sag
+    assert model.time[-1] == pytest.approx(reference.duration_ns * 1e-9)

@@ -16,14 +16,13 @@ from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file, flatten
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
+from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decide.findings import Finding, Place
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.assumptions import assumptions, model_frequencies
 from kr270_milling.show.report.page.page import plotly_script
 from kr270_milling.show.report.tables import fixed_text
 
-SHORT = ["path.length_mm=12.0", "stock.grid_step_um=40.0"]
 WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")
 VOID = {"meta", "br", "img", "link", "hr", "input"}
 MOST = 6_000_000  # [bytes] of a page
@@ -50,37 +49,24 @@ class Page(HTMLParser):
         {"script": self.scripts, "style": []}.get(inside, self.texts).append(data)
 
 
-def text_of(path) -> str:
-    return path.read_text(encoding="utf-8")
+def written(directory, cell, passes, **words) -> str:
+    return write_report(directory, cell, passes, **{**WORDS, **words}).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
-def cell():
-    return read_cell(find_file("paper.yaml"), SHORT)
-
-
-@pytest.fixture(scope="module")
-def passes(cell):
-    original = simulate(cell)
-    return [original, *(compensated(cell, original, m) for m in ("linear", "spline"))]
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory, cell, passes):
-    path = write_report(tmp_path_factory.mktemp("report"), cell, passes, paper=True, **WORDS)
-    return path, text_of(path)
+def paper_page(straight, tmp_path_factory):
+    return written(tmp_path_factory.mktemp("report"), *straight, paper=True)
 
 
 @pytest.fixture(scope="module")
 def part_page(milled, tmp_path_factory):
-    cell, passes = milled
-    return cell, passes, text_of(write_report(tmp_path_factory.mktemp("part"), cell, passes, **WORDS))
+    return written(tmp_path_factory.mktemp("part"), *milled)
 
 
-def test_the_page_is_well_formed_small_and_needs_nothing_from_elsewhere(written):
-    page = Page(written[1])
+def test_the_page_is_well_formed_small_and_needs_nothing_from_elsewhere(paper_page):
+    page = Page(paper_page)
     assert not page.open
-    assert len(written[1].encode()) < MOST
+    assert len(paper_page.encode()) < MOST
     names = {tag for tag, _ in page.tags}
     assert not names & {"link", "iframe", "object", "embed", "img", "base"}
     for tag, attributes in page.tags:
@@ -88,41 +74,29 @@ def test_the_page_is_well_formed_small_and_needs_nothing_from_elsewhere(written)
         assert not any(key.startswith("on") for key in attributes)
     assert "default-src 'none'" in str(page.tags)
     assert sum(tag == "script" for tag, _ in page.tags) == 3  # data, plotly, our own
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'KR\.by\("(\w+)"\)', page.scripts[-1])) <= {*ids, "source"}
 
 
-def test_no_path_of_this_machine_and_one_kind_of_minus_sign_in_the_texts(written, part_page):
-    for text in (written[1], part_page[2]):
+def test_no_path_of_this_machine_and_one_kind_of_minus_sign_in_the_texts(paper_page, part_page):
+    for text in (paper_page, part_page):
         page = Page(text)
-        assert "/elsewhere" not in "".join(page.texts) and "some one" not in "".join(page.texts)
-        assert "/tmp" not in "".join(page.texts)
+        assert not re.search("/elsewhere|some one|/tmp", "".join(page.texts))
         assert not [t for t in page.texts if re.search(r"(^|[ \[(])-\d", t)]
 
 
-def test_every_id_is_there_once_and_every_id_that_a_script_asks_for_exists(written):
-    page = Page(written[1])
-    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
-    assert len(ids) == len(set(ids))
-    own = page.scripts[-1]
-    for wanted in re.findall(r'KR\.by\("(\w+)"\)', own):
-        assert wanted in ids or wanted == "source", wanted
-
-
-def test_the_papers_column_is_there_only_for_the_paper(tmp_path, cell, passes, written):
+def test_the_papers_column_and_figures_are_there_only_for_the_paper(tmp_path, straight, paper_page):
     for number in ("58.10", "63.20", "0.14", "4.70", "6.70"):
-        assert f'<td class="paper">{number}</td>' in written[1]
-    other = text_of(write_report(tmp_path, cell, passes, **WORDS))
+        assert f'<td class="paper">{number}</td>' in paper_page
+    for figure in (3, 11, 12, 13, 14, 15):
+        assert f"(paper: Fig. {figure}" in paper_page
+    other = written(tmp_path, *straight)
     assert 'class="paper"' not in other and "paper: Fig." not in other and "Table 2" not in other
 
 
-def test_the_figures_of_the_paper_are_there(written):
-    for figure in ("Fig. 3", "Fig. 11", "Fig. 12", "Fig. 13", "Fig. 14", "Fig. 15"):
-        assert f"(paper: {figure}" in written[1]
-
-
-def test_the_whole_configuration_is_listed(written, cell):
-    page = Page(written[1])
-    for key in flatten(cell):
-        assert key in page.texts
+def test_the_whole_configuration_is_listed(straight, paper_page):
+    assert set(flatten(straight[0])) <= set(Page(paper_page).texts)
 
 
 def shown_decision(level: str, sentence: str, method: str, verdict: str) -> SimpleNamespace:
@@ -131,63 +105,44 @@ def shown_decision(level: str, sentence: str, method: str, verdict: str) -> Simp
     )
 
 
-def test_texts_from_files_are_escaped(tmp_path, cell, passes):
+def test_texts_from_files_are_escaped(tmp_path, straight):
     bad = "<script>alert(1)</script>\"'&"
-    hostile_cell = cell.replace(arm=cell.arm.replace(name=bad))
-    first = passes[0]
-    hostile = [ScoredPass(bad, first.reference, first.result, first.scores), passes[1]]
+    cell, (first, second, _) = straight
+    hostile = [ScoredPass(bad, first.reference, first.result, first.scores), second]
     row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad)
     checked = SimpleNamespace(findings=(row,), stability=SimpleNamespace(text=bad), rapid_text=bad)
-    decision = shown_decision("no", bad, bad, bad)
-    words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision, checked=checked)
-    text = text_of(write_report(tmp_path, hostile_cell, hostile, paper=True, **words))
-    page = Page(text)
+    words = dict.fromkeys(("title", "source", "command", "date"), bad)
+    words |= {"decision": shown_decision("no", bad, bad, bad), "checked": checked}
+    page = Page(written(tmp_path, cell.replace(arm=cell.arm.replace(name=bad)), hostile, paper=True, **words))
     assert sum(tag == "script" for tag, _ in page.tags) == 3 and not page.open
     assert page.texts.count(bad) >= 6  # title twice, command, date, tiles
     assert json.loads(page.scripts[0])["robot"]["name"] == bad
 
 
-def test_the_decision_leads_the_page(tmp_path, cell, passes):
+def test_the_decision_leads_the_page(tmp_path, straight):
     finding = Finding(
         "warning", "correction per tick", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3
     )
     checked = SimpleNamespace(findings=(finding,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
     decision = shown_decision("caution", "few robots", "method: spline, as set", "helps (1 to 3 um)")
     table = TextTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
-    text = text_of(
-        write_report(
-            tmp_path,
-            cell.replace(part=cell.part.replace(tolerance=30e-6)),
-            passes,
-            decision=decision,
-            checked=checked,
-            tables=[table],
-            **WORDS,
-        )
-    )
+    cell, passes = straight
+    cell = cell.replace(part=cell.part.replace(tolerance=30e-6))
+    text = written(tmp_path, cell, passes, decision=decision, checked=checked, tables=[table])
     page = Page(text)
-    order = [
-        "caution",
-        "few robots",
-        "fails",
-        "30 µm allowed",
-        "passes",
-        "warning",
-        "Feed slower.",
-        "ring, line 7, XP12",
-    ]
-    order += ["spline", "helps", "1 to 3 µm", "stable", "Another table"]
-    assert '<div class="tile caution edge">' in text  # the verdict, in the colour of the decision
-    assert '<div class="tile caution">' in text
+    order = ["caution", "few robots", "fails", "30 µm allowed", "passes", "warning", "Feed slower.",
+             "ring, line 7, XP12", "spline", "helps", "1 to 3 µm", "stable", "Another table"]  # fmt: skip
     places = [next(k for k, text in enumerate(page.texts) if word in text) for word in order]
     assert places == sorted(places)
+    assert '<div class="tile caution edge">' in text  # the verdict, in the colour of the decision
+    assert '<div class="tile caution">' in text
     assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts
     assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
 
 
-def test_a_report_without_a_pass_is_refused(tmp_path, cell):
+def test_a_report_without_a_pass_is_refused(tmp_path, straight):
     with pytest.raises(InputError):
-        write_report(tmp_path, cell, [], **WORDS)
+        write_report(tmp_path, straight[0], [], **WORDS)
 
 
 @pytest.mark.parametrize(
@@ -202,51 +157,41 @@ def test_a_report_without_a_pass_is_refused(tmp_path, cell):
 )
 def test_passes_of_other_cells_are_reported_without_complaint(tmp_path, changes):
     other = read_cell(find_file("paper.yaml"), ["stock.grid_step_um=50.0", *changes])
-    data = json.loads(Page(text_of(write_report(tmp_path, other, [simulate(other)], **WORDS))).scripts[0])
+    data = json.loads(Page(written(tmp_path, other, [simulate(other)])).scripts[0])
     profile = [chart for chart in data["charts"] if chart["name"] == "machined_profile"]
     walls = [panel["title"] for chart in profile for panel in chart["panels"]]
     if changes[0] == "path.start_mm=[-10.0, -10.0]":
         assert walls == ["left wall"]  # no material is left to the right
 
 
-def test_a_part_shows_its_features_its_source_and_its_tolerance(part_page):
-    cell, _, text = part_page
-    page = Page(text)
+def test_a_part_shows_its_features_its_source_and_its_tolerance_also_without_any_error(tmp_path, part_page):
+    page = Page(part_page)
     data = json.loads(page.scripts[0])
     assert "ring" in page.texts and "Feature by feature" in page.texts
     assert data["tolerance_um"] == pytest.approx([30.0, 30.0])
     assert data["linked"]["source"][2]["text"] == "G0 X-28 Y8 Z2"
     assert data["linked"]["source_name"] == "path.nc"
+    rigid = small_cell(tmp_path, POCKET, RIGID)
+    assert 'id="map_after"' in written(tmp_path, rigid, [simulate(rigid)])
 
 
-def test_a_part_without_any_error_is_reported_too(tmp_path):
-    cell = small_cell(tmp_path, POCKET, RIGID)
-    text = text_of(write_report(tmp_path, cell, [simulate(cell)], **WORDS))
-    assert np.isfinite(len(text)) and 'id="map_after"' in text
-
-
-def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(cell):
-    rows = {a.point: a for a in assumptions(cell, paper=True)}
+def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(straight):
+    rows = {a.point: a for a in assumptions(straight[0], paper=True)}
     # facts: one tooth at full chip feels 133.3 N per mm in our reading, 7.4 kN to the letter
     assert "133.3 N" in rows["reading of (26)"].value
     assert "7.4 kN" in rows["reading of (26)"].reason
     assert "533.3 Hz" in rows["tooth passing frequency"].value
     assert "0.150 s" in rows["radial engagement"].value
-    modes = model_frequencies(cell)
+    modes = model_frequencies(straight[0])
     assert modes["lumped"][0] == pytest.approx(6.69, abs=0.02)  # sqrt(1 / (0.717 um/N 790.4 kg)) / 2 pi
     assert 11.0 < modes["consistent"][0] < 14.0
     for hertz in (modes["lumped"][0], modes["consistent"][0]):
         assert f"{hertz:.2f}" in rows["mass model"].value
-
-
-def test_assumptions_about_the_papers_text_are_left_out_for_another_cell(cell):
-    linear = read_cell(find_file("paper.yaml"), [*SET_ALUMINIUM, *SHORT])
+    linear = read_cell(find_file("paper.yaml"), [*SET_ALUMINIUM, "path.length_mm=12.0"])
     points = {a.point for a in assumptions(linear, paper=False)}
     assert "mass model" in points
     assert not points & {"depth of cut a_p", "damping ratio", "arm variant", "reading of (26)"}
 
 
 def test_a_rounded_zero_has_no_sign_and_a_missing_number_is_a_dash():
-    assert fixed_text(-0.001, 2) == "0.00"
-    assert fixed_text(-0.09, 2) == "−" + "0.09"
-    assert fixed_text(np.nan, 2) == "–"
+    assert [fixed_text(value, 2) for value in (-0.001, -0.09, np.nan)] == ["0.00", "\u22120.09", "–"]
