@@ -84,9 +84,10 @@ def test_a_straight_cut_keeps_its_contract_and_gets_programs_and_a_reference(tmp
     assert again == pytest.approx(result["max_deviation_um"], abs=0.5)  # of the fewer points of the program
 
 
-def test_limited_corrections_are_printed(quick, tmp_path):
+def test_limited_corrections_are_a_warning(quick, tmp_path):
     answer = ask(*command(tmp_path, sets=["compensation.max_correction_mm=0.03"]))
-    assert re.search(r"the correction is too large at points \d+ to \d+: .* left out at point \d+", answer.out)
+    finding = r"\nwarning +the correction is too large at points \d+ to \d+: .* left out at point \d+"
+    assert re.search(finding, answer.out)
 
 
 def test_repeating_lists_the_errors_of_its_passes(quick, tmp_path):
