@@ -20,9 +20,11 @@ from numba.core.compiler_lock import global_compiler_lock
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.column import TextTable
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.version import __version__
 from kr270_milling.cli import COMMANDS, _parser, main
 from kr270_milling.live.nodes.start import start
+from kr270_milling.show.commands import bench
 from kr270_milling.show.commands import progress as module
 from kr270_milling.show.commands.console import print_table, shown_path
 from kr270_milling.show.commands.progress import Progress, progress
@@ -183,9 +185,13 @@ def test_a_second_plain_demo_prints_first_that_it_replaces_the_report(tmp_path, 
     assert (tmp_path / "report.html").read_text() == "old"
 
 
-def test_bench_times_a_step_and_a_posture(monkeypatch):
+def test_bench_times_a_step_and_a_posture(monkeypatch, tmp_path):
+    for name in ("test_piece.yaml", "test_piece.nc"):  # without the features after the first
+        (tmp_path / name).write_text(find_file(name).read_text().partition("(clearing)")[0])
+    short = {"test_piece.yaml": tmp_path / "test_piece.yaml"}
+    monkeypatch.setattr(bench, "find_file", lambda name: short.get(name) or find_file(name))
     for name in ("REPEATS", "ROUNDS"):
-        monkeypatch.setattr(f"kr270_milling.show.commands.bench.{name}", 1)
+        monkeypatch.setattr(bench, name, 1)
     times = answered("bench")
     assert 0.01 < times["us_per_step"] < 100 and 1 < times["us_per_posture"] < 1000
     assert times["steps"] == 57_600

@@ -1,9 +1,12 @@
-"""base.column: one field gives the columns of JSON, terminal and report."""
+"""What viewers show beside the page: columns of JSON and terminal, the robot, and the layout files in config."""
 
 from __future__ import annotations
 
+import json
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, fields
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,10 +17,13 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.decide.part import FeatureRow
+from kr270_milling.exchange.replay.inputs import TYPES
+from kr270_milling.exchange.scene import OUTPUTS
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.physics.robot.urdf_links import links_of
+from kr270_milling.recordings.messages.definitions import store_of
 from kr270_milling.show.report.robot_model import robot_model
 from kr270_milling.show.report.tables import line_scores, micro
 
@@ -60,9 +66,6 @@ def test_the_table_of_the_scores_has_every_titled_column(demo):
 # --- robot.urdf, its solids, and report.robot_model: the robot that viewers and the page show ---
 
 
-pin = pytest.importorskip("pinocchio", reason="needs the package pin")
-
-
 @pytest.fixture(scope="module", params=["paper.yaml", "test_piece.yaml"])
 def cell(request):
     return read_cell(find_file(request.param))
@@ -74,6 +77,7 @@ def text(cell):
 
 
 def test_pinocchio_puts_every_frame_of_the_urdf_where_our_kinematics_does(cell, text):
+    pin = pytest.importorskip("pinocchio", reason="needs the package pin")
     model = pin.buildModelFromXML(text)
     data = model.createData()
     for q in np.random.default_rng(4).uniform(-1.5, 1.5, (5, 6)):
@@ -120,3 +124,73 @@ def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
     np.testing.assert_allclose(model.joints[0], commanded_joints(cell, reference)[0], atol=1e-9)
     assert np.abs(model.joints[0] - cell.posture).max() > 1e-4  # [rad], of the sag
     assert model.time[-1] == pytest.approx(reference.duration_ns * 1e-9)
+
+
+# --- The layout files in config: every panel that is placed is described, every path exists in its message ---
+CONFIG = Path(__file__).resolve().parents[3] / "config"
+KNOWN = (
+    {f"/{name}": kind for name, kind in TYPES.items()}
+    | OUTPUTS
+    | {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
+)
+#: the names that Lichtblick's code gives to the settings of its panels (RendererConfig, PlotConfig, ...)
+PANELS = {
+    "3D": {"cameraState", "followMode", "followTf", "scene", "transforms", "topics", "layers", "publish", "imageMode"},
+    "Plot": {"foxglovePanelTitle", "lichtblickPanelTitle", "paths", "showLegend", "legendDisplay", "isSynced",
+             "xAxisVal", "showPlotValuesInLegend", "showXAxisLabels", "showYAxisLabels", "sidebarDimension"},
+    "DiagnosticSummary": {"minLevel", "pinnedIds", "topicToRender", "hardwareIdFilter", "sortByLevel"},
+}  # fmt: skip
+
+
+def has_number(kind: str, fields: list[str]) -> bool:
+    """Whether a path of field names, some with an index, leads to a number in a message."""
+    from rosbags.interfaces import Nodetype
+
+    name, indexed = re.fullmatch(r"(\w+)(\[\d+\])?", fields[0]).groups()
+    about = dict(store_of(kind).fielddefs[kind][1]).get(name)
+    if about is None:
+        return False
+    if about[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        assert indexed, fields
+        about = about[1][0]
+    if about[0] == Nodetype.NAME:
+        return len(fields) > 1 and has_number(about[1], fields[1:])
+    return len(fields) == 1 and about[1][0].startswith(("float", "int", "uint"))
+
+
+def placed(node) -> list[str]:
+    if isinstance(node, str):
+        return [node]
+    assert set(node) == {"direction", "splitPercentage", "first", "second"}
+    assert node["direction"] in ("row", "column") and 0 < node["splitPercentage"] < 100
+    return placed(node["first"]) + placed(node["second"])
+
+
+def test_the_layout_of_the_3d_viewers_places_what_it_describes_and_plots_numbers():
+    layout = json.loads((CONFIG / "viewer_layout.json").read_text())
+    assert {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"} == set(layout)
+    assert sorted(placed(layout["layout"])) == sorted(layout["configById"])
+    for name, panel in layout["configById"].items():
+        assert set(panel) <= PANELS[name.split("!")[0]], name
+        for topic in panel.get("topics", {}):
+            assert topic in KNOWN, topic
+    paths = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", [])]
+    assert len(paths) == 12
+    for path in paths:
+        topic, *fields = path.split(".")
+        assert has_number(KNOWN[topic], fields), path
+
+
+def test_every_curve_of_plotjuggler_is_a_number_of_its_message():
+    root = ET.parse(CONFIG / "plotjuggler_layout.xml").getroot()
+    assert root.tag == "root" and root.find("tabbed_widget/Tab/Container/DockSplitter") is not None
+    for splitter in root.iter("DockSplitter"):
+        assert int(splitter.get("count")) == len(list(splitter)) == len(splitter.get("sizes").split(";"))
+    names = [curve.get("name") for curve in root.iter("curve")]
+    assert len(names) == 15
+    for name in names:
+        _, topic, *fields = name.split("/")
+        if topic == "joint_states":  # PlotJuggler names the joints: /joint_states/JOINT/position
+            assert fields[0] in [f"joint_{k}" for k in range(1, 7)] and fields[1] == "position"
+        else:
+            assert has_number(KNOWN[f"/{topic}"], fields), name
