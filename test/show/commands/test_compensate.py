@@ -20,8 +20,6 @@ from small_part import GCODE, assignments
 from kr270_milling.cell import jobs
 from kr270_milling.cli import _parser, main
 
-HEAD = "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\n"
-
 
 def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[str]:
     pairs = settings(*assignments(tmp_path, gcode, *sets))
@@ -99,9 +97,11 @@ def test_repeating_lists_the_errors_of_its_passes(quick, tmp_path):
 @pytest.mark.parametrize(
     ("gcode", "line", "what"),  # every refused word: test/path
     [
-        (HEAD + "G1 X12 F4000\nG1 Y2500\nM30\n", 4, r"point \d+ of the path: the wrist centre"),
-        (HEAD + "G1 X12 F4000\nG1 X400 Z1500\nM30\n", 4, r"point \d+ of the path: joint"),
-        (HEAD + "G0 Z2\nG1 X12 F4000\nM30\n", 4, "never reaches the stock"),
+        (
+            "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X12 F4000\nG1 Y2500\nM30\n",
+            4,
+            r"point \d+ of the path: the wrist centre",
+        ),
         ("DEF PART( )\nPTP HOME\nEND\n", 1, "DEF"),
     ],
 )

@@ -63,9 +63,9 @@ def part_page(milled, tmp_path_factory):
     return written(tmp_path_factory.mktemp("part"), *milled)
 
 
-def test_the_page_is_well_formed_small_and_needs_nothing_from_elsewhere(paper_page):
+def test_the_page_is_well_formed_small_complete_and_needs_nothing_from_elsewhere(straight, paper_page):
     page = Page(paper_page)
-    assert not page.open
+    assert not page.open and set(flatten(straight[0])) <= set(page.texts)  # the whole configuration
     assert len(paper_page.encode()) < MOST
     names = {tag for tag, _ in page.tags}
     assert not names & {"link", "iframe", "object", "embed", "img", "base"}
@@ -93,10 +93,6 @@ def test_the_papers_column_and_figures_are_there_only_for_the_paper(tmp_path, st
         assert f"(paper: Fig. {figure}" in paper_page
     other = written(tmp_path, *straight)
     assert 'class="paper"' not in other and "paper: Fig." not in other and "Table 2" not in other
-
-
-def test_the_whole_configuration_is_listed(straight, paper_page):
-    assert set(flatten(straight[0])) <= set(Page(paper_page).texts)
 
 
 def shown_decision(level: str, sentence: str, method: str, verdict: str) -> SimpleNamespace:
@@ -151,8 +147,13 @@ def test_a_report_without_a_pass_is_refused(tmp_path, straight):
         ["path.length_mm=0.1"],  # three exchange periods, never engaged
         ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
         ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
-        ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "path.length_mm=11.0"],
-        ["dynamics.mass_model=consistent", "dynamics.damping_ratio=0.03", "path.length_mm=11.0"],
+        [
+            "tool.teeth=3",
+            "tool.rotation=counterclockwise",
+            *SET_ALUMINIUM,
+            "dynamics.mass_model=consistent",
+            "path.length_mm=11.0",
+        ],
     ],
 )
 def test_passes_of_other_cells_are_reported_without_complaint(tmp_path, changes):
