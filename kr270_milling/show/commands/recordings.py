@@ -120,12 +120,11 @@ def run_recover(args) -> Answer:
 
 def run_report(args) -> Answer:
     """Of one recording, or of several passes of one path on the same scales."""
-    places = [Path(place) for place in args.recordings]
     with steps({"reading": 1.0, "report": 1.0}) as whole:
-        return _reported(args, places, whole)
+        return _reported(args, whole)
 
 
-def _reported(args, places: Sequence[Path], whole) -> Answer:
+def _reported(args, whole) -> Answer:
     from kr270_milling.show.report import write_report
     from kr270_milling.show.report.series import write_series
 

@@ -21,6 +21,12 @@ from kr270_milling.cell import jobs
 from kr270_milling.cli import _parser, main
 
 
+@pytest.fixture
+def quick(monkeypatch):
+    """Without the report, which is not what the test is about."""
+    monkeypatch.setattr("kr270_milling.show.report.report_text", lambda *_, **__: "figures left out")
+
+
 def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[str]:
     pairs = settings(*assignments(tmp_path, gcode, *sets))
     return ["compensate", "paper.yaml", "--out", str(tmp_path / "out"), "--no-verdict", *words, *pairs]
