@@ -38,9 +38,10 @@ MARKS = """() => {
 }"""
 
 
-def shown(browser, directory, cell: Cell, passes: list[ScoredPass], width: int, **words) -> Visit:
+def shown(browser, directory, cell: Cell, passes: list[ScoredPass], width: int, place: str = "", **words) -> Visit:
     """The report of some passes, everything on it drawn; solids are small, since here the processor draws them."""
-    visit = Visit(browser, write_report(directory, cell, passes, **WORDS, **words).as_uri(), width, touch=width < 600)
+    url = write_report(directory, cell, passes, **WORDS, **words).as_uri() + place
+    visit = Visit(browser, url, width, touch=width < 600)
     visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
     visit.ask("KR.drawEverything()")
     return visit
@@ -143,18 +144,6 @@ def test_play_runs_at_real_speed_and_stops_at_the_end_of_the_path(visit):
     visit.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
     visit.page.wait_for_function("KR.by('play').getAttribute('aria-pressed') === 'false'")
     agrees(visit)
-
-
-def test_a_place_has_an_address(browser, visit):
-    point = visit.ask("KR.data.linked.point[300]")
-    with contextlib.closing(Visit(browser, f"{visit.page.url.partition('#')[0]}#XP{point}")) as other:
-        here = other.ask("() => [KR.data.linked.point[KR.place], KR.data.linked.point[KR.place - 1]]")
-        assert here == [point, point - 1]
-        other.ask("KR.go(40)")
-        other.page.wait_for_function("location.hash === `#XP${KR.data.linked.point[40]}`")
-        other.ask("() => { location.hash = '#XP99999999'; }")
-        other.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
-        assert other.complaints == []
 
 
 def test_the_filter_leaves_what_is_beyond_the_tolerance(visit):
@@ -269,9 +258,15 @@ def test_nothing_is_wider_than_the_screen_in_light_and_dark(visit):
     )
 
 
-def test_a_phone_opened_turned_and_a_page_printed(browser, straight, tmp_path):
+def test_a_phone_opened_at_the_address_of_a_place_turned_and_a_page_printed(browser, straight, tmp_path):
     cell, passes = straight
-    with contextlib.closing(shown(browser, tmp_path, cell, passes[:2], 390, title="The paper", paper=True)) as phone:
+    words = dict(place="#XP3", title="The paper", paper=True)
+    with contextlib.closing(shown(browser, tmp_path, cell, passes[:2], 390, **words)) as phone:
+        assert phone.ask("() => [KR.data.linked.point[KR.place], KR.data.linked.point[KR.place - 1]]") == [3, 2]
+        phone.ask("KR.go(40)")
+        phone.page.wait_for_function("location.hash === `#XP${KR.data.linked.point[40]}`")
+        phone.ask("() => { location.hash = '#XP99999999'; }")
+        phone.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
         look(phone, 390, False)
         look(phone, 844, True, 390)
         phone.page.emulate_media(media="print", color_scheme="dark")
