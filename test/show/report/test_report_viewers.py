@@ -56,8 +56,8 @@ def test_every_number_of_a_result_has_a_column(record):
     assert {c.name for c in columns(record)} == {field.name for field in fields(record)} - {"name"}
 
 
-def test_the_table_of_the_scores_has_every_titled_column(demo):
-    headings = line_scores(list(demo.passes.values()), paper=True).columns
+def test_the_table_of_the_scores_has_every_titled_column(straight):
+    headings = line_scores(straight[1], paper=True).columns
     titled = [micro(c.heading()) for c in columns(Scores) if c.title]
     assert [heading for heading in headings if heading not in ("pass", "paper")] == titled
     assert headings.count("paper") == 3
