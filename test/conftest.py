@@ -151,13 +151,10 @@ def demo(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as text:
         patch.setattr(command, "_answer", lambda *arguments: calls.append(arguments) or answer(*arguments))
         assert main(["demo", "--plain", "--out", directory]) == 0
-    passes, moving, _ = calls[0]
     with contextlib.redirect_stdout(io.StringIO()) as as_json:
         answer(*calls[0]).print(as_json=True)
-    moving, printed = {p.name: p for p in moving}, json.loads(as_json.getvalue())
-    return SimpleNamespace(
-        passes={p.name: p for p in passes}, moving=moving, text=text.getvalue(), json=printed, directory=directory
-    )
+    passes, printed = {p.name: p for p in calls[0][0]}, json.loads(as_json.getvalue())
+    return SimpleNamespace(passes=passes, text=text.getvalue(), json=printed, directory=directory)
 
 
 @pytest.fixture

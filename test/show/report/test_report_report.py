@@ -121,7 +121,7 @@ def test_the_decision_leads_the_page(tmp_path, straight):
     )
     checked = SimpleNamespace(findings=(finding,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
     decision = shown_decision("caution", "few robots", "method: spline, as set", "helps (1 to 3 um)")
-    table = TextTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
+    table = TextTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00000")))
     cell, passes = straight
     cell = cell.replace(part=cell.part.replace(tolerance=30e-6))
     text = written(tmp_path, cell, passes, decision=decision, checked=checked, tables=[table])
@@ -132,7 +132,7 @@ def test_the_decision_leads_the_page(tmp_path, straight):
     assert places == sorted(places)
     assert '<div class="tile caution edge">' in text  # the verdict, in the colour of the decision
     assert '<div class="tile caution">' in text
-    assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts
+    assert "\u22121.5" in page.texts and "0.00000" in page.texts and "other-2" in page.texts
     assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
 
 
