@@ -66,11 +66,6 @@ def test_a_notebook_shows_each_result_as_text_frame_figure_and_page(both, tmp_pa
     assert max(len(repr(shown)) for shown in (cell, checked, judged)) < 200
 
 
-def test_the_compensated_reference_runs_as_predicted(both):
-    planned = simulate(both.original.cell, both.compensated.reference).scores.max_deviation
-    assert planned == pytest.approx(both.compensated.scores.max_deviation, abs=0.1e-6)  # the program has rounded points
-
-
 def test_sweep_and_placements_are_frames_with_the_rows_of_the_commands():
     short = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
     rows = sweep("paper.yaml", *short, vary={"path.depth_of_cut_mm": [0.2, -1, 0.4], "tool.teeth": [2]})

@@ -137,55 +137,51 @@ def test_a_failure_while_writing_leaves_the_directory_as_it_was(tmp_path, monkey
 # --- The verdict as a part of ``compensate``: on by default, quick, long or left out ---
 
 
-SHORT = settings("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
-
-
-def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
-    sets = [*SHORT, *settings("uncertainty.reference_inertia=0", "uncertainty.repeatability_um=0")]
-    words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "o"), "--verdict", "2", *sets]
-    args = _parser(words).parse_args([*words, "--seed", "7"])
-    answer = args.run(args)
-    assert answer.print(as_json=False) == 0
-    text = capsys.readouterr().out
-    assert "2 simulated robots, seed 7: largest path deviation [um]" in text and "verdict: compensation helps" in text
-    assert answer.print(as_json=True) == 0
-    result = json.loads(capsys.readouterr().out)["verdict"]
-    assert result["verdict"] == "helps" and result["samples"] == 2 and result["seed"] == 7
-    assert len(result["compensated_um"]) == 3
+SHORT = settings(
+    "path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]", "uncertainty.reference_inertia=0",
+    "uncertainty.repeatability_um=0",
+)  # fmt: skip
 
 
 @pytest.fixture
 def judged(quick, tmp_path, capsys):
-    """The command on a short cut: what it prints as JSON, and what it says beside it."""
+    """The command on a short cut: what it prints as JSON and as text, and what it says beside it."""
 
-    def run(*words: str) -> tuple[dict, str]:
-        assert main(["compensate", "paper.yaml", "--out", str(tmp_path / "o"), "--json", *SHORT, *words]) == 0
-        printed = capsys.readouterr()
-        return json.loads(printed.out), printed.err
+    def run(*words: str) -> tuple[dict, str, str]:
+        words = ["compensate", "paper.yaml", "--out", str(tmp_path / "o"), *SHORT, *words]
+        args = _parser(words).parse_args(words)
+        answer = args.run(args)
+        assert answer.print(as_json=True) == 0
+        as_json, errors = capsys.readouterr()
+        assert answer.print(as_json=False) == 0
+        return json.loads(as_json), capsys.readouterr().out, errors
 
     return run
 
 
 def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(judged, monkeypatch):
     monkeypatch.setattr("kr270_milling.show.commands.compensate.PLANTS", 2)
-    result, _ = judged("--method", "spline")
-    assert result["verdict"]["samples"] == 2 and "inverse" in result["verdict"]["methods_um"]
-    assert result["recommended_method"] == result["verdict"]["recommended_method"]
-    quick, _ = judged("--quick", "--method", "spline")
-    assert quick["verdict"]["samples"] == 8 and set(quick["verdict"]["methods_um"]) == {"none", "spline"}
-    assert quick["recommended_method"] is None  # nothing was compared
-    none, errors = judged("--no-verdict")
-    assert none["verdict"] is None and none["recommended_method"] is None
-    assert errors.startswith("warning: decision: caution: ") and "would take too long" not in errors
+    result, text, _ = judged("--method", "spline", "--seed", "7")
+    assert "2 simulated robots, seed 7: largest path deviation [um]" in text and "verdict: compensation helps" in text
+    verdict = result["verdict"]
+    assert verdict["verdict"] == "helps" and verdict["samples"] == 2 and verdict["seed"] == 7
+    assert len(verdict["compensated_um"]) == 3 and "inverse" in verdict["methods_um"]
+    assert result["recommended_method"] == verdict["recommended_method"]
+    result, *_ = judged("--quick", "--method", "spline")
+    assert result["verdict"]["samples"] == 8 and set(result["verdict"]["methods_um"]) == {"none", "spline"}
+    assert result["recommended_method"] is None  # nothing was compared
+    result, text, errors = judged("--no-verdict")
+    assert result["verdict"] is None and result["recommended_method"] is None
+    assert text.startswith("decision: caution: ") and "would take too long" not in errors
 
 
 def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence_but_a_typed_number_runs(judged, monkeypatch):
     monkeypatch.setattr("kr270_milling.decide.compensation.USUAL_BUDGET", 1e-3)
     monkeypatch.setattr("kr270_milling.decide.verdict.FEWEST", 1)
     monkeypatch.setattr("time.perf_counter", itertools.count(0.0, 100.0).__next__)  # 100 s from look to look
-    result, errors = judged("--method", "spline")
-    assert result["verdict"] is None and "--verdict runs them" in errors
-    result, _ = judged("--method", "spline", "--verdict", "2")
+    result, text, _ = judged("--method", "spline")
+    assert result["verdict"] is None and "--verdict runs them" in text
+    result, *_ = judged("--method", "spline", "--verdict", "2")
     assert result["verdict"]["samples"] == 2 and result["verdict"]["note"] == ""
 
 
