@@ -88,10 +88,13 @@ def test_a_straight_cut_keeps_its_contract_and_gets_programs_and_a_reference(tmp
     assert again == pytest.approx(result["max_deviation_um"], abs=0.5)  # of the fewer points of the program
 
 
-def test_limited_corrections_are_a_warning(quick, tmp_path):
-    answer = ask(*command(tmp_path, sets=["compensation.max_correction_mm=0.03"]))
+def test_limited_corrections_are_a_warning_and_a_stop_leaves_no_program(quick, tmp_path):
+    sets = ["compensation.max_correction_mm=0.03", "limits.spindle_power_kw=0.01"]
+    answer = ask(*command(tmp_path, sets=sets))
     finding = r"\nwarning +the correction is too large at points \d+ to \d+: .* left out at point \d+"
     assert re.search(finding, answer.out)
+    assert answer.code == 1 and answer.out.startswith("decision: no: the path must not be run: the spindle power")
+    assert not list((tmp_path / "out").glob("krl*")) and "no robot program is written" in answer.out
 
 
 def test_repeating_lists_the_errors_of_its_passes(quick, tmp_path):

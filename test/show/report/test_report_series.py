@@ -56,7 +56,10 @@ def test_reference_trajectories_are_written_with_joint_angles(tmp_path, straight
     np.testing.assert_allclose(joints, cell.joints(passes[2].reference), atol=1e-12)
 
 
-def test_file_names_are_plain_inside_the_directory_and_different_even_without_regard_to_case():
+def test_file_names_are_plain_inside_the_directory_and_different_even_without_regard_to_case(tmp_path, straight):
+    cell, (first, *_) = straight
+    write_series(tmp_path / "out", cell, [dataclasses.replace(first, name="../../etc/x")])
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
     names = file_names(["a b", "a/b", "A_B", "", "..", "../../etc/x", "x" * 300, "Ω"])
     assert len({n.lower() for n in names}) == len(names)
     assert all(n.strip("_") and re.fullmatch(r"[A-Za-z0-9_-]{1,64}", n) for n in names)
