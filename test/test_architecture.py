@@ -19,8 +19,8 @@ WITH_ROS = ("live",)
 
 
 def test_everything_but_the_nodes_imports_where_ros_is_not_installed():
-    found = pkgutil.walk_packages(kr270_milling.__path__, "kr270_milling.")
-    wanted = [m.name for m in found if m.name.split(".")[1] not in WITH_ROS]
+    modules = pkgutil.walk_packages(kr270_milling.__path__, "kr270_milling.")
+    wanted = [m.name for m in modules if m.name.split(".")[1] not in WITH_ROS]
     code = f"""
 import importlib, sys
 class NoRos:

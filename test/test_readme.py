@@ -214,9 +214,9 @@ def test_the_fault_table_is_that_of_the_faults():
     from faults.faults import FAULTS
     from faults.rows import COLUMNS
 
-    found = rows("fault |")
-    assert [row[0] for row in found] == [fault.name for fault in FAULTS]
-    for row in (dict(zip(COLUMNS, row, strict=True)) for row in found):
+    table = rows("fault |")
+    assert [row[0] for row in table] == [fault.name for fault in FAULTS]
+    for row in (dict(zip(COLUMNS, row, strict=True)) for row in table):
         assert int(row["repeats"]) >= 10 and "FAILED" not in " ".join(row.values())
         assert row["orphans"] == "0"
         assert row["detected within max [s]"] == "-" or float(row["detected within max [s]"]) < 3.0

@@ -37,7 +37,7 @@ import sys, time
 import kr270_milling
 assert "numpy" not in sys.modules
 start = time.process_time()
-from kr270_milling.cli import COMMANDS, _parser, main
+from kr270_milling.cli import COMMANDS, main
 for words in ([], *([name] for name in COMMANDS)):
     try:
         main([*words, "--help"])

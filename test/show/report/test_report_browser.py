@@ -278,7 +278,7 @@ def test_a_phone_opened_at_the_address_of_a_place_turned_and_a_page_printed(brow
 
 def test_the_page_of_a_study_loads_plotly_from_its_folder_and_has_the_colours_of_each_theme(browser, tmp_path):
     figures = [points("Lines", "x [um]", "y [N]", {"one": ([0, 1], [1, 2]), "other": ([0, 1], [2, np.nan])}, ("one",))]
-    path = write_page(tmp_path / "study.html", "A study", ["found 3 mm3"], [], figures)
+    path = write_page(tmp_path / "study.html", "A study", ["removed 3 mm3"], [], figures)
     drawn = "() => { const p = KR.by('figure_0'); return [p.data[1].marker.color, p._fullLayout.xaxis.title.text]; }"
     with contextlib.closing(Visit(browser, path.as_uri())) as visit:
         assert visit.ask(drawn) == ["#c44e00", "x [µm]"]
