@@ -55,10 +55,16 @@ KIENZLE = settings(
     f"cutting.kienzle.radial_ratio={RATIO}",
 )  # fmt: skip
 SHORT = settings("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
+#: of the simulated robots only the force coefficients differ
+SURE = settings("uncertainty.servo_frequency_hz=[]", *(f"uncertainty.{name}=0" for name in (
+    "joint_compliance", "tool_wear", "base_compliance_urad_per_n_m", "tool_stick_out", "tool_compliance",
+    "damping_ratio", "frequency", "reference_inertia", "repeatability_um", "pose_noise_um", "backlash",
+    "servo_delay_ms", "joining", "placement_mm",
+)))  # fmt: skip
 POSTURE = ("--joints-deg", "90,-50,120,180,25,180", "--json")
 COMMANDS = {
     "stability": ["stability", "paper.yaml", *KIENZLE, *SHORT, "--speeds", "8000:8000/1", "--json"],
-    "half": ["compensate", "paper.yaml", *KIENZLE, *SHORT, "--method", "half", "--verdict", "3", "--out", "half",
+    "half": ["compensate", "paper.yaml", *KIENZLE, *SHORT, *SURE, "--method", "half", "--verdict", "3", "--out", "half",
              "--json"],
     "spline": ["compensate", "paper.yaml", *SHORT, "--method", "spline", "--no-verdict", "--out", "spline"],
     "forces": ["identify", "forces", "cuts.csv", "--teeth", "4", "--diameter-mm", "20", "--law", "kienzle", "--out",
