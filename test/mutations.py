@@ -32,7 +32,7 @@ BACKLASH = "physics/motion/backlash.py"
 TESTS = {
     LOADS: ["statics"],
     BALANCE: ["statics"],
-    MASS: ["mass", "base"],
+    MASS: ["mass"],
     MEASURED: ["dynamics", "tool_compliance"],
     FRACTIONAL: ["laws", "force"],
     EDGE: ["laws", "force"],

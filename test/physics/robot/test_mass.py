@@ -11,7 +11,6 @@ from book import check
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.physics.robot import (
     BARE,
-    Mount,
     beam_mass,
     cartesian_mass,
     compliance,
@@ -24,7 +23,7 @@ from kr270_milling.physics.robot import (
     stiffness,
 )
 from kr270_milling.physics.robot.errors import SingularityError
-from kr270_milling.physics.robot.mass import assembled_mass, own_inertia, spatial_inertia
+from kr270_milling.physics.robot.mass import assembled_mass
 from kr270_milling.physics.robot.urdf import urdf
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
@@ -83,12 +82,6 @@ def test_an_arm_turned_by_axis_1_has_the_rigid_inertia_of_what_rides_on_it():
     assert joint_mass(arm, SPINDLE, q)[0, 0] == pytest.approx(pin.crba(model, data, q)[0, 0])
 
 
-def test_a_rider_alone_is_the_joint_inertia_of_its_point_mass():
-    arm = ARM.replace(link_mass=np.zeros(6))
-    at_mass = jacobian(arm, Mount(xyz=SPINDLE.mass_centre), PAPER)[:3]
-    np.testing.assert_allclose(joint_mass(arm, SPINDLE, PAPER), 60.0 * at_mass.T @ at_mass, atol=1e-12)
-
-
 def test_the_energy_consistent_mass_is_the_sum_over_the_links_with_the_loaded_springs():
     """(25) in the form of facts.md."""
     solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
@@ -134,19 +127,6 @@ def test_the_cartesian_mass_holds_the_same_energy():
     np.testing.assert_allclose(of_tool, of_joints, rtol=1e-9)
 
 
-def test_a_body_has_the_spatial_inertia_of_pinocchio_and_a_link_without_length_is_a_point():
-    centre, own = np.array([0.3, -0.2, 0.5]), np.diag([0.2, 0.3, 0.4])
-    np.testing.assert_allclose(spatial_inertia(7.0, centre, own), pin.Inertia(7.0, centre, own).matrix(), atol=1e-15)
-    assert not own_inertia(ARM, 4).any()
-    assert own_inertia(ARM, 3)[0, 0] == pytest.approx(54.5 * 0.12**2)
-
-
-def test_the_paper_s_beams_hold_so_much_of_the_inertia_of_rigid_links():
-    """[derived] diagonal of M_theta at the paper's posture: 0.96, 0.90, 0.99, 0.45, 1.00, 0.33."""
-    share = np.diag(joint_mass(ARM, BARE, PAPER)) / np.diag(rigid_joint_mass(ARM, BARE, PAPER))
-    np.testing.assert_allclose(share, [0.96, 0.90, 0.99, 0.45, 1.00, 0.33], atol=0.005)
-
-
 # --- natural frequencies ---
 def _modes(model: str) -> np.ndarray:
     soft = compliance(equilibrium(ARM, BARE, PAPER, gravity=False), ARM)
@@ -181,14 +161,6 @@ def test_both_forms():
     return 0.0, np.abs(at_tool / at_joints - 1).max(), 1e-9
 
 
-def test_tool_mass_lowers_every_mode():
-    soft = compliance(equilibrium(ARM, SPINDLE, PAPER, gravity=False), ARM)
-    light, heavy = (SPINDLE.replace(mass=m) for m in (0.0, 100.0))
-    for model in ("lumped", "consistent"):
-        slow, fast = (mode_frequencies(soft, cartesian_mass(ARM, mount, PAPER, model)) for mount in (heavy, light))
-        assert np.all(slow <= fast * (1 + 1e-9)) and slow[0] < fast[0] * 0.99
-
-
 def test_frequencies_of_two_masses_on_springs_follow_the_closed_form_and_a_massless_one_is_condensed():
     soft = np.linalg.inv([[3.0, -1.0], [-1.0, 3.0]])  # eigenvalues of the stiffness: 2 and 4 with unit masses
     np.testing.assert_allclose(mode_frequencies(soft, np.eye(2)), np.sqrt([2, 4]) / (2 * np.pi))
@@ -205,3 +177,35 @@ def test_batches_are_stacks_and_an_unknown_model_or_a_singular_posture_is_refuse
         cartesian_mass(ARM, SPINDLE, PAPER, "heavy")
     with pytest.raises(SingularityError):
         cartesian_mass(ARM, SPINDLE, PAPER * [1, 1, 1, 1, 0, 1], "consistent")
+
+
+# --- a base that tilts ---
+ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
+
+
+@pytest.mark.parametrize("model, of_joints", [("rigid", rigid_joint_mass), ("consistent", joint_mass)])
+def test_the_first_modes_are_those_of_the_whole_chain(model, of_joints):
+    """All springs with their inertias, against the reduction to the tool, which can only be stiffer.
+
+    The static shapes of (25) give the first mode 2.8 and 3.0 % too high here.
+    """
+    q = ON_BASE.on_base(PAPER)
+    whole = mode_frequencies(np.diag(ON_BASE.spring_compliance), of_joints(ON_BASE, SPINDLE, q))
+    soft = compliance(equilibrium(ON_BASE, SPINDLE, PAPER, gravity=False), ON_BASE)
+    reduced = mode_frequencies(soft, cartesian_mass(ON_BASE, SPINDLE, PAPER, model))
+    assert np.all(reduced[:3] >= whole[:3] * (1 - 1e-9))
+    assert reduced[:3] == pytest.approx(whole[:3], rel=0.04)
+    rigid = mode_frequencies(compliance(equilibrium(ARM, SPINDLE, PAPER, gravity=False), ARM),
+                             cartesian_mass(ARM, SPINDLE, PAPER, model))  # fmt: skip
+    assert np.all(reduced[:2] < 0.98 * rigid[:2])
+
+
+@check("base on three springs: M_theta of nine axes at 100 postures", "pinocchio's crba", "kg m^2")
+def test_base_mass():
+    model, data, _ = pinocchio_arm(ON_BASE, SPINDLE, tubes=True)
+    worst = 0.0
+    for q in POSTURES:
+        chain = np.append(np.array([0.02, -0.01, 0.03]), q)
+        upper = np.triu(pin.crba(model, data, chain))
+        worst = max(worst, np.abs(rigid_joint_mass(ON_BASE, SPINDLE, chain) - upper - np.triu(upper, 1).T).max())
+    return 0.0, worst, 1e-9
