@@ -204,13 +204,6 @@ def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     assert np.all(difference.max(axis=0) < 1e-5 * scale)
 
 
-@pytest.mark.parametrize("smooth", [True, False])
-def test_what_is_left_is_what_the_response_to_the_correction_leaves(smooth):
-    arm = one_mode()
-    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
-    assert obtained.left == pytest.approx(deviation() + arm.follow(EIGHTH, obtained.cubic), abs=1e-15)
-
-
 @check("lifted model: deviation left of one that knots can make", "least squares reach 0, however slowly the arm rings",
        "m")  # fmt: skip
 def test_lifted_inverse():
@@ -251,26 +244,6 @@ def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():
         )
     )
     assert even.max() < 0.9 * plain.max() and even.std() / even.max() < plain.std() / plain.max() + 0.1
-
-
-def test_a_long_path_costs_in_proportion_to_its_length():
-    """Ten times the knots take about ten times as long; a dense lifted model would take a thousand times."""
-
-    def cost(count: int) -> float:
-        segments = Segments(np.arange(count + 1) * 12_000_000, 4)
-        base = one_mode(damping=0.01)
-        arm = ArmResponse(*(np.tile(getattr(base, name)[:1], (count,) + (1,) * (getattr(base, name).ndim - 1))
-                            for name in ("frequency", "damping", "inward", "outward", "push", "carry")))  # fmt: skip
-        still = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
-        d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
-        weight = np.broadcast_to(np.eye(3), (count, 4, 3, 3))
-        start = time.process_time()
-        left = Lifted(arm, segments, still).least_squares(d0, weight, 1e-6).left
-        assert np.abs(left).max() < 1e-6
-        return time.process_time() - start
-
-    cost(50)
-    assert cost(3000) < 40 * cost(300)
 
 
 def test_a_limited_correction_is_in_reach_at_a_lower_feed():
@@ -321,3 +294,18 @@ def test_blocks_of_segments_are_one_path(monkeypatch):
     monkeypatch.setattr(response, "BLOCK", 7)
     for whole, in_blocks in zip(at_once, results(), strict=True):
         np.testing.assert_allclose(in_blocks, whole, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
+
+
+def test_a_long_path_costs_in_proportion_to_its_length():
+    """Ten times the knots take about ten times as long; a dense lifted model would take a thousand times."""
+
+    def cost(count: int) -> float:
+        arm, segments = LONG_ARM.cut(slice(0, count)), LONG.cut(slice(0, count))
+        conditions = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
+        d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
+        start = time.process_time()
+        Lifted(arm, segments, conditions).least_squares(d0, np.broadcast_to(np.eye(3), (count, 4, 3, 3)), 1e-6)
+        return time.process_time() - start
+
+    cost(50)
+    assert cost(3000) < 40 * cost(300)
