@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 from book import check
 from cuttings import ALUMINIUM, LAWS, PAPER_LAW
-from slot import convergence, fitted_order, slot_chip, slot_errors, slot_force
+from slot import convergence, slot_chip
 
-from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, Stock, Tool
+from kr270_milling.base.errors import ConfigError, ParameterError
+from kr270_milling.base.record import build, flatten
+from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2014, Cut, Cutting, Stock, Tool, fractional
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
 PAPER = Tool(diameter=20e-3, teeth=4, spindle_speed=8000 * 2 * np.pi / 60)
-SLOT = (
-    -np.pi / 2 - 0.02,
-    np.pi / 2 + 0.02,
-)  # [rad] from the feed direction; the chip ends f_z / (2 R) past the quarter
+SLOT = (-np.pi / 2 - 0.02, np.pi / 2 + 0.02)  # [rad] from the feed; the chip ends f_z / (2 R) past the quarter
 
 
 def block(low, high, length=20e-3, depth=5e-3, grid_step=10e-6) -> Stock:
@@ -40,7 +39,7 @@ def mean(law: str, low: float = -12e-3, high: float = 12e-3) -> np.ndarray:
     return cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)[:2]
 
 
-def fractional(h):
+def by_26(h):
     """(26) with k_0 for one millimetre of depth, (28): tangential and radial force [N] at DEPTH."""
     u = np.maximum(h, 0.0) / 18e-6
     tangential = 5e6 * 18e-6 * (u + 0.1 * u * u) / (1 + u) * DEPTH / 1e-3
@@ -51,7 +50,7 @@ def linear_edge(h):
     return (600.46e6 * h + 17.9e3) * DEPTH * (h > 0), (180.96e6 * h + 20.42e3) * DEPTH * (h > 0)
 
 
-FORMULA = {"fractional": fractional, "linear_edge": linear_edge}
+FORMULA = {"fractional": by_26, "linear_edge": linear_edge}
 
 
 def components(law, phi, chips) -> np.ndarray:
@@ -155,7 +154,7 @@ def test_runout_and_unequal_pitch_agree_with_the_quadrature():
         area = np.maximum(0.0, (radius**2 - rho**2) / 2 - drift * (radius - rho))
         chips = area / (radius - drift)
         assert cut.state.chips[i] == pytest.approx(chips.max(), abs=10e-6)  # a node
-        total += components(fractional, phi, chips).sum(axis=1)
+        total += components(by_26, phi, chips).sum(axis=1)
     exact = total * np.radians(0.5) / (2 * np.pi)
     assert found == pytest.approx(exact, abs=3e-3 * np.linalg.norm(exact))
     assert np.ptp(cut.state.chips) > 20e-6
@@ -190,21 +189,6 @@ def test_counterclockwise_rotation_mirrors_the_cut():
         cut, here, first = engaged(PAPER.replace(rotation=rotation))
         cut.sweep(here, here + [8 * FEED, 0.0, 0.0], first, 720, forces)
     assert left * [1, -1, 1] == pytest.approx(right, rel=1e-6, abs=1e-6) and np.abs(right[:, 1]).max() > 100.0
-
-
-def test_a_tooth_behind_the_tool_s_axis_feels_no_force():
-    cut, here, first = engaged(PAPER.replace(teeth=1))
-    forces = np.zeros((360, 3))
-    cut.sweep(here, here + [4 * FEED, 0.0, 0.0], first, 360, forces)
-    assert not forces[95:265].any()
-    assert forces[:85].any(1).all() and forces[275:].any(1).all()
-
-
-def test_a_tool_above_or_beside_the_stock_feels_no_force():
-    cut = Cut(PAPER, PAPER_LAW, block(0.0, 20e-3), np.radians(1.0))
-    assert not cut.sweep([-5e-3, 10e-3, 0.0], [25e-3, 10e-3, 1e-3], 0, 3600).any()
-    assert not cut.sweep([-5e-3, 35e-3, -1e-3], [25e-3, 35e-3, -1e-3], 3600, 3600).any()
-    assert cut.removed_area == 0.0 and cut.tiles == 0
 
 
 def test_force_is_proportional_to_depth_and_stops_at_the_stock_s_bottom():
@@ -287,21 +271,6 @@ def test_the_reaction_of_the_spindle_turns_against_the_teeth(rotation, sign):
     assert torque > 0.0 and wrench[5] == pytest.approx(sign * torque, rel=1e-12)
 
 
-def test_without_helix_the_forces_act_at_half_the_depth_and_at_the_teeth():
-    """M_x = -z F_y and M_y = z F_x with z = a_p / 2, without an axial force."""
-    wrench, _ = mean_wrench(ALUMINIUM, helical())
-    np.testing.assert_allclose(wrench[3:5], DEEP / 2 * np.array([-wrench[1], wrench[0]]), rtol=1e-4)
-
-
-@pytest.mark.parametrize("name, side", [("half down", 1.0), ("half up", -1.0)])
-def test_an_axial_force_acts_where_the_teeth_are(name, side):
-    """Teeth of a down-milling tool are at y < 0, those of an up-milling one at y > 0, in material from x = 0 on."""
-    extra = immersed(name, 0)[0] - mean_wrench(ALUMINIUM, helical(), *IMMERSIONS[name][:2])[0]
-    assert side * extra[3] > 0.3 * RADIUS * abs(extra[2])  # y F_z, F_z < 0
-    assert extra[4] > 0.3 * RADIUS * abs(extra[2])  # -x F_z
-    np.testing.assert_allclose(extra[[0, 1, 5]], 0.0, atol=1e-12)
-
-
 def edge_integral(cutter, law, phi):
     """F and M about the tip (n, 6) with tooth 0's tip at phi: integrals over the lagging edges, by Gauss' rule."""
     points, weights = np.polynomial.legendre.leggauss(40)
@@ -331,21 +300,8 @@ def test_force_and_moment_of_each_micro_step_are_integrals_along_the_lagging_edg
     assert rms.max() < 0.015, rms
 
 
-def test_forces_are_constant_where_an_edge_ends_above_the_tip_of_the_next():
-    """Depth = pitch R / tan(helix): some point of some edge is at every angle all the time."""
-    spread = []
-    for angle in (0.0, math.degrees(math.atan(2 * np.pi / TEETH * RADIUS / DEEP))):
-        cut, here, first = deep(PAPER_LAW, helical(angle))
-        forces = np.zeros((TURN, 3))
-        cut.sweep(here, here + [TEETH * SMALL_FEED, 0.0, 0.0], first, TURN, forces)
-        spread.append(forces[:, :2].std(axis=0).max())
-    assert spread[1] < 0.03 * spread[0]
-
-
 def test_a_helix_that_lags_by_next_to_nothing_changes_next_to_nothing():
-    loads = [immersed("slot", helix)[0] for helix in (0, 1e-9, 1e-3)]
-    np.testing.assert_allclose(loads[1], loads[0], rtol=1e-9)
-    np.testing.assert_allclose(loads[2], loads[0], rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(immersed("slot", 1e-9)[0], immersed("slot", 0)[0], rtol=1e-9)
 
 
 def test_a_sweep_is_taken_back_with_the_loads_that_it_left_to_later_micro_steps():
@@ -372,24 +328,13 @@ def test_forces_only_are_what_the_paper_sums_up():
 def test_exact_chips_tend_to_the_cosine_and_those_of_a_revolution_add_up_to_the_area_fed():
     """2 R f of slot a revolution, but for the scallops between the teeth's marks on both walls."""
     phi = np.radians([-80.0, -30.0, 0.0, 45.0, 85.0])
-    for feed, slack in ((1e-6, 1e-3), (1e-8, 1e-5)):
-        assert slot_chip(PAPER, feed, phi) / feed == pytest.approx(np.cos(phi), abs=slack)
+    assert slot_chip(PAPER, 1e-8, phi) / 1e-8 == pytest.approx(np.cos(phi), abs=1e-5)
     assert not slot_chip(PAPER, FEED, np.radians([100.0, 180.0, -120.0])).any()
     phi = np.linspace(-np.pi, np.pi, 200_001)[:-1]
     for feed in (0.02e-3, 0.125e-3, 0.5e-3):
         way = 10e-3 - 4 * feed / (2 * np.pi) * np.sin(phi)  # of a tooth's tip a radian
         area = 4 * np.sum(way * slot_chip(PAPER, feed, phi)) * 2 * np.pi / phi.size
         assert area == pytest.approx(2 * 10e-3 * 4 * feed - 2 * 4 * feed**3 / (24 * 10e-3), rel=1e-6)
-
-
-def test_exact_slot_force_has_the_mean_that_is_known_and_the_default_steps_meet_it():
-    phi = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
-    for diameter, slack in ((20e-3, 1e-2), (200e-3, 1e-3)):
-        tool = PAPER.replace(diameter=diameter)
-        assert slot_force(tool, PAPER_LAW, FEED, phi).mean(0) == pytest.approx([-44.39, 147.98], rel=slack)
-    for cutting in (PAPER_LAW, ALUMINIUM):
-        assert slot_errors(PAPER, cutting, FEED, 10e-6, np.radians(1.0))[0] < 3e-4
-    assert fitted_order([1.0, 0.5, 0.25], [3.0, 3 / 2**1.5, 3 / 4**1.5]) == pytest.approx(1.5)
 
 
 @functools.cache
@@ -408,3 +353,67 @@ def test_grid_order(law):
 def test_angle_order(law):
     assert max(converged(law)["mean_force_error"]) < 2e-3
     return 2.0, converged(law)["angle_order"], 0.4
+
+
+# --- force laws as functions of the chip thickness, and their coefficients in a file ---
+def test_fractional_law_has_the_stiffness_k_0_at_first_and_r_k_0_at_last():
+    law = PAPER_LAW.fractional
+    slope = [(fractional(h + d, 5e6, 18e-6, 0.1) - fractional(h, 5e6, 18e-6, 0.1)) / d for h, d in ((0, 1e-10), (1, 1))]
+    assert slope == pytest.approx([law.stiffness / 1e-3, law.ratio * law.stiffness / 1e-3], rel=1e-4)
+
+
+@pytest.mark.parametrize("cutting", [PAPER_LAW, ALUMINIUM], ids=["fractional", "linear_edge"])
+def test_no_chip_means_no_force(cutting):
+    for h in (0.0, -1e-6, -1.0):
+        assert cutting.force_per_depth(h) == (0.0, 0.0)
+
+
+LINEAR_EDGE = {
+    "tangential_cutting_n_per_mm2": 700.0,
+    "tangential_edge_n_per_mm": 17.9,
+    "radial_cutting_n_per_mm2": 180.96,
+    "radial_edge_n_per_mm": 20.42,
+}
+FRACTIONAL = {"stiffness_n_per_m": 5e6, "specific_chip_thickness_um": 18.0, "ratio": 0.1, "radial_ratio": 0.3}
+
+
+def test_a_file_names_only_the_law_that_it_uses():
+    cutting = build(Cutting, {"law": "linear_edge", "linear_edge": LINEAR_EDGE})
+    assert cutting.coefficients == pytest.approx([700e6, 17.9e3, 180.96e6, 20.42e3, 0.0, 0.0])
+    assert build(Cutting, {"fractional": FRACTIONAL}).coefficients == pytest.approx([5e6, 18e-6, 0.1, 0.3, 0.0])
+    axial = ("axial_cutting_n_per_mm2", "axial_edge_n_per_mm")
+    assert {key for key in flatten(cutting) if "linear" in key} == {f"linear_edge.{k}" for k in (*LINEAR_EDGE, *axial)}
+    assert {key for key in flatten(cutting) if "fractional" in key} == {"fractional.axial_ratio"}
+
+
+@pytest.mark.parametrize("law, coefficients", [("linear_edge", LINEAR_EDGE), ("fractional", FRACTIONAL)])
+def test_a_law_without_one_of_its_coefficients_is_refused_with_its_key(law, coefficients):
+    for missing in coefficients:
+        given = {key: value for key, value in coefficients.items() if key != missing}
+        with pytest.raises(ConfigError, match=f"{law}.{missing}: has no value, it must be given where cutting.law is"):
+            build(Cutting, {"law": law, law: given})
+    with pytest.raises(ConfigError, match="has no value"):
+        build(Cutting, {"law": law})
+    with pytest.raises(ParameterError, match="must be given"):
+        Cutting(law)
+
+
+def test_not_a_number_is_not_a_missing_coefficient():
+    with pytest.raises(ConfigError, match="nan is not usable"):
+        build(Cutting, {"fractional": {**FRACTIONAL, "ratio": math.nan}})
+    with pytest.raises(ConfigError, match="nan is not usable"):
+        build(Cutting, {"fractional": FRACTIONAL, "linear_edge": {"radial_edge_n_per_mm": math.nan}})
+
+
+def test_the_axial_force_has_coefficients_of_its_own():
+    steel = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=1e3))
+    assert steel.axial and not ALUMINIUM.axial and not PAPER_LAW.axial
+    assert steel.axial_per_depth(1e-4) == pytest.approx(220e6 * 1e-4 + 1e3) and steel.axial_per_depth(0.0) == 0.0
+    bent = Cutting(fractional=KLIMCHIK2014.replace(axial_ratio=0.4))
+    assert bent.axial_per_depth(1e-4) == pytest.approx(0.4 * bent.force_per_depth(1e-4)[0])
+
+
+@pytest.mark.parametrize("tree", [{"law": "kienzle"}, {"fractional": {"ratio": 1.5}}, {"fractional": {"ratio": True}}])
+def test_unusable_laws_are_refused(tree):
+    with pytest.raises(ConfigError):
+        build(Cutting, tree)
