@@ -33,7 +33,7 @@ TESTS = {
     LOADS: ["statics"],
     BALANCE: ["statics"],
     MASS: ["mass"],
-    MEASURED: ["dynamics", "tool_compliance"],
+    MEASURED: ["dynamics"],
     FRACTIONAL: ["force"],
     EDGE: ["force"],
     SWEEP: ["force", "cut"],

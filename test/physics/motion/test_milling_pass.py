@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from budget import budget
 from cuttings import profile
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_part import GCODE, small_part
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
@@ -20,8 +22,9 @@ from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Cut, GridError, UndoError
+from kr270_milling.physics.motion import milling_pass
 from kr270_milling.physics.motion.exchange import Clock, Exchange
-from kr270_milling.physics.motion.milling_pass import CompliantArm, run_pass
+from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency, score
 
 MICRO_STEP = 1 / 48  # [ms], 1 deg at 8000 rpm
@@ -48,11 +51,6 @@ def difference(result, reference, every):
 @pytest.fixture(scope="module")
 def paper():
     return run()
-
-
-@pytest.fixture(scope="module")
-def short():
-    return run(*SHORT)
 
 
 # --- the exchange period ---
@@ -88,11 +86,6 @@ def test_a_second_iteration_brings_the_prediction_to_the_correction(period):
     assert left[1] < 0.01 * left[0] and left[2] < 0.01 * left[1]
 
 
-def test_at_one_micro_step_the_prediction_needs_no_iteration():
-    once, twice = with_period(1, *SHORT), with_period(1, *SHORT, "exchange.iterations=2")
-    np.testing.assert_allclose(twice.deflection, once.deflection, atol=1e-12)
-
-
 @check("two sides of the exchange against the compiled pass", "self-consistent: bit for bit", "m, N")
 def test_sides():
     cell, compiled = run(*SHORT)
@@ -120,14 +113,9 @@ def test_stamps_are_counted_and_the_pass_covers_the_path(paper):
     assert result.micro_steps == 57_600  # 1.2 s at 8000 rpm and 1 deg
     np.testing.assert_array_equal(result.target[-1], cell.target().position[-1])
     np.testing.assert_array_equal(result.reference, result.target)
-
-
-def test_the_actual_tool_is_the_reference_plus_the_deflection_and_near_the_predicted_one(paper):
-    result = paper[1]
     np.testing.assert_array_equal(result.actual, result.reference + result.deflection[:, :3])
-    np.testing.assert_allclose(
-        np.linalg.norm(result.actual - result.tool, axis=1), result.correction, rtol=1e-6, atol=1e-16
-    )
+    apart = np.linalg.norm(result.actual - result.tool, axis=1)  # actual and predicted tool
+    np.testing.assert_allclose(apart, result.correction, rtol=1e-6, atol=1e-16)
 
 
 def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
@@ -147,39 +135,6 @@ def test_in_the_air_nothing_moves():
     cell, result = run("path.start_mm=[-70, 0]", "path.length_mm=40")
     assert not result.wrench.any() and not result.deflection.any() and result.removed_area == 0.0
     np.testing.assert_array_equal(result.tool, result.reference)
-
-
-def test_the_deflection_of_a_pass_answers_its_wrench_by_eq_1(short):
-    """The series alone, through the arm's half of the exchange, give the same deflection."""
-    cell, result = short
-    arm = CompliantArm(cell.arm_model(cell.target()))
-    for wrench, deflection in zip(result.wrench[1:], result.deflection[1:], strict=True):
-        np.testing.assert_array_equal(arm.correct(wrench), deflection)
-
-
-def test_a_shifted_reference_shifts_what_the_tool_does(short):
-    """Fully engaged, far from the border, the cut does not know where it is across the feed."""
-    cell, result = short
-    target = cell.target()
-    shift = np.array([0.0, 50e-6, 0.0])  # whole nodes of the grid
-    moved = run_pass(
-        cell.arm_model(target), cell.cut(), cell.clock, target, target.with_position(target.position + shift)
-    )
-    np.testing.assert_allclose(moved.deflection, result.deflection, atol=1e-9)
-    np.testing.assert_allclose(moved.reference - result.reference, np.tile(shift, (len(moved.time), 1)), atol=1e-15)
-
-
-def test_progress_is_told_in_order_up_to_the_end():
-    cell = read_cell(find_file("paper.yaml"), SHORT)
-    heard = []
-    simulate(cell, progress=lambda done, total: heard.append((done, total)))
-    assert heard == [(200, 432), (400, 432), (432, 432)]
-
-
-def test_a_stiffness_that_follows_the_pose_changes_a_line_of_80_mm_by_little_but_by_something(paper):
-    result = run("dynamics.follow_pose=true")[1]
-    gap = np.abs(result.deflection - paper[1].deflection)[:, :3].max() / np.abs(paper[1].deflection[:, :3]).max()
-    assert 1e-5 < gap < 0.1
 
 
 # --- errors ---
@@ -315,9 +270,8 @@ def test_the_ringing_of_a_damped_vibration_is_found(frequency, damping, phase, m
     assert found == (pytest.approx(frequency, rel=2e-3), pytest.approx(damping, abs=2e-3))
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_noise_of_a_tenth_and_the_hum_of_the_teeth_hardly_move_it(seed):
-    noise = np.random.default_rng(seed).normal(0.0, 0.5e-6, TIME.size)
+def test_noise_of_a_tenth_and_the_hum_of_the_teeth_hardly_move_it():
+    noise = np.random.default_rng(0).normal(0.0, 0.5e-6, TIME.size)
     hum = 0.5e-6 * np.sin(2 * np.pi * 533.3 * TIME)
     frequency, damping = ringing_frequency(TIME, ringing(6.69, 0.18) + noise + hum)
     assert frequency == pytest.approx(6.69, rel=0.03) and damping == pytest.approx(0.18, abs=0.03)
@@ -341,3 +295,65 @@ def test_a_path_without_one_feed_direction_has_no_static_deviation_and_does_not_
     found = score(TIME, course * 1.001, course, feed, 0.0, 6.7, course[:, 1], straight=False)
     assert np.isnan([found.static_deviation, found.ringing_frequency, found.ringing_damping]).all()
     assert found.max_deviation == pytest.approx(1e-3, rel=1e-9)  # the circle is 1 mm too large all the way
+
+
+# --- A long pass: windows do not change it, and combined rows keep its extremes, sums and means ---
+SERIES = ("time_ns", "target", "reference", "tool", "deflection", "wrench", "correction", "torque", "volume")
+
+
+@pytest.fixture(scope="module")
+def long_cell(tmp_path_factory):
+    return small_part(tmp_path_factory.mktemp("long"), GCODE, "cutting.detail=engagement", "dynamics.follow_pose=true")
+
+
+@pytest.fixture(scope="module")
+def whole(long_cell):
+    return simulate(long_cell)
+
+
+def test_a_pass_in_windows_is_the_same_to_the_bit_and_its_progress_only_grows(long_cell, whole, monkeypatch):
+    monkeypatch.setattr(milling_pass, "WINDOW", 73)
+    seen: list[tuple[int, int]] = []
+    ran = simulate(long_cell, progress=lambda *count: seen.append(count)).result
+    for name in SERIES:
+        np.testing.assert_array_equal(getattr(ran, name), getattr(whole.result, name), err_msg=name)
+    done, totals = zip(*seen, strict=True)
+    assert list(done) == sorted(set(done)) and done[-1] == totals[-1] and len(set(totals)) == 1
+
+
+@pytest.mark.parametrize("window", [64, milling_pass.WINDOW])
+def test_combined_rows_keep_extremes_sums_means_and_the_scores(long_cell, whole, monkeypatch, window):
+    monkeypatch.setattr(milling_pass, "WINDOW", window)
+    plain = whole.result
+    periods = len(plain.time) - 1
+    ran = simulate(long_cell, most_rows=periods / 4.5)
+    some = ran.result
+    assert some.every == 5 and len(some.time) == 1 + -(-periods // 5)
+    assert (np.diff(some.time_ns) > 0).all() and np.isin(some.time_ns, plain.time_ns).all()
+    size = np.linalg.norm(plain.deflection[:, :3], axis=1)
+    assert np.linalg.norm(some.deflection[:, :3], axis=1).max() == size.max()
+    assert some.torque.max() == plain.torque.max() and some.correction.max() == plain.correction.max()
+    assert some.volume.sum() == pytest.approx(plain.volume.sum(), rel=1e-12)
+    counts = np.minimum(5, periods - 5 * np.arange(len(some.time) - 1))
+    mean = (counts[:, None] * some.wrench[1:]).sum(axis=0) / periods
+    assert mean == pytest.approx(plain.wrench[1:].mean(axis=0), rel=1e-9, abs=1e-9)
+    assert ran.scores.max_deviation == pytest.approx(whole.scores.max_deviation, rel=0.05)
+    assert some.removed_volume == plain.removed_volume
+
+
+def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatch):
+    """A tenth of the feed takes six times the periods, with rapid moves; windows and rows stay as many as before."""
+    monkeypatch.setattr(milling_pass, "WINDOW", 256)
+    peaks, periods = [], []
+    for feed in ("F4000", "F400"):
+        cell = small_part(tmp_path, GCODE.replace("F4000", feed), "cutting.detail=engagement")
+        target, cut = cell.target(), cell.cut()
+        arm = cell.arm_model(target)
+        silent = cell.programmed.drilling_at
+        tracemalloc.start()
+        ran = milling_pass.run_pass(arm, cut, cell.clock, target, target, silent=silent, most_rows=50)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        periods.append(ran.micro_steps)
+        assert len(ran.time) <= 51
+    assert periods[1] > 5 * periods[0] and peaks[1] < 1.5 * peaks[0]

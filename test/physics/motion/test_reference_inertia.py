@@ -111,32 +111,6 @@ def test_corner(zeta):
     return 0.0, np.abs(found[:, 1] - expected).max() * OMEGA / change, 1e-11
 
 
-def test_a_step_of_the_reference_is_followed_as_the_closed_form_has_it():
-    """delta = -s exp(-zeta omega t) (cos(omega_d t) - zeta omega / omega_d sin(omega_d t)); the jump takes a period."""
-    size, end, gaps = 1e-3, 0.3, []
-    for period in (4e-4, 2e-4, 1e-4):
-        steps = round(end / period)
-        reference = knots([0.0, 0.1, 0.1 + period, 0.4], along_y([0.0, 0.0, size, size]))
-        found, _ = deflections(one_degree(), reference, steps, period=period)
-        t = np.arange(steps + 1) * period - 0.1 - 0.5 * period  # the middle of the jump
-        rest = np.exp(-ZETA * OMEGA * t) * (np.cos(DAMPED * t) - ZETA * OMEGA / DAMPED * np.sin(DAMPED * t))
-        late = t > period
-        gaps.append(np.abs(found[late, 1] + size * rest[late]).max() / size)
-    assert gaps[-1] < 1e-5
-    assert np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(gaps), 1)[0] == pytest.approx(2.0, abs=0.1)
-
-
-def test_a_constant_acceleration_is_lagged_by_its_share_of_the_frequency_squared():
-    """r'' / omega^2: 560 um per m/s^2 at 6.7 Hz [facts]; a cubic segment of constant acceleration."""
-    a, end = 0.3, 4.0
-    reference = knots([0.0, end], along_y([0.0, 0.5 * a * end**2]), along_y([0.0, a * end]))
-    found, _ = deflections(one_degree(), reference, 4000)
-    t = np.arange(4001) * PERIOD
-    rest = np.exp(-ZETA * OMEGA * t) * (np.cos(DAMPED * t) + ZETA * OMEGA / DAMPED * np.sin(DAMPED * t))
-    np.testing.assert_allclose(found[:, 1], -a / OMEGA**2 * (1 - rest), atol=1e-9 * a / OMEGA**2)
-    assert found[-1, 1] / a == pytest.approx(-560e-6, rel=0.02)
-
-
 def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
     """The matrix exponential of M delta'' + C delta' + K delta = -M r'' with r'' linear in each segment."""
     model = modes(SOFT, HEAVY)
@@ -213,12 +187,6 @@ def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     assert not deflections(modes(np.diag([1e-6] * 6), TRANSLATIONS), reference, 100)[0].any()
 
 
-def test_a_reference_of_constant_speed_moves_nothing():
-    reference = knots([0.0, 0.3, 0.4], np.array([[0, 0, 0], [0.03, 0.06, 0], [0.04, 0.08, 0]]))
-    found, _ = deflections(modes(SOFT, HEAVY), reference, 399)
-    assert np.abs(found).max() < 1e-14
-
-
 def test_the_motion_of_a_reference_is_its_corners_and_its_acceleration():
     reference = knots([0.0, 0.002, 0.004], along_y([0.0, 0.002, 0.0]))
     motion = reference_motion(reference, Clock(1e-3, 1).stamp(np.arange(7)))
@@ -246,16 +214,6 @@ def test_the_paper_has_eq_1_as_printed_and_every_other_cell_the_moving_reference
     assert not cell().arm_model(cell().target()).reference.size
     assert read_cell(find_file("test_piece.yaml")).dynamics.reference_inertia
     assert type(cell().dynamics)("lumped", 0.1).reference_inertia
-
-
-def test_a_straight_cut_does_not_know_the_term_and_a_bent_reference_does():
-    printed, moving = cell(), cell("dynamics.reference_inertia=true")
-    straight = [simulate(c).result.deflection for c in (printed, moving)]
-    np.testing.assert_allclose(straight[1], straight[0], atol=1e-9 * np.abs(straight[0]).max())
-    target = printed.target()
-    bent = target.with_position(target.position + along_y(np.arange(len(target)) % 2 * 2e-5))
-    rung = [simulate(c, bent).result.deflection for c in (printed, moving)]
-    assert np.abs(rung[1] - rung[0]).max() > 1e-6
 
 
 def test_between_two_postures_the_response_goes_in_a_straight_line():
