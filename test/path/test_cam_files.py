@@ -57,13 +57,6 @@ def test_the_whole_examples_are_read_under_every_name_of_their_kind(tmp_path):
 
 @pytest.mark.parametrize("suffix", VALID)
 @quick
-@given(data=st.binary(max_size=300))
-def test_bytes_at_random_are_refused_or_read(tmp_path, suffix, data):
-    check(tmp_path / f"x{suffix}", data)
-
-
-@pytest.mark.parametrize("suffix", VALID)
-@quick
 @given(words=st.lists(st.sampled_from(WORDS), max_size=40))
 def test_words_in_any_order_are_refused_or_read(tmp_path, suffix, words):
     check(tmp_path / f"x{suffix}", b"".join(words))
@@ -135,16 +128,14 @@ def apt(tmp_path):
 
 
 def test_points_feeds_and_rapids_are_read(apt):
-    path = apt(HEAD + "FROM/0,0,50\nRAPID\nGOTO/0,0,5\nFEDRAT/600,MMPM\nGOTO/ 0, 0, -1\n$$ done\nGOTO/10,0,-1\nFINI\n")
+    """RAPID holds for one move, and a statement may continue in the next line."""
+    path = apt(
+        HEAD + "FROM/0,0,50\nFEDRAT/600,MMPM\nRAPID\nGOTO/0,0,5\nGOTO/ 0, $\n0, -1\n$$ done\nGOTO/10,0,-1\nFINI\n"
+    )
     np.testing.assert_allclose(path.position * 1e3, [[0, 0, 50], [0, 0, 5], [0, 0, -1], [10, 0, -1]])
-    assert path.rapid.tolist() == [True, True, False, False] and path.line.tolist() == [4, 6, 8, 10]
+    assert path.rapid.tolist() == [True, True, False, False] and path.line.tolist() == [4, 7, 8, 11]
     np.testing.assert_allclose(path.feed[2:], 0.01)
     np.testing.assert_allclose(path.spindle_speed, 8000 * 2 * np.pi / 60)
-
-
-def test_rapid_holds_for_one_move(apt):
-    path = apt(HEAD + "GOTO/0,0,0\nFEDRAT/600\nRAPID\nGOTO/1,0,0\nGOTO/2,0,0\nFINI\n")
-    assert path.rapid.tolist() == [True, True, False]
 
 
 def test_inches_are_inches(apt):
@@ -158,12 +149,6 @@ def test_the_tool_axis_points_from_the_tip_to_the_spindle(apt):
     rotation = rotation_from_quaternion(path.quaternion)
     np.testing.assert_allclose(rotation[0], np.diag([1.0, -1.0, -1.0]), atol=1e-15)
     np.testing.assert_allclose(-rotation[:, :, 2], [[0, 0, 1], [0.6, 0, 0.8], [0, -0.28, 0.96]], atol=1e-12)
-
-
-def test_a_statement_may_go_on_in_the_next_line(apt):
-    path = apt(HEAD + "FEDRAT/600\nGOTO/0,0,0\nGOTO/1,2,$\n3\nFINI\n")
-    np.testing.assert_allclose(path.position[1] * 1e3, [1, 2, 3])
-    assert path.line[1] == 6
 
 
 def test_one_word_comments_name_features(apt):
@@ -353,17 +338,6 @@ def test_equal_start_and_end_mean_a_full_circle_in_either_sense():
         points, _ = arc_points((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0), clockwise, 1e-9, 1e-6)
         turn = np.unwrap(np.arctan2(points[:, 1], points[:, 0]))
         assert turn[-1] - turn[0] == pytest.approx((-1 if clockwise else 1) * 2 * math.pi * (1 - 1 / len(points)))
-
-
-def test_a_helix_climbs_evenly():
-    points, _ = arc_points((1.0, 0.0, 0.0), (-1.0, 0.0, -0.1), (0.0, 0.0), False, 1e-9, 1e-5)
-    np.testing.assert_allclose(points[:, 2], -0.1 * np.arange(1, len(points) + 1) / len(points))
-
-
-@pytest.mark.parametrize("end", [(1.0, 0.1, 0.0), (0.9, 0.0, 0.0)])
-def test_an_arc_whose_ends_differ_in_radius_does_not_close(end):
-    with pytest.raises(ArcError, match="does not close"):
-        arc_points((1.0, 0.0, 0.0), end, (0.0, 0.0), False, 1e-5, 1e-6)
 
 
 def test_an_arc_longer_than_its_diameter_does_not_close():

@@ -37,11 +37,6 @@ def corner() -> PathBuilder:
     return builder
 
 
-def test_lengths_follow_the_arcs_and_not_their_chords():
-    path = corner().build()
-    np.testing.assert_allclose(path.block_length, [0, 0.01, 0.01 * np.pi / 2])
-
-
 def test_points_on_the_path_lie_on_the_arc_with_its_tangent():
     path = corner().build()
     position, tangent, _ = path.on_path(np.array([0.0, 0.005, 0.01, 0.01 + 0.01 * np.pi / 6, path.length]))
@@ -193,14 +188,6 @@ def test_a_short_line_never_reaches_its_feed(read):
     assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(peak, rel=0.01)
 
 
-def test_acceleration_and_jerk_along_the_path_stay_within_their_limits(read):
-    path = read("G1 X80 F12000\nG3 X80 Y40 R20 F3000\nG1 X40 F9000\nG0 X0\nG1 Y0 F500\nX0.01\nX3 F60000\n")
-    timed = time_path(path, FINE)
-    for order, limit in ((2, 2.0), (3, 20.0)):
-        difference = np.diff(timed.distance, order) / 0.001**order  # a mean of the derivative, so within its bounds
-        assert limit * 0.5 < np.abs(difference).max() <= limit * (1 + 1e-5)
-
-
 coordinate = st.floats(-0.05, 0.05).map(lambda v: round(v, 6))
 blocks = st.tuples(st.tuples(coordinate, coordinate, coordinate), st.floats(1e-3, 0.5), st.booleans(), st.booleans())
 
@@ -241,11 +228,6 @@ def test_the_tool_stops_exactly_in_a_sharp_corner(read):
     np.testing.assert_allclose(run.position[stops], corners, atol=1e-12)
 
 
-def test_the_feed_is_kept_between_two_stops_although_the_stops_lie_on_steps(read):
-    timed = time_path(read("G1 X33.3\nY-21.7\n"), Timing())
-    assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(FEED, rel=0.01)
-
-
 def test_a_tangential_arc_is_entered_and_left_at_the_feed(read):
     timed = time_path(read("G1 X50\nG3 X50 Y60 R30\nG1 X0\n"), Timing())
     inside = slice(int(0.5 / STEP), -int(0.5 / STEP))
@@ -269,13 +251,6 @@ def test_between_the_knots_a_circle_is_met_with_the_fourth_order_of_the_step(rea
     assert np.all(np.abs(orders - 4) < 0.2), errors
     steady = (FEED * 0.05) ** 4 / (384 * 0.037**3)  # error of a Hermite cubic on a circle
     assert errors[1] == pytest.approx(steady, rel=0.1)
-
-
-def test_where_the_curvature_jumps_the_error_is_of_second_order(read):
-    path = read("G1 X50\nG3 X50 Y40 R20\nG1 X0\n")
-    errors = [time_path(path, Timing(controller_step=s)) for s in (0.016, 0.008, 0.004)]
-    largest = [path_error(timed, fine(timed)).max() for timed in errors]
-    assert 2 < np.log2(largest[0] / largest[2]) < 6 and largest[2] < 0.2e-6
 
 
 def polygon(count: int) -> str:
@@ -386,8 +361,9 @@ def test_a_trajectory_within_its_limits_stays_as_it_is():
 def test_an_even_motion_too_fast_by_a_factor_takes_longer_by_that_factor():
     joints = np.zeros((21, 6))
     joints[:, 3] = np.linspace(0, 3.0, 21)  # 3 rad/s
-    run = limit_by_joints(motion(joints), joints, SPEED, ACCELERATION)
+    run = limit_by_joints(motion(joints, np.tile([1.0, 0, 0], (21, 1))), joints, SPEED, ACCELERATION)
     assert run.duration_ns == pytest.approx(3 * 10**9, rel=1e-6)
+    np.testing.assert_allclose(run.velocity[:, 0], 1 / 3, rtol=1e-6)
 
 
 def test_only_the_steps_about_a_violation_grow():
@@ -399,21 +375,13 @@ def test_only_the_steps_about_a_violation_grow():
     assert np.all(step[:25] == 50_000_000) and np.all(step[-25:] == 50_000_000)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_rough_motions_end_up_within_all_limits_and_no_step_gets_shorter(seed):
     joints = np.cumsum(np.random.default_rng(seed).normal(0, 0.05, (200, 6)), axis=0)
     run = limit_by_joints(motion(joints), joints, SPEED, ACCELERATION)
     assert within_limits(run, joints)
     assert np.all(np.diff(run.time_ns) >= 50_000_000)
     np.testing.assert_array_equal(run.position, motion(joints).position)
-
-
-def test_knot_velocities_slow_down_with_the_clock():
-    joints = np.zeros((21, 6))
-    joints[:, 3] = np.linspace(0, 3.0, 21)
-    velocity = np.tile([1.0, 0, 0], (21, 1))
-    run = limit_by_joints(motion(joints, velocity), joints, SPEED, ACCELERATION)
-    np.testing.assert_allclose(run.velocity[:, 0], 1 / 3, rtol=1e-6)
 
 
 def test_joints_that_do_not_fit_or_limits_of_nothing_are_refused():
@@ -427,6 +395,7 @@ def test_joints_that_do_not_fit_or_limits_of_nothing_are_refused():
 FILE = Path(__file__).parents[2] / "config" / "test_piece.nc"
 CUTTER = 10.0  # mm, radius
 STOCK = 50.0  # mm, half of its side
+LEAN = np.radians(3.0)  # of the inclined side
 
 
 @pytest.fixture(scope="module")
@@ -440,49 +409,37 @@ def cuts(piece, feature: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return piece.position[k - 1] * 1e3, piece.position[k] * 1e3, piece.curvature[k] * 1e-3
 
 
-def lines(piece, feature: str) -> list[tuple[np.ndarray, float]]:
-    """Outward normal, (2,), and distance from the origin of the wall [mm] that each straight cut leaves."""
+@pytest.mark.parametrize(
+    ("feature", "directions", "distance", "level"),
+    [
+        ("square", {0, 90, 180, 270}, 40, -1.2),
+        ("circle", {0}, 27, -0.4),  # lead in and out along the tangent
+        ("diamond", {45, 135, 225, 315}, 40 / np.sqrt(2), -0.8),
+        ("inclined_side", {267}, 40 * (np.sin(LEAN) + np.cos(LEAN)), -1.6),  # from the corner of the square
+    ],
+)
+def test_straight_cuts_leave_walls_in_these_directions_distances_and_levels(
+    piece, feature, directions, distance, level
+):
+    """Outward normals [deg]; the part is on the right of a tool that runs clockwise."""
     start, end, curvature = cuts(piece, feature)
-    walls = []
-    for a, b in zip(start[curvature == 0, :2], end[curvature == 0, :2], strict=True):
-        along = (b - a) / np.linalg.norm(b - a)
-        left = np.array([-along[1], along[0]])  # the part is on the right of a tool that runs clockwise
-        walls.append((left, left @ a - CUTTER))
-    return walls
+    along = (end - start)[curvature == 0, :2]
+    left = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    found = np.sum(left * start[curvature == 0, :2], axis=1) - CUTTER
+    np.testing.assert_allclose(found, distance, atol=1e-4)  # four digits in the file
+    assert set(np.degrees(np.arctan2(left[:, 1], left[:, 0])).round(2) % 360) == directions
+    assert set(end[:, 2]) == {level}
 
 
-def test_the_square_is_80_mm_wide_parallel_to_the_axes_and_its_corners_are_rolled_round(piece):
-    walls = lines(piece, "square")
-    assert {tuple(np.round(n).astype(int)) for n, _ in walls} == {(1, 0), (-1, 0), (0, 1), (0, -1)}
-    for normal, distance in walls:
-        assert np.abs(normal).max() == pytest.approx(1, abs=1e-12) and distance == pytest.approx(40, abs=1e-9)
-    start, end, curvature = cuts(piece, "square")
-    assert set(end[:, 2]) == {-1.2}
+def test_the_corners_of_the_square_are_rolled_round_and_the_circle_has_a_diameter_of_54_mm_and_is_closed(piece):
+    start, _, curvature = cuts(piece, "square")
     corners = start[curvature != 0, :2]
     np.testing.assert_allclose(np.linalg.norm(np.abs(corners) - 40, axis=1), CUTTER, atol=1e-9)
     np.testing.assert_allclose(curvature[curvature != 0], -1 / CUTTER)
-
-
-def test_the_circle_has_a_diameter_of_54_mm_and_is_closed(piece):
     start, end, curvature = cuts(piece, "circle")
     arc = curvature != 0
     np.testing.assert_allclose(2 * (np.linalg.norm(start[arc, :2], axis=1) - CUTTER), 54, atol=1e-9)
     np.testing.assert_allclose(start[arc][0], end[arc][-1], atol=1e-12)
-    assert set(end[:, 2]) == {-0.4}
-    for normal, distance in lines(piece, "circle"):  # lead in and out along the tangent
-        assert distance == pytest.approx(27, abs=1e-9) and abs(normal[0]) == 1
-
-
-def test_the_diamond_is_the_square_over_the_middles_of_the_sides_and_the_inclined_side_leans_by_3_degrees(piece):
-    walls = lines(piece, "diamond")
-    assert len(walls) == 4
-    for normal, distance in walls:
-        np.testing.assert_allclose(np.abs(normal), np.sqrt(0.5), atol=1e-5)
-        assert distance == pytest.approx(40 / np.sqrt(2), abs=1e-4)  # four digits in the file
-    ((normal, distance),) = lines(piece, "inclined_side")
-    assert np.degrees(np.arctan2(-normal[0], -normal[1])) == pytest.approx(3, abs=1e-4)
-    assert normal @ [-40, -40] == pytest.approx(distance, abs=1e-4)  # from the corner of the square
-    assert set(cuts(piece, "diamond")[1][:, 2]) == {-0.8} and set(cuts(piece, "inclined_side")[1][:, 2]) == {-1.6}
 
 
 def test_every_feature_is_cut_clockwise_so_that_the_clockwise_spindle_mills_down(piece):
@@ -507,7 +464,7 @@ def test_rapid_moves_and_the_starts_of_cuts_keep_clear_of_the_material(piece):
 
 def test_nothing_but_the_part_and_the_base_is_left_standing(piece):
     """Everything outside of the diamond, within the square, is swept at the level of the diamond or below."""
-    grid = np.stack(np.meshgrid(np.linspace(-40, 40, 161), np.linspace(-40, 40, 161)), -1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(np.linspace(-40, 40, 81), np.linspace(-40, 40, 81)), -1).reshape(-1, 2)
     outside = grid[np.abs(grid).sum(axis=1) > 40.01]
     swept = np.zeros(len(outside), bool)
     timed = time_path(piece, Timing(controller_step=0.01))

@@ -28,14 +28,6 @@ def test_without_velocities_the_tool_runs_straight_from_knot_to_knot():
     np.testing.assert_allclose(Trajectory(TIME, PATH, TOOL_DOWN).sample(FINE), np.transpose(expected), atol=1e-17)
 
 
-def test_any_cubic_is_run_exactly_when_its_knot_velocities_are_given():
-    t, fine = TIME * 1e-9, FINE * 1e-9
-    cubic = np.polynomial.Polynomial([0.01, 0.2, -3.0, 40.0])
-    run = Trajectory(TIME, np.c_[cubic(t), t, 0 * t], TOOL_DOWN, np.c_[cubic.deriv()(t), 1 + 0 * t, 0 * t])
-    np.testing.assert_allclose(run.sample(FINE)[:, 0], cubic(fine), rtol=1e-14)
-    np.testing.assert_allclose(run.sample_velocity(FINE)[:, 0], cubic.deriv()(fine), rtol=1e-12)
-
-
 @pytest.mark.parametrize("ends", ["natural", "not-a-knot", "clamped"])
 def test_a_spline_is_run_as_scipy_evaluates_it(ends):
     oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
@@ -76,17 +68,6 @@ def test_a_line_that_is_no_multiple_of_the_step_keeps_its_feed_to_the_end():
     np.testing.assert_allclose(line.feed(line.time_ns), 4 / 60, rtol=1e-9)
 
 
-def test_samples_take_the_shape_of_the_times():
-    run = Trajectory(TIME, PATH, TOOL_DOWN)
-    assert run.sample(7).shape == (3,) and run.sample(np.zeros((2, 5), int)).shape == (2, 5, 3)
-    assert run.sample_orientation(np.zeros((2, 5), int)).shape == (2, 5, 4) and run.feed(7).shape == ()
-
-
-def test_a_new_path_keeps_times_orientations_and_frame():
-    run = Trajectory(TIME, PATH, TOOL_DOWN, frame="base_link").with_position(2 * PATH, PATH)
-    assert run.frame == "base_link" and run.velocity is not None and run.time_ns[-1] == TIME[-1]
-
-
 @pytest.mark.parametrize(
     ("change", "index"),
     [
@@ -104,12 +85,6 @@ def test_a_trajectory_that_no_tool_can_follow_is_refused_with_its_knot(change, i
     with pytest.raises(TrajectoryError) as caught:
         Trajectory(**({"time_ns": TIME, "position": PATH, "quaternion": TOOL_DOWN} | change))
     assert caught.value.index == index
-
-
-def test_a_record_cannot_be_changed_afterwards():
-    run = Trajectory(TIME, PATH, TOOL_DOWN)
-    with pytest.raises(ValueError):
-        run.position[0, 0] = 1.0
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
@@ -216,12 +191,6 @@ def test_what_creeps_does_not_stand():
     assert not run.standing.any() and not resting_segments(run).any()
     rounded = corner_blending(sharp(2 * AT_REST), moved(sharp(2 * AT_REST)), 1e-3)
     assert [violation.point for violation in rounded] == [STOP + 1]
-
-
-def test_a_reference_that_came_back_from_a_file_stands_where_it_stood(tmp_path):
-    run = corner(1e-12)
-    write_csv(tmp_path / "run.csv", run)
-    assert np.array_equal(read_csv(tmp_path / "run.csv")[0].standing, run.standing)
 
 
 def test_straight_lines_through_the_knots_never_stand():
