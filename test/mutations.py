@@ -38,7 +38,7 @@ TESTS = {
     EDGE: ["force"],
     SWEEP: ["force", "cut"],
     LOAD: ["force"],
-    MOTION: ["dynamics", "reference_inertia"],
+    MOTION: ["dynamics"],
     MIRROR: ["mirror"],
     REVISION: ["revision"],
     RESPONSE: ["lifted"],

@@ -144,20 +144,6 @@ def test_single_teeth_do_not_change_a_flank(cell):
     assert teeth.min() < -150.0 and tool_jumps(gaps, lateral(*settled, periods=1)) == []
 
 
-def test_an_axis_that_reverses_under_a_constant_load_changes_no_flank(cell):
-    """Out and back across the arm: axes 1 and 2 reverse, while the weight and a steady cut hold them to one side."""
-    wave = 0.02 * (1.0 - np.cos(np.linspace(0.0, 2.0 * np.pi, 201)))
-    start = cell.target().position[0]
-    there_and_back = Trajectory(
-        np.arange(201) * 50_000_000, start + np.outer(wave, [0.0, 1.0, 0.3]), cell.target().quaternion[0]
-    )
-    turns = np.diff(np.sign(np.diff(cell.joints(there_and_back), axis=0)), axis=0)
-    assert np.abs(turns[:, [0, 1]]).max(axis=0).tolist() == [2.0, 2.0]
-    gaps = joint_gaps(cell, there_and_back, cell.arm.backlash)
-    periods = cell.clock.steps(there_and_back.duration_ns)
-    assert tool_jumps(gaps, lateral(*[120.0] * periods, periods=1)) == []
-
-
 def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path(cell):
     """At the turning points of a motion about axis 1 alone the inertia torque is -M_11 q1''."""
     joints = np.tile(cell.start_joints, (41, 1))
