@@ -129,25 +129,6 @@ def test_static_limit(inertia):
 # --- condensation ---
 
 
-def test_the_condensed_arm_is_the_limit_of_one_with_vanishing_rotary_inertia():
-    """The matrix exponential of all six components; the difference falls in proportion to the inertia."""
-    condensed = modes(COMPLIANCE, TRANSLATIONS)
-    period, steps = 0.01, 12
-    states, deflections = run(condensed, ZETA, period, steps, np.zeros(6), WRENCH)
-    differences = []
-    for inertia in (1e-2, 1e-3, 1e-4):
-        full = modes(COMPLIANCE, TRANSLATIONS + np.diag([0.0] * 3 + [inertia] * 3))
-        inverse, k, c = np.linalg.inv(full.mass), stiffness_matrix(full), damping_matrix(full, ZETA)
-        system = np.block([[np.zeros((6, 6)), np.eye(6)], [-inverse @ k, -inverse @ c]])
-        constant = np.concatenate([np.zeros(6), inverse @ WRENCH])
-        whole = np.block([[system, constant[:, None]], [np.zeros((1, 13))]])
-        found = expm(whole * period * steps)[:6, 12]
-        differences.append(np.abs(found - deflections[-1]).max() / np.abs(deflections[-1]).max())
-    assert differences[-1] < 1e-4
-    order = np.polyfit(np.log([1e-2, 1e-3, 1e-4]), np.log(differences), 1)[0]
-    assert order == pytest.approx(1.0, abs=0.15)
-
-
 # --- energy ---
 def energies(model, states):
     """Kinetic and potential energy [J], (n,)."""
@@ -475,16 +456,6 @@ def test_the_modes_of_an_arm_in_the_place_of_the_arm_give_the_same_pass():
     exact, found = (simulate(c, bent).result for c in (cell, same))
     np.testing.assert_allclose(found.deflection, exact.deflection, atol=1e-9 * np.abs(exact.deflection).max())
     assert found.volume.sum() > 0.0
-
-
-def test_one_mode_gives_way_by_the_square_of_its_shape_over_that_of_its_frequency():
-    shape = np.array([0.01, 0.05, 0.02, 0.3, 0.0, 0.1])
-    model = measured_model(MeasuredModes(np.array([7.0]), np.array([0.5]), shape))
-    arm = CompliantArm(arm_model([model], 0.182, 0.01))
-    wrench = np.array([100.0, -50.0, 30.0, 4.0, -7.0, 5.0])
-    for _ in range(400):
-        deflection = arm.correct(wrench)
-    np.testing.assert_allclose(deflection, shape * (shape @ wrench) / (14 * np.pi) ** 2, rtol=1e-9)
 
 
 def test_each_mode_rings_down_with_its_own_ratio():

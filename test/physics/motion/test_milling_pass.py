@@ -210,15 +210,6 @@ def test_a_duration_of_rounded_stamps_takes_no_further_period():
         assert clock.steps(int(clock.stamp(n))) == n
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"period": 0.0}, {"period": np.nan}, {"period": 0.021}, {"micro_step": 0.0}, {"iterations": 0},
-              {"micro_step": np.radians(16.0)}, {"iterations": 21}, {"warn_correction": 0.0}],
-)  # fmt: skip
-def test_an_exchange_that_cannot_be_is_refused(wrong):
-    with pytest.raises(ParameterError):
-        Exchange(**wrong)
-
-
 # --- Scores of Table 2 and the ringing found in a pass ---
 TIME = np.arange(0, 1.05, 5e-4)
 X, Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
