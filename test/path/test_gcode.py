@@ -144,14 +144,11 @@ def test_what_cannot_be_run_is_refused_with_line_and_word(read, text, line, word
     assert caught.value.line == line and "\n" not in str(caught.value)
 
 
-def test_all_that_cannot_be_run_is_listed_at_once(read):
+def test_all_that_cannot_be_run_is_listed_at_once_and_not_what_follows_from_a_refused_move(read):
     with pytest.raises(ProgramError) as caught:
         read(START + "G41 D1\nG1 X1 F100\nX#1\nG42\nA5\nG1 X2\n")
     assert [(r.line, r.word) for r in caught.value.program.refused] == [(2, "G41"), (4, "X#1"), (5, "G42"), (6, "A5")]
     assert "line 4: X#1: post without macros" in str(caught.value) and "(also line 5)" in str(caught.value)
-
-
-def test_what_follows_from_a_refused_move_is_not_refused_once_more(read):
     with pytest.raises(ProgramError) as caught:
         read("G0 X#1 Y0\nG0 Z5\nG1 Z-1 F100\nX1\n")
     assert [r.line for r in caught.value.program.refused] == [1]
@@ -175,22 +172,19 @@ def millimetres(path) -> list[list[float]]:
 
 
 # --- cycles ---
-def test_pecks_end_at_the_bottom_and_start_a_clearance_above_the_last_one():
-    path = Cycle(83, 10e-3, 2e-3, -5e-3, 3e-3).strokes()
-    depths = [z for z, rapid in path if not rapid]
-    np.testing.assert_allclose(depths, [-1e-3, -4e-3, -5e-3])
-    np.testing.assert_allclose([z for z, rapid in path if rapid], [
-        2e-3, -1e-3 + CLEARANCE, 2e-3, -4e-3 + CLEARANCE, 2e-3])  # fmt: skip
-
-
-def test_chips_are_broken_by_a_short_way_back():
-    path = Cycle(73, 10e-3, 2e-3, -5e-3, 3e-3).strokes()
-    np.testing.assert_allclose([z for z, rapid in path if rapid], [-1e-3 + CLEARANCE, -4e-3 + CLEARANCE, 2e-3])
-
-
-def test_a_bore_is_left_at_the_feed_and_a_drill_rapidly():
-    assert [rapid for _, rapid in Cycle(85, 10e-3, 2e-3, -5e-3).strokes()] == [False, False]
-    assert [rapid for _, rapid in Cycle(82, 10e-3, 2e-3, -5e-3).strokes()] == [False, True]
+@pytest.mark.parametrize(
+    ("cycle", "cuts", "rapids"),
+    [
+        (83, [-1e-3, -4e-3, -5e-3], [2e-3, -1e-3 + CLEARANCE, 2e-3, -4e-3 + CLEARANCE, 2e-3]),  # pecks, from R on
+        (73, [-1e-3, -4e-3, -5e-3], [-1e-3 + CLEARANCE, -4e-3 + CLEARANCE, 2e-3]),  # chips are broken
+        (85, [-5e-3, 2e-3], []),  # a bore is left at the feed
+        (82, [-5e-3], [2e-3]),
+    ],
+)
+def test_the_strokes_of_a_cycle_end_at_the_bottom_and_start_a_clearance_above_the_last_one(cycle, cuts, rapids):
+    strokes = Cycle(cycle, 10e-3, 2e-3, -5e-3, 3e-3).strokes()
+    np.testing.assert_allclose([z for z, rapid in strokes if not rapid], cuts)
+    np.testing.assert_allclose([z for z, rapid in strokes if rapid], rapids)
 
 
 def test_g98_returns_to_where_the_cycle_was_called_and_g99_to_r(read):
@@ -200,12 +194,9 @@ def test_g98_returns_to_where_the_cycle_was_called_and_g99_to_r(read):
     assert path.rapid.tolist() == [True, True, True, False, True, True, True, True, False, True, True]
 
 
-def test_holes_in_a_row_are_repeated_by_l_with_g91(read):
+def test_l_with_g91_repeats_holes_in_a_row_and_l0_drills_nothing_until_the_next_place(read):
     path = read(HIGH + "G91 G99 G81 X5 Z-5 R-8 F100 L3\nG80 G90\n")
     assert [p for p in millimetres(path) if p[2] < 0] == [[5, 0, -3], [10, 0, -3], [15, 0, -3]]
-
-
-def test_a_cycle_without_a_repeat_drills_nothing_until_the_next_place(read):
     path = read(HIGH + "G81 X5 Z-3 R2 F100 L0\nX7\n")
     assert [p for p in millimetres(path) if p[2] < 0] == [[7, 0, -3]]
 
