@@ -229,9 +229,6 @@ def test_mirror_without_a_model_of_the_arm_or_a_wrench_is_refused():
         )
 
 
-# --- the arm itself ---
-
-
 # --- Learning of an arm that is not the model's ---
 UM = 1e-6
 COARSE = ("stock.grid_step_um=40", "exchange.micro_step_deg=3", "dynamics.reference_inertia=true")

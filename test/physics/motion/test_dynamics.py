@@ -126,9 +126,6 @@ def test_static_limit(inertia):
     return 0.0, np.abs(deflections[-1] / (COMPLIANCE @ WRENCH) - 1).max(), 1e-10
 
 
-# --- condensation ---
-
-
 # --- energy ---
 def energies(model, states):
     """Kinetic and potential energy [J], (n,)."""
