@@ -52,12 +52,6 @@ def test_with_the_sag_left_to_the_controller_the_wrench_alone_is_mirrored():
     assert gap(Pose(moved, turned), TARGET)[1] < 1e-8
 
 
-def test_without_load_the_target_is_its_own_mirror():
-    found = mirror(ARM, SPINDLE, TARGET, np.zeros(6), SEED)
-    np.testing.assert_array_equal(found.pose.position, TARGET.position)
-    assert len(found.history) == 1
-
-
 @check(
     "mirror (32): error of an iteration / of the one before, alpha {relaxation}", "1 - alpha for a nearly linear arm",
     cases=("relaxation", [(0.2,), (0.5,), (0.8,), (0.9,)]),

@@ -32,7 +32,7 @@ SAMPLE_NS = 500_000
 def line(step_ns=50_000_000, duration_ns=1_200_000_000):
     """A straight cut with knots at the controller step."""
     knots = np.arange(0, duration_ns + 1, step_ns)
-    return Trajectory(knots, np.outer(knots * 1e-9, [0.0667, 0.0, 0.0]), (1.0, 0.0, 0.0, 0.0))
+    return Trajectory(knots, np.outer(knots * 1e-9, [0.0667, 0.0, 0.0]), (1.0, 0.0, 0.0, 0.0), frame="fixture")
 
 
 def ran(reference, displacement):
@@ -96,6 +96,7 @@ def test_a_second_pass_leads_to_the_same_reference(smooth):
     first, _ = sampled(smooth, target, target, ran(target, ringing))
     second, _ = sampled(smooth, target, first, ran(first, ringing))
     np.testing.assert_allclose(second.position, first.position, atol=1e-16)
+    assert second.frame == "fixture" and np.array_equal(second.time_ns, target.time_ns)
 
 
 # --- orders of convergence ---
