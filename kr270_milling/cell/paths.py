@@ -89,8 +89,6 @@ class StraightCut:
         along, step = [1.0, 0.0, 0.0], self.timing.controller_step
         return Trajectory.straight_line(start, along, self.path.length, self.path.feed_rate, step)
 
-    before_joint_limits = target
-
     def check(self) -> None:
         """Raise ParameterError for a pass of implausible effort."""
         duration = self.path.length / self.path.feed_rate
@@ -237,11 +235,6 @@ class ProgramPath:
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip, knots at the controller step."""
         return self.timed.trajectory
-
-    @property
-    def before_joint_limits(self) -> Trajectory:
-        """The target under the limits of the controller alone."""
-        return self.fed.trajectory
 
     def check(self) -> None:
         """The file is read and checked when it is used."""

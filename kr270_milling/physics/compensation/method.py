@@ -49,10 +49,6 @@ class Method(Protocol):
     def name(self) -> str: ...
 
     @property
-    def needs_arm(self) -> bool:
-        """Whether the method uses the models of arm and cut, not only the pass."""
-
-    @property
     def repeats(self) -> bool:
         """Whether passes and revisions continue until a pass brings no improvement."""
 

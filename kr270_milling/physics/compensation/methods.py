@@ -16,7 +16,6 @@ class SampledMethod:
 
     name: str
     smooth: bool
-    needs_arm: bool = False
     repeats: bool = False
 
     def revise(self, task: RevisionTask) -> Correction:
@@ -31,7 +30,6 @@ class MirrorMethod:
 
     name: str
     smooth: bool = True
-    needs_arm: bool = True
     repeats: bool = False
 
     def revise(self, task: RevisionTask) -> Correction:
@@ -52,7 +50,6 @@ class ResponseMethod:
     name: str
     repeats: bool
     smooth: bool = True
-    needs_arm: bool = True
 
     def revise(self, task: RevisionTask) -> Correction:
         from kr270_milling.physics.compensation.learning import Learner

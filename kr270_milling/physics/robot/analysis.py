@@ -65,11 +65,11 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
         "joint_deflection_rad": loaded.theta.tolist(),
         "mode_frequencies_hz": {m: frequencies.tolist() for m, frequencies in modes.items()},
         "condition_number": condition,
-        "warnings": _warnings(arm, mount, np.asarray(q, float), start.position),
+        "warnings": _warnings(arm, np.asarray(q, float), start.position),
     }
 
 
-def _warnings(arm: Arm, mount: Mount, q: np.ndarray, tip: np.ndarray) -> list[str]:
+def _warnings(arm: Arm, q: np.ndarray, tip: np.ndarray) -> list[str]:
     """What no robot on its floor does: joints beyond their limits, the tool point or the wrist below the floor."""
     beyond = np.flatnonzero((q > arm.joint_upper + 1e-9) | (q < arm.joint_lower - 1e-9))
     findings = [

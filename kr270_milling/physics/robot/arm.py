@@ -157,11 +157,6 @@ class Arm(Record):
             raise ParameterError("joint_upper_deg", shown, "above joint_lower_deg for every joint")
 
     @functools.cached_property
-    def joint_stiffness(self) -> np.ndarray:
-        """Diagonal of K_theta [N m/rad], (6,)."""
-        return 1.0 / self.joint_compliance
-
-    @functools.cached_property
     def base_axes(self) -> np.ndarray:
         """Axes of base_link, 0 to 2, about which the ground is compliant, (k,)."""
         return np.flatnonzero(self.base_compliance)

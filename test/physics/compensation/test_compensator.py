@@ -181,7 +181,7 @@ def test_what_the_limit_took_away_is_known_until_the_next_revision():
 class Halved:
     """Half of the sampled displacement."""
 
-    name, needs_arm, repeats, smooth = "halved", False, True, False
+    name, repeats, smooth = "halved", True, False
 
     def revise(self, task):
         return Correction(0.5 * sampled_correction(task.target, task.reference, task.ran), self.smooth)

@@ -46,7 +46,7 @@ def test_flange_position(name, expected):
 def test_both_arm_files_have_table_1_of_the_paper_its_posture_and_a_bare_flange(name):
     arm, mount = read_arm(find_file(f"{name}.yaml"))
     assert np.all((arm.joint_lower <= PAPER) & (arm.joint_upper >= PAPER))
-    np.testing.assert_allclose(1 / arm.joint_stiffness, np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13]) * 1e-6)
+    np.testing.assert_allclose(1 / arm.spring_stiffness, np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13]) * 1e-6)
     assert arm.link_mass.sum() == pytest.approx(790.4)
     np.testing.assert_array_equal(mount.pose.rotation, np.eye(3))
     np.testing.assert_allclose(Mount().pose.rotation[:, 2], [1, 0, 0], atol=1e-15)  # the default: z out of the flange

@@ -85,7 +85,7 @@ def test_an_arm_turned_by_axis_1_has_the_rigid_inertia_of_what_rides_on_it():
 def test_the_energy_consistent_mass_is_the_sum_over_the_links_with_the_loaded_springs():
     """(25) in the form of facts.md."""
     solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
-    springs = np.diag(ARM.joint_stiffness) - solved.hessian
+    springs = np.diag(ARM.spring_stiffness) - solved.hessian
     follow = np.linalg.solve(springs, solved.jacobian.T) @ stiffness(solved, ARM)
     whole = assembled_mass(ARM, SPINDLE, forward(ARM, SPINDLE, solved.posture))
     phi = np.concatenate([jacobian(ARM, SPINDLE, solved.posture, j) @ follow for j in range(7)])
@@ -156,7 +156,7 @@ def test_both_forms():
     solved = equilibrium(ARM, SPINDLE, PAPER)
     mass = cartesian_mass(ARM, SPINDLE, solved.posture, "consistent")
     at_tool = mode_frequencies(compliance(solved, ARM), mass)
-    springs = np.diag(ARM.joint_stiffness) - solved.hessian
+    springs = np.diag(ARM.spring_stiffness) - solved.hessian
     at_joints = mode_frequencies(np.linalg.inv(springs), joint_mass(ARM, SPINDLE, solved.posture))
     return 0.0, np.abs(at_tool / at_joints - 1).max(), 1e-9
 

@@ -70,7 +70,7 @@ def test_residual():
     torque = load_torque(forward(ARM, SPINDLE, solved.posture), LOADS, link_loads(ARM, SPINDLE))
     np.testing.assert_array_equal(solved.pose.position, pose(ARM, SPINDLE, NEAR + solved.theta).position)
     np.testing.assert_array_equal(solved.jacobian, jacobian(ARM, SPINDLE, solved.posture))
-    return 0.0, max(np.abs(ARM.joint_stiffness * solved.theta - torque).max(), solved.residual.max()), 1e-9
+    return 0.0, max(np.abs(ARM.spring_stiffness * solved.theta - torque).max(), solved.residual.max()), 1e-9
 
 
 @check(
