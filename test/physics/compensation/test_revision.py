@@ -16,7 +16,7 @@ from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_o
 from kr270_milling.decide.path_limits import correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, remaining_error
-from kr270_milling.physics.compensation.limiting import Bounds
+from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds
 from kr270_milling.physics.compensation.mirror import loaded_pose
 from kr270_milling.physics.compensation.revision import (
     PassRecord,
@@ -41,9 +41,9 @@ def ran(reference, displacement):
     return PassRecord(stamps, reference.sample(stamps) + displacement(stamps * 1e-9))
 
 
-def sampled(smooth, target, reference, record):
+def sampled(smooth, target, reference, record, bounds=UNBOUNDED):
     """The reference after a pass along ``reference`` by the sampled displacement, and where it was limited."""
-    return corrected(target, sampled_correction(target, reference, record), smooth)
+    return corrected(target, sampled_correction(target, reference, record), smooth, bounds)
 
 
 def revised(method, target, first, criterion):
@@ -276,6 +276,17 @@ def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, met
         assert found.time == target.time[found.worst - 1] and f"at point {found.worst} (" in found.sentence
         told[found.first - 1 : found.last] = True
     assert not np.any((missing > 1e-8) & ~told)
+
+
+@pytest.mark.parametrize(("kind", "bounds"), [("size", Bounds(20e-6)), ("change", Bounds(max_change=6e-6))])
+def test_a_spline_does_not_overshoot_its_limits_between_its_knots(kind, bounds):
+    target = line()
+    reference, limited = sampled(True, target, target, ran(target, ringing), bounds)
+    ticks = np.arange(0, target.duration_ns, 12_000_000)
+    correction = reference.sample(ticks) - target.sample(ticks)
+    values, most = (correction, 20e-6) if kind == "size" else (np.diff(correction, axis=0), 6e-6)
+    largest = np.linalg.norm(values, axis=1).max()
+    assert {part.kind for part in limited} == {kind} and 0.97 * most < largest <= most * (1 + 1e-6)
 
 
 def test_a_step_is_taken_half_before_and_half_after_so_that_it_does_not_lag():
