@@ -14,6 +14,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.comments import described_tool, operation_name
 from kr270_milling.path.cam.drilling import CLEARANCE, Cycle
 from kr270_milling.path.cam.gcode.reader import read_gcode
+from kr270_milling.path.cam.machine import CHORD
 from kr270_milling.path.source_program import ProgramError
 
 START = "G0 X0 Y0 Z0\n"
@@ -35,6 +36,10 @@ def test_the_length_of_an_arc_is_radius_times_angle(read):
     assert three.length == pytest.approx(0.010 * 3 * math.pi / 2, rel=1e-9)
     full = read(START + "G2 I-37 F100\n")
     assert full.length == pytest.approx(0.037 * 2 * math.pi, rel=1e-9)
+    middle = (full.position[1:] + full.position[:-1]) / 2
+    assert (
+        0.9 * CHORD < 0.037 - np.hypot(middle[:, 0] + 0.037, middle[:, 1]).min() <= CHORD
+    )  # no more chords than needed
     helix = read(START + "G2 I-37 Z-1 F100\n")
     assert helix.length == pytest.approx(math.hypot(0.037 * 2 * math.pi, 0.001), rel=1e-9)
     longer = read(START + "G2 X10 Y10 R-10 F100\n")

@@ -33,7 +33,7 @@ def test_a_spline_is_run_as_scipy_evaluates_it(ends):
     oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
     run = spline(TIME, PATH, ends=ends)
     np.testing.assert_allclose(run.sample(FINE), oracle(FINE * 1e-9), atol=1e-16)
-    np.testing.assert_allclose(run.feed(FINE), np.linalg.norm(oracle(FINE * 1e-9, 1), axis=1), rtol=1e-10, atol=1e-15)
+    np.testing.assert_allclose(run.sample_velocity(FINE), oracle(FINE * 1e-9, 1), rtol=1e-10, atol=1e-14)
 
 
 def test_orientation_follows_scipys_slerp_and_takes_the_short_way():
