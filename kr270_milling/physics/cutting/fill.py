@@ -11,63 +11,88 @@ import math
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.physics.cutting.grid import LEVELS, TILE
 from kr270_milling.physics.cutting.lanes import LANES, lower_lanes
 from kr270_milling.physics.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
 
 SLACK = 1e-9
-MOST_SUMMED = 65_536  # nodes, of up to 65535 levels each
+MOST_SUMMED = 65_520  # nodes, of up to 65535 levels each; whole LANES
 COLUMNS = np.arange(float(BLOCK))
 VECTOR = 32  # nodes from which on it pays to look first whether anything is left
 
 
 @inlined
 def tally_log(ints, old, tally, level):
-    """Add to tally what the log holds since the last call: nodes, sum of level differences, lowest level, new nodes."""
-    done, end = np.uint64(ints[TALLIED]), np.uint64(ints[LOGGED])
-    while done < end:  # so many at a time that their sum fits 32 bits
-        stop = min(end, done + np.uint64(MOST_SUMMED))
-        count, new, deficit, lowest = np.uint32(0), np.uint32(0), np.uint32(0), np.uint16(level)
-        for n in range(done, stop):
-            k = min(old[n], np.uint16(level))
-            count += np.uint32(k < np.uint16(level))
-            new += np.uint32(k == 0)
-            deficit += np.uint32(np.uint16(level) - k)
-            lowest = min(lowest, k)
+    """Add to tally what the log holds since the last call: nodes, sum of level differences, lowest level, new nodes.
+
+    The log is filled up to whole LANES with the deepest level, which adds nothing: vector instructions alone do it.
+    """
+    begin, end = np.uint64(ints[TALLIED]), np.uint64(ints[LOGGED])
+    whole = (end - begin + np.uint64(LANES - 1)) & ~np.uint64(LANES - 1)
+    for n in range(LANES):
+        old[end + np.uint64(n)] = np.uint16(LEVELS)
+    deepest = np.uint16(level)
+    for done in range(np.uint64(0), whole, np.uint64(MOST_SUMMED)):  # so many at a time that their sum fits 32 bits
+        stop = min(whole, done + np.uint64(MOST_SUMMED))
+        count, new, most, deficit = np.uint16(0), np.uint16(0), np.uint16(0), np.uint32(0)
+        for n in range(done, stop):  # each sum is cut to its width at once, since more lanes then fit a register
+            left = np.uint16(deepest - min(old[begin + n], deepest))
+            count = np.uint16(count + np.uint16(left > 0))
+            new = np.uint16(new + np.uint16(left == deepest))
+            deficit = np.uint32(deficit + np.uint32(left))
+            most = max(most, left)
         tally[0] += np.int64(count)
         tally[1] += np.int64(deficit)
-        tally[2] = min(tally[2], np.int64(lowest))
+        tally[2] = min(tally[2], np.int64(level) - np.int64(most))
         tally[3] += np.int64(new)
-        done = stop
     ints[TALLIED] = ints[LOGGED]
 
 
 @inlined
-def _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level):
-    """Lower the nodes (ix, ja..jb) to ``level``; the log keeps their old levels and where the run of nodes was."""
-    j = ja
-    while j <= jb:
-        length = min(jb, j | 255) - j + 1
-        slot = table[ix >> 8, j >> 8]
-        if slot < 0:
-            slot = np.int32(ints[TILES])
-            if ((np.int64(slot) + 1) << 16) + LANES > pool.size:
-                ints[FAILED] = 1
-                return
-            table[ix >> 8, j >> 8] = slot
-            ints[TILES] += 1
-        start = (np.int64(slot) << 16) | ((ix & 255) << 8) | (j & 255)
-        j += length
-        if length >= VECTOR and not any_above(pool, start, length, level):
-            continue
-        if ints[LOGGED] + length + LANES > old.size or ints[LOGGED_RUNS] == runs.shape[0]:
-            tally_log(ints, old, tally, level)
-            ints[LOGGED] = ints[LOGGED_RUNS] = ints[TALLIED] = 0
-            ints[LOG_LOST] = 1
-        _lower(pool, old, np.uint64(start), np.uint64(ints[LOGGED]), np.uint64(length), np.uint16(level))
-        run = np.uint64(ints[LOGGED_RUNS])
-        runs[run, 0], runs[run, 1] = start, length
-        ints[LOGGED_RUNS] += 1
-        ints[LOGGED] += length
+def _clear_columns(pool, table, ints, runs, old, tally, spans, first, count, low, high, level):
+    """Lower the nodes (first + n, spans[0, n]..spans[1, n]), n < count, to ``level``; low, high: bounds of the spans.
+
+    The columns lie in tiles side by side, not one behind the other. The log keeps the old levels of the nodes and where
+    each run of nodes was.
+    """
+    logged, logged_runs, column = np.uint64(ints[LOGGED]), np.uint64(ints[LOGGED_RUNS]), np.uint64(first & (TILE - 1))
+    room, most_runs = np.uint64(old.size - LANES), np.uint64(runs.shape[0])
+    for row in range(low >> 8, (high >> 8) + 1):
+        slot, begin, end = table[first >> 8, row], np.int32(row << 8), np.int32(row << 8 | 255)
+        for n in range(count):
+            ja, jb = max(spans[0, n], begin), min(spans[1, n], end)
+            if ja > jb:
+                continue
+            if slot < 0:
+                slot = _take_tile(pool, table, ints, first >> 8, row)
+                if slot < 0:
+                    break
+            length = np.uint64(jb - ja) + np.uint64(1)
+            start = np.uint64(slot) << np.uint64(16) | (column + np.uint64(n)) << np.uint64(8) | np.uint64(ja - begin)
+            if length >= VECTOR and not any_above(pool, start, length, level):
+                continue
+            if logged + length > room or logged_runs == most_runs:
+                ints[LOGGED] = logged
+                tally_log(ints, old, tally, level)
+                logged = logged_runs = np.uint64(0)
+                ints[TALLIED], ints[LOG_LOST] = 0, 1
+            _lower(pool, old, start, logged, length, np.uint16(level))
+            runs[logged_runs, 0], runs[logged_runs, 1] = start, length
+            logged_runs += np.uint64(1)
+            logged += length
+    ints[LOGGED], ints[LOGGED_RUNS] = logged, logged_runs
+
+
+@inlined
+def _take_tile(pool, table, ints, tile_x, tile_y):
+    """Place of a new tile in the pool; -1 and FAILED if the pool is full."""
+    slot = np.int32(ints[TILES])
+    if ((np.int64(slot) + 1) << 16) + LANES > pool.size:
+        ints[FAILED] = 1
+        return np.int32(-1)
+    table[tile_x, tile_y] = slot
+    ints[TILES] += 1
+    return slot
 
 
 @inlined
@@ -131,10 +156,12 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
     low_base, high_base = 0.0 if my > 0.0 else -math.inf, 0.0 if my < 0.0 else math.inf
     low0, high0 = 0.0 if side0 > 0.0 else -math.inf, 0.0 if side0 < 0.0 else math.inf
     low1, high1 = 0.0 if side1 > 0.0 else -math.inf, 0.0 if side1 < 0.0 else math.inf
+    bottom, top = max(math.floor(low), 0), min(math.ceil(high), ny - 1)
     pool, table, ints, runs, old, tally, spans = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally, s.spans
-    for first in range(ia, ib + 1, BLOCK):
-        count = min(BLOCK, ib + 1 - first)
-        for n in range(count):  # without a branch, so that it is compiled to vector instructions
+    first = ia
+    while first <= ib:
+        count = min(ib, first | (BLOCK - 1)) + 1 - first  # a block of columns does not cross the border of a tile
+        for n in range((count + 7) & -8):  # without a branch, so that it is compiled to vector instructions
             x = first + COLUMNS[n]
             square = radius * radius - (x - cx) * (x - cx)
             half = math.sqrt(max(square, 0.0))
@@ -145,10 +172,8 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
             lo, hi = min(lo, ny + 1.0), max(hi, -2.0)  # what a 32-bit number can hold
             spans[0, n] = max(np.int32(np.ceil(lo - SLACK)), np.int32(0))
             spans[1, n] = min(np.int32(np.floor(hi + SLACK)), np.int32(ny - 1)) if square >= 0.0 else np.int32(-1)
-        for n in range(count):
-            ja, jb = np.int64(spans[0, n]), np.int64(spans[1, n])
-            if ja <= jb:
-                _clear_column(pool, table, ints, runs, old, tally, first + n, ja, jb, level)
+        _clear_columns(pool, table, ints, runs, old, tally, spans, first, count, bottom, top, level)
+        first += count
 
 
 @compiled
@@ -156,7 +181,7 @@ def clear_quad(s, xs, ys, nx, ny, level):
     """Clear the inside (even-odd) of the closed polygon through the four corners xs, ys; it may cross itself."""
     ia = max(math.ceil(min(min(xs[0], xs[1]), min(xs[2], xs[3])) - SLACK), 0)
     ib = min(math.floor(max(max(xs[0], xs[1]), max(xs[2], xs[3])) + SLACK), nx - 1)
-    pool, table, ints, runs, old, tally = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally
+    pool, table, ints, runs, old, tally, spans = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally, s.spans
     for ix in range(ia, ib + 1):
         n, a, b, c, d = 0, math.inf, math.inf, math.inf, math.inf
         for i in range(4):
@@ -173,4 +198,5 @@ def clear_quad(s, xs, ys, nx, ny, level):
             ja, jb = math.ceil(max(lo, -1.0) - SLACK), math.floor(min(hi, ny + 1.0) + SLACK)
             ja, jb = max(ja, 0), min(jb, ny - 1)
             if ja <= jb:
-                _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level)
+                spans[0, 0], spans[1, 0] = ja, jb
+                _clear_columns(pool, table, ints, runs, old, tally, spans, ix, 1, ja, jb, level)
