@@ -57,7 +57,7 @@ def cut_step(s, p, pose_from, pose_to, first, n, forces, wrench):
     return _step(s, p, pose_from, pose_to, first, n, forces, wrench)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def cut_undo(s):
     """Take the last step back; False where the undo log was too small and nothing was done."""
     return _undo(s)

@@ -52,8 +52,7 @@ def tally_log(ints, old, tally, level):
 def _clear_columns(pool, table, ints, runs, old, tally, spans, first, count, low, high, level):
     """Lower the nodes (first + n, spans[0, n]..spans[1, n]), n < count, to ``level``; low, high: bounds of the spans.
 
-    The columns lie in tiles side by side, not one behind the other. The log keeps the old levels of the nodes and where
-    each run of nodes was.
+    All columns cross the same tiles. The log keeps the old levels of the nodes and where each run of nodes was.
     """
     logged, logged_runs, column = np.uint64(ints[LOGGED]), np.uint64(ints[LOGGED_RUNS]), np.uint64(first & (TILE - 1))
     room, most_runs = np.uint64(old.size - LANES), np.uint64(runs.shape[0])
@@ -154,8 +153,8 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
         ib = min(ib, math.floor(u1 + SLACK))
     # A line that bounds the sector from one side only is moved to infinity on the other.
     low_base, high_base = 0.0 if my > 0.0 else -math.inf, 0.0 if my < 0.0 else math.inf
-    low0, high0 = 0.0 if side0 > 0.0 else -math.inf, 0.0 if side0 < 0.0 else math.inf
-    low1, high1 = 0.0 if side1 > 0.0 else -math.inf, 0.0 if side1 < 0.0 else math.inf
+    low0, high0 = v0 if side0 > 0.0 else -math.inf, v0 if side0 < 0.0 else math.inf
+    low1, high1 = v1 if side1 > 0.0 else -math.inf, v1 if side1 < 0.0 else math.inf
     bottom, top = max(math.floor(low), 0), min(math.ceil(high), ny - 1)
     pool, table, ints, runs, old, tally, spans = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally, s.spans
     first = ia
@@ -166,7 +165,7 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
             square = radius * radius - (x - cx) * (x - cx)
             half = math.sqrt(max(square, 0.0))
             over = (base - mx * x) * inverse
-            line0, line1 = v0 + (x - u0) * slope0, v1 + (x - u1) * slope1
+            line0, line1 = (x - u0) * slope0, (x - u1) * slope1
             lo = max(max(low, cy - half), max(max(low_base + over, low0 + line0), low1 + line1))
             hi = min(min(high, cy + half), min(min(high_base + over, high0 + line0), high1 + line1))
             lo, hi = min(lo, ny + 1.0), max(hi, -2.0)  # what a 32-bit number can hold

@@ -11,9 +11,10 @@ SHORT = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its
 
 
 @inlined
-def load(s, p, i, step, h, height):
+def load(s, p, i, step, turn, h, height):
     """Add the load of a chip of tooth i to the micro-steps in which the edge cuts the chip; h, height [m].
 
+    turn: ``step`` modulo a revolution.
     The tip cuts the chip in this micro-step. At z above the tip the edge reaches the same place, and so the same chip,
     lag z / R micro-steps later; the motion of the tool in between is neglected. A chip of height H is cut over
     H lag / R micro-steps; each gets a share of the height: the mean over that micro-step and over this one.
@@ -22,23 +23,23 @@ def load(s, p, i, step, h, height):
     f_t, f_r, f_a = tangential * height, radial * height, axial * height
     length = height * p.lag / p.radii[i]
     if length < SHORT:
-        _add(s, p, i, step, step, f_t, f_r, f_a, 1.0, 0.5 * height)
+        _add(s, p, i, turn, step, f_t, f_r, f_a, 1.0, 0.5 * height)
         return
     for later in range(int(length) + 2):
         share = (_hat(length - later) - _hat(-later)) / length
         if share > 0.0:
             place = later + (_hat_moment(length - later) - _hat_moment(-later)) / (length * share)
-            _add(s, p, i, step, step + later, f_t, f_r, f_a, share, height * place / length)
+            _add(s, p, i, turn, step + later, f_t, f_r, f_a, share, height * place / length)
 
 
 @inlined
-def _add(s, p, i, step, when, f_t, f_r, f_a, share, z):
-    """Add a share of the forces at z [m] above the tip, where tooth i was in the middle of ``step``.
+def _add(s, p, i, turn, when, f_t, f_r, f_a, share, z):
+    """Add a share of the forces to micro-step ``when``, at z [m] above the tip, where tooth i was half way in ``turn``.
 
     F_x = sum(-F_r cos(phi) + F_t sin(phi)), F_y = sum(F_r sin(phi) + F_t cos(phi))   (29) [Klimchik2014], clockwise
     with the tooth at (cos(phi), -sin(phi)); M = r x F with r = (R c, R d, z), torque = F_t R.
     """
-    c, d = p.middles[i, step % p.steps, 0], p.middles[i, step % p.steps, 1]
+    c, d = p.middles[i, turn, 0], p.middles[i, turn, 1]
     force_x = share * (-f_r * c + p.sense * f_t * d)  # (29): -F_r along the tooth, -F_t along its motion
     force_y = share * (-f_r * d - p.sense * f_t * c)
     force_z = -share * f_a

@@ -47,6 +47,7 @@ def sweep(s, p, pose_from, pose_to, first, n, forces, wrench):
     x1, y1 = pose_from[0], pose_from[1]
     for k in range(n):
         step, x0, y0, part = first + k, x1, y1, (k + 1.0) / n
+        turn = step % p.steps
         if k == n - 1:
             x1, y1 = pose_to[0], pose_to[1]
         else:
@@ -60,9 +61,9 @@ def sweep(s, p, pose_from, pose_to, first, n, forces, wrench):
         whole, path = _plan(s, p, step, level)
         if level > 0:
             for i in range(p.radii.size):
-                h, height = _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path)
+                h, height = _tooth(s, p, i, step, turn, x0, y0, x1, y1, moved, depth, level, whole, path)
                 if h > 0.0:
-                    load(s, p, i, step, h, height)
+                    load(s, p, i, step, turn, h, height)
         now = s.loads[step & (s.loads.shape[0] - 1)]
         if forces.shape[0] > 0:
             forces[k, 0], forces[k, 1], forces[k, 2] = now[0], now[1], now[2]
@@ -173,9 +174,9 @@ def _plan(s, p, step, level):
 
 
 @inlined
-def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
+def _tooth(s, p, i, step, turn, x0, y0, x1, y1, moved, depth, level, whole, path):
     """Clear the sector of tooth i in one micro-step; thickness and height of its chip [m]."""
-    turn, scale, radius = step % p.steps, 1.0 / p.spacing, p.radii[i]
+    scale, radius = 1.0 / p.spacing, p.radii[i]
     a, b = p.directions[i, turn, 0], p.directions[i, turn, 1]
     c, d = p.directions[i, turn + 1, 0], p.directions[i, turn + 1, 1]
     inner = 0.0
@@ -204,11 +205,11 @@ def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
     tally_log(s.ints, s.log_level, s.tally, level)
     if s.tally[0] == 0:
         return 0.0, 0.0
-    return _chip(s, p, i, step, x1 - x0, y1 - y0, depth, level)
+    return _chip(s, p, i, turn, x1 - x0, y1 - y0, depth, level)
 
 
 @inlined
-def _chip(s, p, i, step, dx, dy, depth, level):
+def _chip(s, p, i, turn, dx, dy, depth, level):
     """Chip thickness and height of the chip of a tooth, of the nodes in the tally [m]; dx, dy: step of the centre [m].
 
     h is the volume over the height: A_i / (R dphi_i) if the ground is flat. dphi_i is the tooth's angle as seen from
@@ -219,7 +220,7 @@ def _chip(s, p, i, step, dx, dy, depth, level):
     height = depth - s.tally[2] * p.level_step
     h = total * per_node / (height * p.radii[i] * p.micro_step)
     if not p.nominal:
-        c, d = p.middles[i, step % p.steps, 0], p.middles[i, step % p.steps, 1]
+        c, d = p.middles[i, turn, 0], p.middles[i, turn, 1]
         along = p.sense * (dy * c - dx * d) / (p.radii[i] * p.micro_step)
         h /= max(1.0 + along, JUMP)  # a centre that jumps may outrun the tooth
     s.floats[LEVEL_SUM] += total
