@@ -23,7 +23,7 @@ __all__ = ["LinkFrames", "check_regular", "cross", "elbow_and_reach", "forward",
            "jacobian_column", "pose", "rotate_matrix", "singularity_measures", "status_turn"]  # fmt: skip
 
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
-TURNS = [(int(np.argmax(np.abs(axis))), float(axis.sum())) for axis in AXES]
+TURNS, SIGNS = np.argmax(np.abs(AXES), axis=1), AXES.sum(axis=1)
 #: below this measure (see ``singularity_measures``) a Jacobian is not inverted
 SINGULAR = 1e-9
 
@@ -72,32 +72,39 @@ def rotate_matrix(matrix: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
     """All frames of the chain in ``arm.py`` for postures q [rad], (..., 6) or (..., k + 6)."""
     q = np.asarray(q, float)
-    base = q.shape[-1] - 6
-    cosines, sines = np.cos(q), np.sin(q)
-    rotations = np.empty(q.shape[:-1] + (6, 3, 3))
-    axes = np.empty(q.shape + (3,))
+    base = arm.base_axes[: q.shape[-1] - 6]  # none for postures of the joints alone
     nodes = np.zeros(q.shape[:-1] + (7, 3))
-    turned = np.broadcast_to(np.eye(3), q.shape[:-1] + (3, 3))
-    for i in range(base):
-        k = int(arm.base_axes[i])
-        turned = _turn(turned, k, cosines[..., i], sines[..., i], np.empty(turned.shape))
-        axes[..., i, :] = turned[..., k]
-    for j, (k, sign) in enumerate(TURNS):
-        turned = _turn(turned, k, cosines[..., base + j], sign * sines[..., base + j], rotations[..., j, :, :])
-        nodes[..., j + 1, :] = nodes[..., j, :] + turned @ arm.link_vectors[j]
-        np.multiply(sign, turned[..., k], out=axes[..., base + j, :])
+    rotations, axes, _ = _chain(
+        np.cos(q), np.sin(q), np.append(base, TURNS), np.append(np.ones(base.size), SIGNS), arm.link_vectors,
+        np.empty(q.shape[:-1] + (6, 3, 3)), np.empty(q.shape + (3,)), nodes[..., 1:, :],
+    )  # fmt: skip
     flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 
 
-@guvectorize(["(float64[:, :], int64, float64, float64, float64[:, :])"], "(n,n),(),(),()->(n,n)", cache=True)
-def _turn(rotation, k, cosine, sine, out):
-    """rotation @ (turn about coordinate axis k)."""
-    i, j = (k + 1) % 3, (k + 2) % 3
-    for row in range(3):
-        out[row, k] = rotation[row, k]
-        out[row, i] = cosine * rotation[row, i] + sine * rotation[row, j]
-        out[row, j] = cosine * rotation[row, j] - sine * rotation[row, i]
+@guvectorize(
+    ["(float64[:], float64[:], int64[:], float64[:], float64[:, :], float64[:, :, :], float64[:, :], float64[:, :])"],
+    "(t),(t),(t),(t),(n,c)->(n,c,c),(t,c),(n,c)",
+    cache=True,
+)
+def _chain(cosines, sines, turns, signs, links, rotations, axes, nodes):
+    """Turn about one coordinate axis after the other: rotations and ends of the links, and the axes of the turns."""
+    turned, base = np.eye(3), len(turns) - len(links)
+    for j in range(len(turns)):
+        k = turns[j]
+        ahead, beside = (k + 1) % 3, (k + 2) % 3
+        cosine, sine = cosines[j], signs[j] * sines[j]
+        for row in range(3):
+            a, b = turned[row, ahead], turned[row, beside]
+            turned[row, ahead], turned[row, beside] = cosine * a + sine * b, cosine * b - sine * a
+            axes[j, row] = signs[j] * turned[row, k]
+            if j >= base:
+                n = j - base
+                start = nodes[n - 1, row] if n > 0 else 0.0
+                link = turned[row, 0] * links[n, 0] + turned[row, 1] * links[n, 1] + turned[row, 2] * links[n, 2]
+                nodes[n, row] = start + link
+                for column in range(3):
+                    rotations[n, row, column] = turned[row, column]
 
 
 def pose(arm: Arm, mount: Mount, q) -> Pose:

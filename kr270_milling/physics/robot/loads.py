@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import guvectorize
 
 from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Arm, GravityCompensator, Mount
 from kr270_milling.physics.robot.kinematics import LinkFrames, cross
@@ -59,9 +60,7 @@ def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
 
     With k axes of the base before the joints, (..., k + 6, 3): these have the moment of joint 1, about O_0 as well.
     """
-    points = np.concatenate([frames.nodes, frames.mass_centre[..., None, :]], -2)
-    beyond = np.triu(np.ones((6, 8)), 1) * loads.mass  # joint i (row i-1) moves the nodes i..6 and the mount
-    moments = beyond @ points - beyond.sum(-1)[:, None] * frames.nodes[..., :6, :]
+    moments = _first_moments(frames.nodes, frames.mass_centre, loads.mass)[..., :6, :]
     base = frames.axes.shape[-2] - 6
     return moments[..., [0] * base + list(range(6)), :] if base else moments
 
@@ -101,9 +100,28 @@ def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masse
     force, moment = wrench[..., None, :3], wrench[..., None, 3:]
     arms = frames.tool.position[..., None, :] - frames.origins
     weight = cross(cross(axes, masses), loads.gravity)
-    upper = np.triu(axes @ np.swapaxes(cross(cross(axes, arms), force) + weight, -1, -2))  # i <= k
-    symmetric = upper + np.swapaxes(np.triu(upper, 1), -1, -2)
-    bent = symmetric + np.tril(cross(axes, moment) @ np.swapaxes(axes, -1, -2), -1)
+    bent = _bend(axes, cross(cross(axes, arms), force) + weight, cross(axes, moment))
     if loads.compensator.present:
         bent[..., -5, -5] += loads.share * loads.compensator.moment_slope(*_joint_2(frames))
     return bent
+
+
+@guvectorize(["(float64[:, :], float64[:], float64[:], float64[:, :])"], "(n,c),(c),(m)->(n,c)", cache=True)
+def _first_moments(nodes, mount, mass, out):
+    """Of the masses in the nodes beyond each node, and in the mount, about that node."""
+    for axis in range(3):
+        beyond, moment = mass[-1], mass[-1] * mount[axis]
+        for i in range(len(nodes) - 1, -1, -1):
+            out[i, axis] = moment - beyond * nodes[i, axis]
+            beyond += mass[i]
+            moment += mass[i] * nodes[i, axis]
+
+
+@guvectorize(["(float64[:, :], float64[:, :], float64[:, :], float64[:, :])"], "(n,c),(n,c),(n,c)->(n,n)", cache=True)
+def _bend(axes, pulled, twisted, out):
+    """a_i . pulled_k at (i, k) and (k, i), i <= k, and twisted_k . a_i more at (k, i), i < k."""
+    for k in range(len(axes)):
+        for i in range(k + 1):
+            out[i, k] = out[k, i] = axes[i, 0] * pulled[k, 0] + axes[i, 1] * pulled[k, 1] + axes[i, 2] * pulled[k, 2]
+            if i < k:
+                out[k, i] += twisted[k, 0] * axes[i, 0] + twisted[k, 1] * axes[i, 1] + twisted[k, 2] * axes[i, 2]
