@@ -135,19 +135,3 @@ def test_every_kind_of_line_end_and_a_byte_order_mark_are_read(tmp_path):
     lines = read_lines(path)
     assert lines == ["a", "b", "c", "d", ""] and unended(lines) == ""
     assert "cut off" in unended(["G0 X0", "G1 X1"])
-
-
-@pytest.mark.parametrize("name", ["none.nc", ".", "pipe", "circle", "file/below", "/dev/null", "a\0b", "n" * 5000])
-def test_what_is_no_file_is_refused(tmp_path, name):
-    (tmp_path / "file").touch()
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "circle").symlink_to(tmp_path / "circle")
-    with pytest.raises(InputError):
-        read_lines(f"{tmp_path}/{name}" if not name.startswith("/") else name)
-
-
-def test_a_sparse_file_of_gigabytes_is_not_read(tmp_path):
-    with open(tmp_path / "x.nc", "wb") as stream:
-        stream.truncate(5 << 28)
-    with pytest.raises(InputError, match="cut the path in pieces"):
-        read_lines(tmp_path / "x.nc")

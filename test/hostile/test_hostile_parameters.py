@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import copy
-import json
 import math
-import time
 
 import pytest
 import yaml
 from budget import budget
-from hostile import POSTURE, SHORT, ask, refused, refused_or_sound
+from hostile import POSTURE, SHORT, refused_or_sound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import Record, build, find_file, flatten, specs
 from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.exchange.replay.attached import attached_cell
-from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.writer import BagWriter
 
 FLAT = flatten(read_cell(find_file("paper.yaml"), SHORT))
 KEYS = sorted(FLAT)
@@ -62,10 +57,6 @@ def write(place, key: str, value) -> str:
     return str(place)
 
 
-def test_the_cell_that_is_changed_here_is_sound(place):
-    assert refused_or_sound("simulate", write(place, "arm.name", "arm")).code == 0
-
-
 def test_no_key_takes_what_is_no_value_of_its_kind():
     for key in KEYS:
         for value in WRONG:
@@ -95,43 +86,9 @@ def test_any_arm_is_refused_or_has_a_finite_stiffness(place, key, value):
     refused_or_sound("stiffness", write(place, key, value), POSTURE, "--gravity")
 
 
-@settings(max_examples=budget(60), deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.sampled_from(KEYS), st.text(max_size=30))
-def test_any_override_is_refused_or_taken(key, text):
-    answer = ask(
-        "simulate", "paper.yaml", *[w for s in SHORT for w in ("--set", s)], "--set", f"{key}={text}", "--json"
-    )
-    assert answer.code == 0 or set(json.loads(answer.out)) == {"error", "exit_code"}
-
-
-@settings(max_examples=budget(200), deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.one_of(st.text(), st.binary().map(lambda b: b.decode("latin-1"))), st.booleans())
-def test_any_text_is_refused_as_a_cell(place, text, framed):
-    place.write_text(f"/**:\n  ros__parameters: {text}\n" if framed else text, encoding="utf-8", errors="replace")
-    refused("simulate", str(place))
-
-
-BOMB = "\n".join(
-    ["/**:", "  ros__parameters:", "    a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
-    + [f"    a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 40)]
-)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [BOMB, BOMB.replace("a39", "path"), "a: " * 5000, "[" * 20000, "&a [*a]", "/**: &a {ros__parameters: *a}",
-     "!!python/object/apply:os.system ['true']", "!!python/name:os.system", "!!binary x", "!!timestamp x", "? [a]\n: 1",
-     "%YAML 9.9\n---\n", "- " * 3000, "x" * 300_000, "a: 1e400", "a: !!int 0x", "a: 2026-99-99", "<<: 3"],
-)  # fmt: skip
-def test_yaml_made_to_hurt_is_refused_quickly(text, place):
-    place.write_text(text)
-    begin = time.process_time()
-    refused("simulate", str(place))
-    assert time.process_time() - begin < 10.0
-
-
 def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
     """The bounds of every number with bounds, one at a time; sections that no pass asks are only read."""
+    assert refused_or_sound("simulate", write(place, "arm.name", "arm")).code == 0  # the cell itself is sound
     unasked = ("uncertainty.", "limits.", "program.", "compensation.", "publish.")
 
     def leaves(record, prefix=""):
@@ -149,21 +106,3 @@ def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
                 read_cell(cell) if key.startswith(unasked) else refused_or_sound("simulate", cell)
                 tried += 1
     assert tried > 60
-
-
-def test_a_recording_whose_parameter_files_name_each_other_many_times_is_refused_at_once(tmp_path):
-    """6.5 kB of attachments were read some million times by replay --recompute and report."""
-
-    def attached(body: str) -> str:
-        return "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in body.splitlines())
-
-    files = {f"{i}.yaml": attached(f"includes: {json.dumps([f'{i + 1}.yaml'] * 12)}\nk{i}: 1") for i in range(7)}
-    files |= {"7.yaml": attached("k7: 1"), "cell.yaml": attached('includes: ["0.yaml"]')}
-    doubled = "\n".join(f"g{i}: {{a: *g{i - 1}, b: *g{i - 1}}}" for i in range(1, 40))
-    for number, attachments in enumerate([files, {"cell.yaml": attached("g0: &g0 {a: 1}\n" + doubled)}]):
-        with BagWriter(tmp_path / str(number), attachments=attachments):
-            pass
-        begin = time.process_time()
-        with Recording(tmp_path / str(number)) as recording, pytest.raises(MillingError, match="64 names|alias"):
-            attached_cell(recording)
-        assert time.process_time() - begin < 5
