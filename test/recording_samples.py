@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import resource
+import tempfile
+from pathlib import Path
+
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -147,6 +153,27 @@ def write_mcap(path, messages, compression=CompressionType.ZSTD, **options):
             writer.add_message(channel, log_time, data, log_time)
         writer.finish()
     return path
+
+
+@functools.cache
+def whole_recording() -> Whole:
+    """Bytes of a small file with several chunks, its messages, and the bytes of its metadata.yaml."""
+    with tempfile.TemporaryDirectory() as folder:
+        directory = Path(folder, "a")
+        written = record(directory, 40, ["/tool_pose", "/wrench", "/robot_description"],
+                         attachments={"cell.yaml": "a: 1\n" * 50}, metadata={"seed": 7}, chunk_size=2000)  # fmt: skip
+        return Whole(((directory / "a.mcap").read_bytes(), written, (directory / "metadata.yaml").read_bytes()))
+
+
+@contextlib.contextmanager
+def full_disk(limit: int):
+    """No file of this process can be longer than a limit [bytes]."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def poses(times) -> list[tuple[int, bytes]]:

@@ -1,5 +1,8 @@
+"""Stamps, texts and trajectories out of serialised bytes, in both byte orders and from damaged ones."""
+
 from __future__ import annotations
 
+import itertools
 import struct
 import time
 
@@ -8,13 +11,54 @@ import pytest
 from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recording_samples import PATH, STORE, path, pose, raw
+from recording_samples import JOINTS, PATH, POSE, STORE, TOPICS, joints, path, pose, raw, sample
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.cdr import Cursor, stamp_of
 from kr270_milling.recordings.messages.trajectory import read_trajectory
+
+TIMES = st.integers(0, 2**31 * 10**9 - 1)
+
+
+@given(TIMES, st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20), st.booleans())
+def test_stamp_is_read_from_the_bytes_in_both_byte_orders(stamp, frame, little):
+    data = STORE.serialize_cdr(pose(stamp, np.zeros(7), frame), POSE, little_endian=little)
+    assert stamp_of(bytes(data)) == stamp
+
+
+def test_every_stamped_topic_of_the_table_gives_its_stamp_and_other_bytes_give_none():
+    for topic in TOPICS.keys() - {"/robot_description"}:
+        assert stamp_of(raw(sample(topic, 4321))) == 4321 * 500_000, topic
+    data = raw(pose(5, np.zeros(7)))
+    assert stamp_of(data, schema_has_header=False) is None
+    assert stamp_of(data[:11]) is None
+    assert stamp_of(b"") is None
+    assert stamp_of(b"\0\x01\0\0" + b"\xff" * 8) is None  # second -1
+    assert stamp_of(b"\0\x01\0\0" + b"\0\0\0\0" + b"\xff" * 4) is None  # 4.29 s of nanoseconds
+    assert stamp_of(b"\0\x07" + data[2:]) is None  # version 2 of CDR
+
+
+@pytest.mark.parametrize("little", [True, False])
+def test_cursor_finds_strings_and_numbers_at_their_alignment(little):
+    message = joints(7, [1.5, 2.5], names=["a", "bcd"])
+    data = bytes(STORE.serialize_cdr(message, JOINTS, little_endian=little))
+    cursor = Cursor(data)
+    assert (cursor.number("i"), cursor.number("I"), cursor.string(), cursor.strings()) == (0, 7, "", ("a", "bcd"))
+    assert [cursor.number("I"), cursor.number("d"), cursor.number("d")] == [2, 1.5, 2.5]
+    assert [cursor.number("I"), cursor.number("I"), cursor.offset] == [0, 0, len(data)]
+
+
+@given(st.binary(max_size=60))
+def test_cursor_refuses_bytes_that_end_too_early_and_never_reads_beyond(data):
+    try:
+        cursor = Cursor(data)
+        cursor.number("i"), cursor.number("I"), cursor.string(), cursor.strings(), cursor.number("d")
+    except ValueError:
+        return
+    assert cursor.offset <= len(data)
 
 
 def random_path(points: int, bodies: int = 1, speeds: bool = True, seed: int = 1):
@@ -25,19 +69,19 @@ def random_path(points: int, bodies: int = 1, speeds: bool = True, seed: int = 1
     return path(77, times.tolist(), *arrays[:2], arrays[2] if speeds else None, names), times, arrays
 
 
-@pytest.mark.parametrize("little", [True, False])
 @pytest.mark.parametrize("bodies", [1, 2, 3])
-@pytest.mark.parametrize("speeds", [True, False])
-@pytest.mark.parametrize("points", [0, 1, 2, 3, 200])
-def test_every_number_of_a_trajectory_comes_out(points, speeds, bodies, little):
-    message, times, (position, quaternion, velocity) = random_path(points, bodies, speeds)
-    actual = read_trajectory(bytes(STORE.serialize_cdr(message, PATH, little_endian=little)))
-    np.testing.assert_array_equal(actual.time, times)
-    np.testing.assert_array_equal(actual.position, position)
-    np.testing.assert_array_equal(actual.quaternion, quaternion)
-    np.testing.assert_array_equal(actual.velocity, velocity if speeds else np.full_like(velocity, np.nan))
-    assert np.isnan(actual.acceleration).all()
-    assert (actual.stamp, actual.frame_id, actual.names) == (77, "workpiece", tuple(f"tool{i}" for i in range(bodies)))
+@pytest.mark.parametrize("points", [0, 1, 2, 200])
+def test_every_number_of_a_trajectory_comes_out(points, bodies):
+    for speeds, little in itertools.product((True, False), repeat=2):
+        message, times, (position, quaternion, velocity) = random_path(points, bodies, speeds)
+        actual = read_trajectory(bytes(STORE.serialize_cdr(message, PATH, little_endian=little)))
+        np.testing.assert_array_equal(actual.time, times)
+        np.testing.assert_array_equal(actual.position, position)
+        np.testing.assert_array_equal(actual.quaternion, quaternion)
+        np.testing.assert_array_equal(actual.velocity, velocity if speeds else np.full_like(velocity, np.nan))
+        assert np.isnan(actual.acceleration).all()
+        names = tuple(f"tool{i}" for i in range(bodies))
+        assert (actual.stamp, actual.frame_id, actual.names) == (77, "workpiece", names)
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60))
