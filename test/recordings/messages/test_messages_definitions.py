@@ -25,11 +25,6 @@ from kr270_milling.recordings.messages.definitions import (
 KINDS = sorted(set(TOPICS.values()))
 
 
-def decoder(about: RecordedTopic):
-    """Of a recording with one topic."""
-    return make_decoder("f", "/t", about)
-
-
 def installed(name: str, ending: str) -> Path:
     """A type's file as its ROS package installs it."""
     package, _, short = name.split("/")
@@ -43,23 +38,18 @@ def installed(name: str, ending: str) -> Path:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_the_definition_means_what_the_installed_file_says(name):
+def test_definition_and_hash_are_those_of_the_installed_package(name):
     text = installed(name, ".msg").read_text()
     assert get_types_from_msg(definition(name), name)[name][1] == get_types_from_msg(text, name)[name][1]
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_the_hash_is_the_one_that_the_package_states(name):
     hashes = json.loads(installed(name, ".json").read_text())["type_hashes"]
     assert type_hash(name) == next(entry["hash_string"] for entry in hashes if entry["type_name"] == name)
+    assert starts_with_stamp(definition(name)) is (name != "std_msgs/msg/String")
 
 
-@pytest.mark.parametrize("topic", sorted(TOPICS))
-def test_the_definition_is_enough_for_mcap_ros2_to_decode_a_message(topic):
-    kind = TOPICS[topic]
-    decoded = generate_dynamic(kind, definition(kind))[kind](raw(sample(topic, 2)))
-    first = next(iter(sample(topic, 2).__dataclass_fields__))
-    assert hasattr(decoded, first)
+def test_the_definition_is_enough_for_mcap_ros2_to_decode_a_message():
+    for topic, kind in TOPICS.items():
+        decoded = generate_dynamic(kind, definition(kind))[kind](raw(sample(topic, 2)))
+        assert hasattr(decoded, next(iter(sample(topic, 2).__dataclass_fields__)))
 
 
 def test_separators_are_80_signs_and_every_dependency_stands_once():
@@ -81,21 +71,15 @@ def test_a_type_that_the_store_lacks_is_read_from_the_files_of_its_package(tmp_p
     assert type_hash("shop_msgs/msg/Order").startswith("RIHS01_") and starts_with_stamp(text)
     about = RecordedTopic("shop_msgs/msg/Order", 1, "cdr", text, "ros2msg", {})
     data = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0\1\0\0\0\2\0\0\0a\0" + bytes(6 + 24)
-    assert plain(decoder(about)(data))["items"] == [{"name": "a", "size": [0.0, 0.0, 0.0]}]
+    assert plain(make_decoder("f", "/t", about)(data))["items"] == [{"name": "a", "size": [0.0, 0.0, 0.0]}]
     definitions.definition.cache_clear()
 
 
-@pytest.mark.parametrize(
-    "name", ["geometry_msgs/PoseStamped", "../msg/Secret", "geometry_msgs/msg/../../x", "no_such_msgs/msg/Thing", ""]
-)
-def test_a_name_without_definition_is_one_sentence(name):
-    with pytest.raises(RecordingError) as error:
-        definition(name)
-    assert "\n" not in str(error.value)
-
-
-def test_only_a_string_topic_of_the_table_has_no_stamp():
-    assert [k for k in KINDS if not starts_with_stamp(definition(k))] == ["std_msgs/msg/String"]
+def test_a_name_without_definition_is_one_sentence():
+    for name in ("geometry_msgs/PoseStamped", "../msg/Secret", "geometry_msgs/msg/../../x", "no_msgs/msg/Thing", ""):
+        with pytest.raises(RecordingError) as error:
+            definition(name)
+        assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("text, stamped", [
@@ -116,7 +100,7 @@ def test_a_stamp_is_the_first_field_alone(text, stamped):
 ])  # fmt: skip
 def test_a_definition_that_cannot_be_used_is_one_sentence(name, text):
     with pytest.raises(RecordingError, match="cannot be used|is not a"):
-        decoder(RecordedTopic(name, 1, "cdr", text, "ros2msg", {}))(b"\0\1\0\0" + bytes(64))
+        make_decoder("f", "/t", RecordedTopic(name, 1, "cdr", text, "ros2msg", {}))(b"\0\1\0\0" + bytes(64))
 
 
 def test_a_known_definition_is_that_of_the_store_and_another_one_its_own():
