@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib.util
+import struct
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -54,8 +56,6 @@ def cell_text(method: str = "linear", iterations: int = 1, every: int = 1) -> st
 
 @functools.cache
 def cell_of(method: str = "linear", iterations: int = 1, every: int = 1):
-    import tempfile
-
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory, "cell.yaml")
         file.write_text(cell_text(method, iterations, every))
@@ -183,6 +183,11 @@ def flip(offset: int, bit: int = 0):
         return bytes(other)
 
     return change
+
+
+def later(message: Message, stamp: int) -> Message:
+    head = struct.pack("<iI", stamp // 10**9, stamp % 10**9)
+    return dataclasses.replace(message, data=message.data[:4] + head + message.data[12:], stamp=stamp)
 
 
 def force_offset(axis: int) -> int:

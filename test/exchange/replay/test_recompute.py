@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import struct
 from pathlib import Path
 
 import numpy as np
 import pass_recording as made
 import pytest
+from budget import budget
 from pass_recording import STEPS, flip, force_offset
 
 from kr270_milling.base.errors import ConfigError, MillingError, RecordingError
@@ -22,6 +22,7 @@ from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import to_bytes
 
@@ -39,39 +40,35 @@ def test_a_recorded_exchange_is_recomputed_to_the_last_bit_on_every_channel(tmp_
     assert all(c.waiting == c.missing == c.given == 0 for c in replayed.channels.values())
 
 
-@pytest.mark.parametrize("bit", [0, 51])
-def test_one_flipped_mantissa_bit_of_a_wrench_is_named_exactly(tmp_path, bit):
-    index, at = 60, force_offset(1)
-    messages = made.changed(made.one_pass(), "wrench", index, flip(at + bit // 8, bit % 8))
-    before = [m for m in made.one_pass() if m.topic == "wrench"][index].data
-    after = [m for m in messages if m.topic == "wrench"][index].data
-    first = recompute(made.write(tmp_path / "r", messages)).first
-    assert (first.topic, first.index, first.stamp_ns) == ("/wrench", index, index * 500_000)
-    assert first.field == "wrench.force.y"
-    assert struct.pack("<d", first.recorded) == after[at : at + 8]
-    assert struct.pack("<d", first.recomputed) == before[at : at + 8]
-    assert first.recorded != first.recomputed
+TEXT_END = 4 + 8 + 4 + len("workpiece")  # of frame_id: after encapsulation, stamp and length
 
 
-def test_a_changed_output_that_feeds_nothing_leaves_the_other_channels_identical(tmp_path):
-    messages = made.changed(made.one_pass(), "deflection", 33, flip(force_offset(2)))
-    replayed = recompute(made.write(tmp_path / "r", messages))
-    assert replayed.verdict == "different" and replayed.first.topic == "/deflection" and replayed.first.index == 33
-    assert replayed.first.field == "twist.linear.z"
-    assert {t: c.differing for t, c in replayed.channels.items() if c.differing} == {"/deflection": 1}
-
-
-def test_bytes_between_the_fields_do_not_count(tmp_path):
-    pad = 4 + 8 + 4 + 10  # behind "workpiece" and its NUL
-    messages = made.changed(made.one_pass(), "tool_pose", 5, flip(pad))
+@pytest.mark.parametrize(("topic", "index", "offset", "bit", "field"), [
+    ("wrench", 60, force_offset(1), 0, "wrench.force.y"),
+    ("deflection", 33, force_offset(2), 0, "twist.linear.z"),
+    ("workpiece", 0, -2000, 0, "data["),
+    ("reference_trajectory", 1, -101, 0, "points["),
+    ("wrench", 40, 2, 7, "options of the encapsulation"),
+    ("wrench", 40, TEXT_END, 1, "the message"),  # a text that does not end with NUL
+    ("tool_pose", 5, TEXT_END + 1, 0, None),  # bytes between the fields do not count
+])  # fmt: skip
+def test_one_flipped_bit_of_a_message_is_named_exactly(tmp_path, topic, index, offset, bit, field):
+    messages = made.changed(made.one_pass(), topic, index, flip(offset, bit))
     assert messages != list(made.one_pass())
-    assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
-
-
-def test_a_changed_map_of_the_workpiece_is_detected(tmp_path):
-    messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
     replayed = recompute(made.write(tmp_path / "r", messages))
-    assert replayed.first.topic == "/workpiece" and replayed.first.field.startswith("data[")
+    if field is None:
+        assert replayed.verdict == "identical"
+        return
+    first = replayed.first
+    assert (replayed.verdict, first.topic, first.index) == ("different", f"/{topic}", index)
+    assert first.field.startswith(field) and replayed.channels[f"/{topic}"].differing == 1
+    assert topic not in ("wrench", "deflection") or first.stamp_ns == index * 500_000
+    if topic == "deflection":  # it feeds nothing
+        assert sum(channel.differing for channel in replayed.channels.values()) == 1
+    if field == "wrench.force.y":
+        before, after = ([m.data for m in run if m.topic == topic][index] for run in (made.one_pass(), messages))
+        assert struct.pack("<d", first.recorded) == after[offset : offset + 8]
+        assert struct.pack("<d", first.recomputed) == before[offset : offset + 8]
 
 
 def described(text: str) -> list:
@@ -105,13 +102,12 @@ def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_on
 
 
 @pytest.mark.parametrize("index", [0, 1], ids=["of the fresh part", "of the finished part"])
-@pytest.mark.parametrize("byte", [4, 8])  # seconds and nanoseconds of the stamp
-def test_a_map_of_another_time_is_not_taken_for_granted(tmp_path, index, byte):
+def test_a_map_of_another_time_is_not_taken_for_granted(tmp_path, index):
     whole = [*fresh_map(), *made.one_pass()]
-    assert recompute(made.write(tmp_path / "whole", whole)).verdict == "identical"
-    replayed = recompute(made.write(tmp_path / "r", made.changed(whole, "workpiece", index, flip(byte, 5))))
-    assert replayed.verdict in ("incomplete", "different")
-    assert "/workpiece" in str(replayed.first or replayed.stops[0])
+    for byte in (4, 8):  # seconds and nanoseconds of the stamp
+        replayed = recompute(made.write(tmp_path / str(byte), made.changed(whole, "workpiece", index, flip(byte, 5))))
+        assert replayed.verdict in ("incomplete", "different")
+        assert "/workpiece" in str(replayed.first or replayed.stops[0])
 
 
 @pytest.mark.parametrize("topic, who", [("wrench", "wrench"), ("tool_pose", "tool pose")])
@@ -133,29 +129,24 @@ def test_a_missing_output_is_counted_and_nothing_stops(tmp_path):
     assert (replayed.channels["/deflection"].missing, replayed.channels["/deflection"].compared) == (1, STEPS - 1)
 
 
-def test_invented_outputs_behind_the_end_are_not_called_identical(tmp_path):
+def test_invented_outputs_after_the_end_are_not_called_identical(tmp_path):
     last = [m for m in made.one_pass() if m.topic == "deflection"][-1]
-    invented = [made.Message("deflection", stamped(last.data, last.stamp + i * 500_000), 0) for i in range(1, 400)]
+    invented = [made.later(last, last.stamp + i * 500_000) for i in range(1, 400)]
     replayed = recompute(made.write(tmp_path / "r", [*made.one_pass(), *invented]))
     assert replayed.verdict == "incomplete" and replayed.channels["/deflection"].waiting == 399
     (stop,) = replayed.stops
     assert str(stop).startswith("/: 399 messages on /deflection from 0.060500 s on were not compared")
 
 
-def stamped(data: bytes, stamp: int) -> bytes:
-    return data[:4] + struct.pack("<iI", stamp // 10**9, stamp % 10**9) + data[12:]
-
-
-@pytest.mark.parametrize("remaining", [4, 1])
-def test_outputs_that_were_cut_away_from_a_closed_file_are_missed(tmp_path, remaining):
+def test_outputs_that_were_cut_away_from_a_closed_file_are_missed(tmp_path):
     states = [m for m in made.one_pass() if m.topic == "joint_states"]
-    messages = [m for m in made.one_pass() if m not in states[remaining:]]
-    replayed = recompute(made.write(tmp_path / "r", messages))
-    assert replayed.verdict == "incomplete" and replayed.first is None
-    assert replayed.channels["/joint_states"].missing == len(states) - remaining
-    assert [s.reason.split(" are ")[0] for s in replayed.stops] == [
-        f"{STEPS - remaining} messages that belong on /joint_states"
-    ]
+    for remaining in (4, 1):
+        messages = [m for m in made.one_pass() if m not in states[remaining:]]
+        replayed = recompute(made.write(tmp_path / str(remaining), messages))
+        assert replayed.verdict == "incomplete" and replayed.first is None
+        assert replayed.channels["/joint_states"].missing == len(states) - remaining
+        (stop,) = replayed.stops
+        assert stop.reason.startswith(f"{STEPS - remaining} messages that belong on /joint_states are ")
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -177,19 +168,15 @@ def test_a_recording_without_any_exchange_is_not_called_identical(tmp_path):
     assert "no pass is in the recording" in str(replayed.stops[0])
 
 
-@pytest.mark.parametrize("end", range(200, 230, 3))
-def test_a_recorder_that_was_stopped_in_mid_pass_has_lost_nothing(tmp_path, end):
-    replayed = recompute(made.write(tmp_path / "r", made.one_pass()[:end]))
-    assert not replayed.cut_off and replayed.verdict == "identical"
+@pytest.mark.parametrize("again", [False, True], ids=["stopped", "started again"])
+def test_a_pass_that_ended_in_its_middle_has_lost_nothing(tmp_path, again):
+    following = made.one_pass()[made.LATCHED_FIRST :] if again else ()
+    for end in range(200, 206):
+        replayed = recompute(made.write(tmp_path / str(end), [*made.one_pass()[:end], *following]))
+        assert not replayed.cut_off and replayed.verdict == "identical", replayed.stops
 
 
-@pytest.mark.parametrize("end", range(200, 212))
-def test_a_pass_that_broke_off_and_was_started_again_has_lost_nothing(tmp_path, end):
-    replayed = recompute(made.write(tmp_path / "r", [*made.one_pass()[:end], *made.one_pass()[made.LATCHED_FIRST :]]))
-    assert replayed.verdict == "identical", replayed.stops
-
-
-@pytest.mark.parametrize("version", ["0.1.0", "0.2.0", "0.4.1", "1.3.0"])
+@pytest.mark.parametrize("version", ["0.1.0", "1.3.0"])
 def test_a_recording_of_another_version_is_left_to_that_version(tmp_path, monkeypatch, version, capsys):
     monkeypatch.setattr("kr270_milling.recordings.bag.writer.__version__", version)
     bag = made.write(tmp_path / "r", made.one_pass())
@@ -258,12 +245,12 @@ def test_a_recording_that_was_cut_off_is_compared_up_to_its_end(tmp_path):
     assert 0 < replayed.channels["/wrench"].compared < STEPS
 
 
-@pytest.mark.parametrize("index", [0, 1], ids=["state", "reference"])
-def test_messages_of_other_topics_may_come_before_their_causes(tmp_path, index):
-    messages = list(made.one_pass())
-    late = messages.pop(index)  # a recorder that received a latched message after the start of the pass
-    messages.insert(30, late)
-    assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
+def test_messages_of_other_topics_may_come_before_their_causes(tmp_path):
+    for index in range(made.LATCHED_FIRST):
+        messages = list(made.one_pass())
+        late = messages.pop(index)  # a recorder that received a latched message after the start of the pass
+        messages.insert(30, late)
+        assert recompute(made.write(tmp_path / str(index), messages)).verdict == "identical"
 
 
 @pytest.mark.parametrize(
@@ -295,7 +282,7 @@ def test_a_recording_of_something_else_is_refused(tmp_path):
         recompute(made.write(tmp_path / "r", [], cell=made.cell_text()))
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(budget(60)))
 def test_messages_with_any_content_end_in_a_verdict_or_a_sentence(tmp_path, seed):
     random = np.random.default_rng(seed)
     messages = list(made.one_pass()[:60]) + [m for m in made.one_pass()[60:] if m.topic in LATCHED]
@@ -326,46 +313,26 @@ REFUSED = {
     "pose of NaN": ("tool_pose", PoseSample(AT, "workpiece", np.full(3, np.nan), DOWN)),
     "pose in another frame": ("tool_pose", PoseSample(AT, "flange", ONE, DOWN)),
     "pose of before": ("tool_pose", PoseSample(AT - 10_000_000, "workpiece", ONE, DOWN)),
+    "no wrench": ("wrench", None),
+    "no pose": ("tool_pose", None),
+    "reference in another frame": (
+        "reference_trajectory",
+        Trajectory([0, 10], [ONE, 2 * ONE], DOWN, frame="base_link"),
+    ),
 }
 
 
-def disturbed(topic: str, data: bytes) -> list:
-    """A pass with a foreign message in its middle."""
+@pytest.mark.parametrize(("topic", "sample"), REFUSED.values(), ids=REFUSED)
+def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_path, topic, sample):
     messages = list(made.one_pass())
-    at = next(i for i, m in enumerate(messages) if m.topic == topic and m.stamp == AT)
-    messages.insert(at, made.Message(topic, data, AT))
-    return messages
-
-
-@pytest.mark.parametrize("name", REFUSED)
-@pytest.mark.parametrize("job", ["recompute", "compensate"])
-def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_path, name, job):
-    topic, sample = REFUSED[name]
-    directory = made.write(tmp_path / "r", disturbed(topic, to_bytes(sample)))
-    if job == "compensate":
-        assert compensate_recording(directory)[0].published is True
-        return
+    at = next(i for i, m in enumerate(messages) if m.topic == "tool_pose" and m.stamp == AT)
+    data = b"\0\1\0\0" + bytes(10) if sample is None else to_bytes(sample)
+    directory = made.write(tmp_path / "r", [*messages[:at], made.Message(topic, data, AT), *messages[at:]])
     result = recompute(directory)
     assert result.verdict == "identical", (result.first, result.stops)
     assert result.channels[f"/{topic}"].refused == 1
     assert result.channels["/wrench"].compared == result.channels["/deflection"].compared == STEPS
-
-
-@pytest.mark.parametrize("place", [0, 150])
-def test_a_reference_in_another_frame_does_not_spoil_a_recording_at_any_place(tmp_path, place):
-    messages = list(made.one_pass())
-    foreign = dataclasses.replace(made.cell_of().target(), frame="base_link")
-    messages.insert(place, made.Message("reference_trajectory", to_bytes(foreign), 0))
-    result = recompute(made.write(tmp_path / "r", messages))
-    assert result.verdict == "identical", (result.first, result.stops)
-    assert result.channels["/reference_trajectory"].refused == 1
-    assert result.channels["/wrench"].compared == STEPS
-
-
-@pytest.mark.parametrize("topic", ["wrench", "tool_pose"])
-def test_bytes_that_are_no_message_are_refused_alike(tmp_path, topic):
-    result = recompute(made.write(tmp_path / "r", disturbed(topic, b"\0\1\0\0" + bytes(10))))
-    assert result.verdict == "identical" and result.channels[f"/{topic}"].refused == 1
+    assert compensate_recording(directory)[0].published is True
 
 
 def test_a_wrench_that_is_spoiled_where_it_was_recorded_is_no_refused_one(tmp_path):
@@ -377,12 +344,13 @@ def test_a_wrench_that_is_spoiled_where_it_was_recorded_is_no_refused_one(tmp_pa
 # --- Deflections that are published less often than every exchange: nothing is lost by it ---
 
 
-def thinned(directory, every: int, change=lambda messages: messages):
-    messages = change(list(made.one_pass(every=every)))
+def thinned(directory, every: int, change=lambda data: data):
+    """A recording with a change of its deflection 3."""
+    messages = made.changed(made.one_pass(every=every), "deflection", 3, change)
     return made.write(directory, messages, cell=made.cell_text(every=every))
 
 
-@pytest.mark.parametrize("every, count", [(0, 7), (40, 4), (1, STEPS)])
+@pytest.mark.parametrize("every, count", [(0, 7), (40, 4)])
 def test_a_thinned_recording_recomputes_and_gives_all_deflections_to_the_bit(tmp_path, every, count):
     bag = thinned(tmp_path / "r", every)
     replayed = recompute(bag)
@@ -412,47 +380,10 @@ def test_joint_states_must_come_as_often_as_the_cell_states(tmp_path):
 
 
 def test_a_thinned_deflection_that_is_lost_or_changed_is_reported(tmp_path):
-    def lose(messages):
-        return made.changed(messages, "deflection", 3, lambda data: None)
-
-    replayed = recompute(thinned(tmp_path / "lost", 0, lose))
-    assert replayed.channels["/deflection"].missing == 1
-    assert not pass_from_recording(tmp_path / "lost").complete
-
-    def change(messages):
-        return made.changed(messages, "deflection", 3, made.flip(made.force_offset(1)))
-
-    first = recompute(thinned(tmp_path / "changed", 0, change)).first
+    lost = thinned(tmp_path / "lost", 0, lambda data: None)
+    assert recompute(lost).channels["/deflection"].missing == 1
+    assert not pass_from_recording(lost).complete
+    first = recompute(thinned(tmp_path / "changed", 0, flip(force_offset(1)))).first
     assert (first.topic, first.index, first.stamp_ns) == ("/deflection", 3, 30_000_000)
     recorded = pass_from_recording(tmp_path / "changed").scored.result  # of another robot, then: only what it said
     assert recorded.time_ns.tolist()[-3:] == [40_000_000, 50_000_000, 60_000_000]
-
-
-# --- Bytes of a message that are no field of it, but are compared ---
-
-
-INDEX = 40  # of the wrench that is changed
-TERMINATOR = 4 + 8 + 4 + len("workpiece")  # behind encapsulation, stamp, length and text of frame_id
-
-
-def first_difference(directory, offset: int, bit: int):
-    """Where one bit of a wrench is flipped; the wrench itself is the first difference, and the only one."""
-    messages = made.changed(made.one_pass(), "wrench", INDEX, made.flip(offset, bit))
-    result = recompute(made.write(directory, messages))
-    assert result.verdict == "different" and result.channels["/wrench"].differing == 1
-    assert (result.first.topic, result.first.index, result.first.stamp_ns) == ("/wrench", INDEX, INDEX * 500_000)
-    return result.first
-
-
-@pytest.mark.parametrize("bit", [0, 1, 7])
-@pytest.mark.parametrize("offset", [2, 3])
-def test_a_flipped_bit_in_the_options_of_the_encapsulation_is_named(tmp_path, offset, bit):
-    first = first_difference(tmp_path / "r", offset, bit)
-    assert first.field == "options of the encapsulation" and first.recomputed == b"\0\0"
-    assert first.recorded == made.flip(offset - 2, bit)(b"\0\0")
-
-
-@pytest.mark.parametrize("bit", [0, 1, 7])
-def test_a_frame_whose_terminator_is_not_nul_is_named(tmp_path, bit):
-    first = first_difference(tmp_path / "r", TERMINATOR, bit)
-    assert first.field == "the message" and "string terminator" in first.recorded
