@@ -135,6 +135,10 @@ def record(directory, steps: int = 50, topics=tuple(TOPICS), **options) -> list[
     return written
 
 
+def flipped(data: bytes, at: int, mask: int = 1) -> bytes:
+    return data[:at] + bytes([data[at] ^ mask]) + data[at + 1 :]
+
+
 class Whole(tuple):
     """Bytes and messages of a file; hypothesis prints its arguments, so the text is short."""
 
@@ -143,14 +147,14 @@ class Whole(tuple):
 
 
 def write_mcap(path, messages, compression=CompressionType.ZSTD, **options):
-    """A file by mcap's writer; messages: (log time, bytes)."""
+    """A file by mcap's writer; messages: (log time, bytes) and perhaps the publish time."""
     with open(path, "wb") as stream:
         writer = Writer(stream, compression=compression, **options)
         writer.start("ros2")
         schema = writer.register_schema(POSE, "ros2msg", definition(POSE).encode())
         channel = writer.register_channel("/tool_pose", "cdr", schema)
-        for log_time, data in messages:
-            writer.add_message(channel, log_time, data, log_time)
+        for log_time, data, *publish_time in messages:
+            writer.add_message(channel, log_time, data, *(publish_time or [log_time]))
         writer.finish()
     return path
 

@@ -47,13 +47,22 @@ def rows(file) -> list[dict]:
         return list(csv.DictReader(stream))
 
 
+def exported(recording, directory, *topics: str) -> list:
+    """The files of the chosen topics, or of all."""
+    with Recording(recording) as opened:
+        return export(opened, directory, topics or None).files
+
+
+def summary(recording) -> dict:
+    with Recording(recording) as opened:
+        return info(opened)
+
+
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
     directory = tmp_path_factory.mktemp("export")
     record(directory / "a", 5)
-    with Recording(directory / "a") as recording:
-        files = export(recording, directory / "csv").files
-    return {file.stem: rows(file) for file in files}
+    return {file.stem: rows(file) for file in exported(directory / "a", directory / "csv")}
 
 
 def test_every_topic_has_a_table_with_a_row_per_message_and_units_in_its_columns(tables):
@@ -84,18 +93,16 @@ def test_a_new_file_begins_where_the_joints_change(tmp_path):
         writer.add_topic("/joint_states", JOINTS)
         for i, names in enumerate([["a", "b"], ["a", "b"], ["c"]]):
             writer.write("/joint_states", raw(joints(i, [1.0] * len(names), names=names)), 0)
-    with Recording(tmp_path / "a") as recording:
-        files = export(recording, tmp_path / "csv").files
+    files = exported(tmp_path / "a", tmp_path / "csv")
     assert [f.name for f in files] == ["joint_states.csv", "joint_states_2.csv"]
     assert [len(rows(f)) for f in files] == [2, 1]
 
 
-def test_topics_can_be_chosen_and_unknown_ones_are_told(tmp_path):
+def test_topics_can_be_chosen_and_unknown_ones_are_named(tmp_path):
     record(tmp_path / "a", 2)
-    with Recording(tmp_path / "a") as recording:
-        assert [f.name for f in export(recording, tmp_path / "csv", ["/wrench"]).files] == ["wrench.csv"]
-        with pytest.raises(RecordingError, match="/wrnch"):
-            export(recording, tmp_path / "csv", ["/wrnch"])
+    assert [f.name for f in exported(tmp_path / "a", tmp_path / "csv", "/wrench")] == ["wrench.csv"]
+    with pytest.raises(RecordingError, match="/wrnch"):
+        exported(tmp_path / "a", tmp_path / "csv", "/wrnch")
 
 
 def test_names_of_topics_do_not_lead_out_of_the_directory_and_do_not_collide(tmp_path):
@@ -107,8 +114,7 @@ def test_names_of_topics_do_not_lead_out_of_the_directory_and_do_not_collide(tmp
         for topic in ("/../victim", "/a/b", "/a_b", "/ä b", "/"):
             writer.add_topic(topic, POSE)
             writer.write(topic, raw(pose(0, np.zeros(7))), 0)
-    with Recording(tmp_path / "a") as recording:
-        files = export(recording, tmp_path / "csv").files
+    files = exported(tmp_path / "a", tmp_path / "csv")
     assert sorted(f.name for f in files) == ["a_b.csv", "a_b_2.csv", "unnamed.csv", "victim.csv", "ä_b.csv"]
     assert all(f.parent == tmp_path / "csv" and len(rows(f)) == 1 for f in files)
     assert victim.read_text() == "mine"
@@ -175,8 +181,7 @@ def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
 
 def test_info_counts_what_was_written(tmp_path):
     written = record(tmp_path / "a", 30, attachments={"cell.yaml": "a: 1\n"}, metadata={"seed": 7})
-    with Recording(tmp_path / "a") as recording:
-        data = info(recording)
+    data = summary(tmp_path / "a")
     assert json.loads(json.dumps(data)) == data
     assert (data["messages"], data["cut_off"], data["missing"]) == (30 * len(TOPICS), False, 0)
     assert data["duration_s"] == pytest.approx(29 * PERIOD / 1e9)
@@ -193,17 +198,15 @@ def test_text_states_that_a_file_was_cut_off(tmp_path):
     record(tmp_path / "a", 30, chunk_size=5000)
     whole = (tmp_path / "a" / "a.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 4])
-    with Recording(tmp_path / "cut.mcap") as recording:
-        data = info(recording)
+    data = summary(tmp_path / "cut.mcap")
     assert 0 < data["messages"] < 300 and "cut off" in info_text(data)
 
 
 def test_an_empty_recording_has_no_times(tmp_path):
     BagWriter(tmp_path / "a").close()
-    with Recording(tmp_path / "a") as recording:
-        data = info(recording)
-        assert not recording.cut_off
+    data = summary(tmp_path / "a")
     assert (data["messages"], data["start_ns"], data["duration_s"], data["topics"]) == (0, None, 0.0, {})
+    assert not data["cut_off"]
     assert "0 messages" in info_text(data)
 
 
@@ -251,18 +254,13 @@ def test_what_is_missing_in_the_second_pass_is_counted_also_where_the_first_has_
     assert (about["gaps"]["gaps"], about["gaps"]["backwards"], about["gaps"]["repeated"]) == (1, 0, 0)
 
 
-def test_rate_and_times_are_those_of_each_pass(tmp_path):
+def test_rate_times_series_and_tables_are_those_of_each_pass(tmp_path):
     with write(tmp_path / "a", 3) as recording:
         assert info(recording)["topics"]["/tool_pose"]["rate_hz"] == pytest.approx(2000.0)
         assert [m.log_time for m in recording.messages(["/note"])] == [5 * PERIOD] * 3
-
-
-def test_series_and_tables_hold_one_pass_after_the_other(tmp_path):
-    with write(tmp_path / "a") as recording:
-        assert series(recording, "/wrench").values[:, 0].tolist() == list(range(2 * STEPS))
-        (file,) = export(recording, tmp_path / "csv", ["/note"]).files
-    with open(file, newline="") as stream:
-        assert [row["data"] for row in csv.DictReader(stream)] == ["pass 0", "pass 1"]
+        assert series(recording, "/wrench").values[:, 0].tolist() == list(range(3 * STEPS))
+    (file,) = exported(tmp_path / "a", tmp_path / "csv", "/note")
+    assert [row["data"] for row in rows(file)] == ["pass 0", "pass 1", "pass 2"]
 
 
 def test_passes_are_played_one_after_the_other_at_their_pace(tmp_path):

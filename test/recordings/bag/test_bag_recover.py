@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import struct
 
+import pass_recording as made
 import pytest
 from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.writer import IndexType, Writer
-from recording_samples import TOPICS, Whole, record, whole_recording
+from mcap.writer import IndexType
+from recording_samples import TOPICS, Whole, flipped, poses, record, whole_recording, write_mcap
 from rosbags.rosbag2 import Reader
 
 from kr270_milling.base.errors import RecordingError
@@ -49,10 +50,8 @@ def test_a_flipped_bit_in_any_record_is_reported_and_recovered(tmp_path, name, c
     data, written, _ = whole_recording()
     for number, (begin, end) in enumerate(places(data)[name][:3]):
         for at in {begin, (begin + end) // 2, end - 1}:
-            damaged = bytearray(data)
-            damaged[at] ^= 4
             path = tmp_path / f"{number}_{at}.mcap"
-            path.write_bytes(damaged)
+            path.write_bytes(flipped(data, at, 4))
             assert main(["info", str(path), "--verify"]) in (1, 2)
             printed = capsys.readouterr()
             assert "whole" not in printed.out and (printed.out + printed.err).strip()
@@ -67,59 +66,36 @@ def test_a_flipped_bit_in_any_record_is_reported_and_recovered(tmp_path, name, c
 
 
 def test_a_recompute_does_not_call_a_damaged_recording_identical(tmp_path):
-    import pass_recording as made
-
     directory = made.write(tmp_path / "r", made.one_pass())
     (file,) = directory.glob("*.mcap")
     whole = file.read_bytes()
     assert recompute(directory).verdict == "identical"
     for name in ("message index", "metadata", "end of data"):
         begin, end = places(whole)[name][0]
-        damaged = bytearray(whole)
-        damaged[(begin + end) // 2] ^= 4
-        file.write_bytes(damaged)
+        file.write_bytes(flipped(whole, (begin + end) // 2, 4))
         assert recompute(directory).verdict == "damaged", name
-
-
-def foreign(path, index, change=lambda data: data):
-    """A file without a checksum over its data."""
-    with open(path, "wb") as stream:
-        writer = Writer(stream, chunk_size=200, index_types=index)
-        writer.start("ros2")
-        channel = writer.register_channel("/t", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"int8 x"))
-        for step in range(50):
-            writer.add_message(channel, step, b"\0\1\0\0\1", step)
-        writer.finish()
-    path.write_bytes(change(path.read_bytes()))
-    with Recording(path) as recording:
-        return findings(recording)
 
 
 @pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE])
 def test_a_file_is_whole_with_the_indexes_that_its_writer_wrote(tmp_path, index):
-    assert foreign(tmp_path / "a.mcap", index) == []
-
-
-def test_an_index_of_messages_that_points_elsewhere_is_told_without_any_checksum(tmp_path):
-    def change(data: bytes) -> bytes:
-        begin, end = places(data)["message index"][1]
-        return data[: end - 8] + bytes([data[end - 8] ^ 1]) + data[end - 7 :]
-
-    assert "an index points to other messages than its chunk holds" in foreign(tmp_path / "a.mcap", IndexType.ALL,
-                                                                               change)[0]  # fmt: skip
+    path = write_mcap(tmp_path / "a.mcap", poses(range(50)), chunk_size=500, index_types=index)
+    with Recording(path) as recording:
+        assert findings(recording) == []
 
 
 @pytest.mark.parametrize(("name", "byte", "sentence"), [
     ("chunk index", 0, "index of chunks"), ("attachment index", -1, "index of attachments"),
     ("metadata index", -1, "index of metadata"), ("statistics", 0, "counts of messages"),
+    ("message index", -8, "an index points to other messages than its chunk holds"),
 ])  # fmt: skip
 def test_an_index_that_does_not_fit_is_reported_without_any_checksum(tmp_path, name, byte, sentence):
-    data = bytearray(whole_recording()[0])
-    begin, end = places(data)[name][0]
-    data[begin if byte == 0 else end - 1] ^= 1
-    after = places(data)["footer"][0][1]
-    data[after - 4 : after] = bytes(4)
-    (tmp_path / "a.mcap").write_bytes(data)
+    data = whole_recording()[0]
+    record = places(data)[name][0]
+    damaged = bytearray(flipped(data, record[0] if byte == 0 else record[1] + byte))
+    for checksummed in ("footer", "end of data"):
+        end = places(data)[checksummed][0][1]
+        damaged[end - 4 : end] = bytes(4)
+    (tmp_path / "a.mcap").write_bytes(damaged)
     with Recording(tmp_path / "a.mcap") as recording:
         assert [sentence in text for text in findings(recording)] == [True]
 
@@ -128,9 +104,8 @@ def test_a_damaged_attachment_costs_only_itself(tmp_path):
     attached = {f"{name}.yaml": f"{name}: 1\n" * 9 for name in "abc"}
     written = record(tmp_path / "r", 5, topics=["/tool_pose"], attachments=attached)
     (file,) = (tmp_path / "r").glob("*.mcap")
-    damaged = bytearray(file.read_bytes())
-    damaged[places(damaged)["attachment"][1][1] - 10] ^= 4
-    file.write_bytes(damaged)
+    data = file.read_bytes()
+    file.write_bytes(flipped(data, places(data)["attachment"][1][1] - 10, 4))
     actual = recover(tmp_path / "r")
     assert actual.attachments == ["a.yaml", "c.yaml"] and actual.messages == len(written)
     assert "attachment b.yaml" in actual.dropped[0]
@@ -165,30 +140,21 @@ def test_a_whole_file_is_copied_with_everything(source, tmp_path):
     with Recording(tmp_path / "a.mcap") as before, Recording(tmp_path / "b") as after:
         assert after.topics() == before.topics()
         assert after.attachment("cell.yaml") == before.attachment("cell.yaml")
-        old = before.metadata()
-        assert {k: v for k, v in after.metadata().items() if k in old and k != "rosbag2"} == {
-            k: v for k, v in old.items() if k != "rosbag2"}  # fmt: skip
-
-
-def test_rosbags_reads_what_was_recovered_but_not_the_cut_off_file(source, tmp_path):
-    data, written, _ = source
-    (tmp_path / "a.mcap").write_bytes(data[: len(data) // 2])
-    with pytest.raises(Exception, match="magic"), Reader(tmp_path / "a.mcap"):
-        pass
-    result = recover(tmp_path / "a.mcap")
-    assert result.directory == str(tmp_path / "a_recovered") and result.lost_messages is None
-    with Reader(tmp_path / "a_recovered") as reader:
-        actual = [(c.topic, t, d) for c, t, d in reader.messages()]
-    assert len(actual) == result.messages and set(actual) == set(written[: len(actual)])
-    assert (tmp_path / "a.mcap").read_bytes() == data[: len(data) // 2]
+        old, new = before.metadata(), after.metadata()
+        assert all(new[key] == value for key, value in old.items() if key != "rosbag2")
 
 
 def test_a_recordings_directory_gets_its_copy_beside_it_and_stays_as_it_was(source, tmp_path, monkeypatch):
+    data, written, _ = source
     (tmp_path / "r").mkdir()
-    (tmp_path / "r" / "a.mcap").write_bytes(source[0][:-20])
+    (tmp_path / "r" / "a.mcap").write_bytes(data[:-20])
+    with pytest.raises(Exception, match="magic"), Reader(tmp_path / "r" / "a.mcap"):
+        pass
     monkeypatch.chdir(tmp_path / "r")
     result = recover(".")
     assert result.directory == str(tmp_path / "r_recovered") and result.lost_messages == 0
+    with Reader(tmp_path / "r_recovered") as reader:
+        assert {(c.topic, t, d) for c, t, d in reader.messages()} == set(written)
     assert [file.name for file in (tmp_path / "r").iterdir()] == ["a.mcap"]
     with pytest.raises(RecordingError, match="exists already"):
         recover(f"{tmp_path}/r/")
@@ -214,8 +180,7 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     packed = chunk.offset + PACKED
     at = {"packed bytes": packed + 50, "length": chunk.offset + 3, "longer": chunk.offset + 2,
           "packed length": packed - 6, "type": chunk.offset, "first time": chunk.offset + 9}[place]  # fmt: skip
-    damaged = bytearray(data)
-    damaged[at] ^= 0x30
+    damaged = flipped(data, at, 0x30)
     if place == "longer":  # and yet within the file
         assert chunk.end < chunk.offset + struct.unpack_from("<Q", damaged, chunk.offset + 1)[0] < len(damaged) - 1000
     (tmp_path / "a.mcap").write_bytes(damaged)
@@ -233,9 +198,7 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
 def test_a_chunk_with_the_opcode_of_another_record_is_not_passed_over(source, tmp_path, opcode, sentence):
     data, _, chunks = source
     chunk, count = chunks[len(chunks) // 2]
-    damaged = bytearray(data)
-    damaged[chunk.offset] = opcode
-    (tmp_path / "a.mcap").write_bytes(damaged)
+    (tmp_path / "a.mcap").write_bytes(flipped(data, chunk.offset, data[chunk.offset] ^ opcode))
     with pytest.raises(RecordingError, match=sentence):
         Recording(tmp_path / "a.mcap")
     assert recover(tmp_path / "a.mcap").lost_messages == count
@@ -244,8 +207,7 @@ def test_a_chunk_with_the_opcode_of_another_record_is_not_passed_over(source, tm
 def test_without_the_summary_a_lost_definition_is_reported(source, tmp_path):
     """The first chunk defines the channels; in a cut-off file nothing else does."""
     data, written, chunks = source
-    damaged = bytearray(data)
-    damaged[chunks[0][0].offset + PACKED + 100] ^= 1
+    damaged = flipped(data, chunks[0][0].offset + PACKED + 100)
     (tmp_path / "cut.mcap").write_bytes(damaged[: chunks[-1][0].offset])
     result = recover(tmp_path / "cut.mcap")
     assert result.messages == 0 and any("whose definition is lost" in line for line in result.dropped)
@@ -253,8 +215,8 @@ def test_without_the_summary_a_lost_definition_is_reported(source, tmp_path):
     (tmp_path / "whole.mcap").write_bytes(damaged)  # with the summary
     result = recover(tmp_path / "whole.mcap")
     assert result.messages > 0.8 * len(written) and result.lost_messages == len(written) - result.messages
-    damaged[places(damaged)["statistics"][0][0]] ^= 1  # and now nothing states how many messages there were
-    (tmp_path / "uncounted.mcap").write_bytes(damaged)
+    uncounted = flipped(damaged, places(damaged)["statistics"][0][0])  # nothing states how many messages there were
+    (tmp_path / "uncounted.mcap").write_bytes(uncounted)
     assert recover(tmp_path / "uncounted.mcap").lost_messages is None
 
 
@@ -274,14 +236,8 @@ def test_nothing_is_overwritten_and_nothing_half_is_left(source, tmp_path):
 
 
 def test_a_message_with_an_impossible_publish_time_costs_only_itself(tmp_path):
-    times = [(i, 2**63 if i == 3 else i) for i in range(6)]
-    with open(tmp_path / "a.mcap", "wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        channel = writer.register_channel("/t", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"int8 x"))
-        for log_time, publish_time in times:
-            writer.add_message(channel, log_time, b"\0\1\0\0\1", publish_time)
-        writer.finish()
+    messages = [(at, data, 2**63 if at == 3 else at) for at, data in poses(range(6))]
+    write_mcap(tmp_path / "a.mcap", messages)
     actual = recover(tmp_path / "a.mcap", tmp_path / "b")
     assert actual.messages == 5 and "1 messages that have the time 9223372036854775808 ns" in actual.dropped[0]
     assert [at for _, at, _ in content_of(tmp_path / "b")] == [0, 1, 2, 4, 5]
