@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import contextlib
 
 import numpy as np
 import pass_recording as made
 import pytest
 
 from kr270_milling.base.frames import rotation_from_quaternion
-from kr270_milling.base.samples import JointSample, Text
+from kr270_milling.base.samples import JointSample, PoseSample, Text
 from kr270_milling.exchange.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
@@ -56,25 +55,17 @@ def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
             np.testing.assert_allclose(frames[name][:3, :3], pose.rotation, atol=1e-8)
 
 
-def run(messages, scene):
-    result = []
-    for message in messages:
-        if message.topic in INPUTS:
-            result += scene.take(message.topic, message.data)
-    return result
-
-
 def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
     scene = Scene()
     list(scene.take("robot_description", described(cell)))
-    result = run(made.one_pass(), scene)
+    sent = [message for message in made.one_pass() if message.topic in INPUTS]
+    result = [one for message in sent for one in scene.take(message.topic, message.data)]
     assert {one.topic for one in result} <= set(OUTPUTS)
     for topic in ("/markers", "/tf"):
         stamps = np.array([one.stamp_ns for one in result if one.topic == topic])
         assert stamps.size and np.all(np.diff(stamps) >= PERIOD_NS)
-    last = deserialise(
-        "visualization_msgs/msg/MarkerArray", [one for one in result if one.topic == "/markers"][-1].data
-    )
+    *_, markers = (one.data for one in result if one.topic == "/markers")
+    last = deserialise("visualization_msgs/msg/MarkerArray", markers)
     named = {marker.ns: marker for marker in last.markers}
     assert set(named) <= {"path", "removed", "force"} and "force" in named
     for marker in last.markers:
@@ -82,8 +73,6 @@ def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
 
 
 def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
-    from kr270_milling.base.samples import PoseSample
-
     scene, target = Scene(), cell.target()
     list(scene.take("target_trajectory", to_bytes(target)))
     shift, upright = np.array([0.0, 200e-6, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
@@ -97,17 +86,6 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
 
 
-def test_the_recorder_imports_neither_the_report_nor_jinja2():
-    pytest.importorskip("rclpy")
-    code = (
-        "import sys, kr270_milling.live.nodes.recorder\n"
-        "wrong = {name for name in sys.modules if name.startswith(('jinja2', 'plotly', 'kr270_milling.show.report'))}\n"
-        "assert not wrong, wrong"
-    )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert ran.returncode == 0, ran.stderr
-
-
 def test_a_message_that_is_none_is_refused(cell):
     with pytest.raises(ValueError, match="CDR|not"):
         list(Scene().take("robot_description", b"noise"))
@@ -117,9 +95,6 @@ def test_a_message_that_is_none_is_refused(cell):
     "text", ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"]
 )
 def test_a_description_of_something_else_gives_no_moving_frames_and_no_crash(text):
-    scene = Scene()
-    try:
-        result = list(scene.take("robot_description", to_bytes(Text(text))))
-    except ValueError:
-        return
-    assert not [t for one in result for t in deserialise(one.type, one.data).transforms]
+    with contextlib.suppress(ValueError):
+        result = list(Scene().take("robot_description", to_bytes(Text(text))))
+        assert not [t for one in result for t in deserialise(one.type, one.data).transforms]

@@ -159,10 +159,11 @@ def test_a_recorder_that_starts_in_mid_pass_has_an_incomplete_pass_and_a_whole_o
 
 def test_a_pass_is_scored_along_the_target_in_force(tmp_path):
     """A target that lies 0.5 mm to the side: the deviation is that from this target, not from the path of the cell."""
-    cell = made.cell_of()
-    target = cell.target()
+    target = made.cell_of().target()
     shifted = target.with_position(target.position + [0.0, 5e-4, 0.0])
-    (moved,) = passes_from_recording(made.write(tmp_path / "moved", made.target_of_user(shifted)))
+    bag = made.write(tmp_path / "moved", made.target_of_user(shifted))
+    (moved,), replayed = passes_from_recording(bag), recompute(bag)
+    assert replayed.verdict == "identical" and replayed.channels["/reference_trajectory"].compared == 2
     (plain,) = passes_from_recording(made.write(tmp_path / "plain", made.one_pass()))
     assert moved.complete and moved.target.position[0, 1] == shifted.position[0, 1]
     shift = (moved.scored.result.tool - plain.scored.result.tool)[:, 1]
