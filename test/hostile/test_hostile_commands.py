@@ -18,35 +18,25 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.recordings.bag.writer import BagWriter
 
 GARBAGE = bytes(range(256)) * 40
-KINDS = ("missing", "directory", "empty", "garbage", "text", "zeros", "device", "endless", "pipe", "circle",
-         "below a file", "long name", "zero byte in the name", "sparse")  # fmt: skip
+CONTENTS = {"empty": b"", "garbage": GARBAGE, "text": b"hello\nworld\n", "zeros": bytes(5000)}
+PLACES = {"device": "/dev/null", "endless": "/dev/zero", "below a file": f"{__file__}/file",
+          "long name": f"{{path}}{'n' * 5000}", "zero byte in the name": "{path}\0"}  # fmt: skip
+MAKERS = {
+    "missing": lambda path: None,
+    "directory": Path.mkdir,
+    "pipe": os.mkfifo,
+    "circle": lambda path: path.symlink_to(path),
+    "sparse": lambda path: (path.touch(), os.truncate(path, 1 << 26 if path.suffix == ".mcap" else 5 << 28)),
+}
 
 
-def made(kind: str, path):
-    """A hostile thing at a place, or in its stead."""
-    if kind == "directory":
-        path.mkdir()
-    elif kind == "device":
-        return "/dev/null"
-    elif kind == "endless":
-        return "/dev/zero"
-    elif kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "circle":
-        path.symlink_to(path)
-    elif kind == "below a file":
-        path.write_bytes(b"")
-        return path / "file"
-    elif kind == "long name":
-        return path.with_name("n" * 5000)
-    elif kind == "zero byte in the name":
-        return f"{path}\0"
-    elif kind == "sparse":
-        with open(path, "wb") as stream:
-            stream.truncate(1 << 26 if path.suffix == ".mcap" else 5 << 28)
-    elif kind != "missing":
-        path.write_bytes({"empty": b"", "garbage": GARBAGE, "text": b"hello\nworld\n", "zeros": bytes(5000)}[kind])
-    return path
+def made(kind: str, path: Path) -> str:
+    """Make a hostile thing at a path; return its name."""
+    if kind in CONTENTS:
+        path.write_bytes(CONTENTS[kind])
+    elif kind in MAKERS:
+        MAKERS[kind](path)
+    return PLACES.get(kind, "{path}").format(path=path)
 
 
 COMMANDS = {
@@ -83,7 +73,7 @@ def words(name: str, file, out) -> list[str]:
 
 #: one command for each reader: parameter file, text, recording, recovery, measured signals
 @pytest.mark.parametrize("name", ["stiffness", "path", "info", "recover", "UFF"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*CONTENTS, *PLACES, *MAKERS])
 def test_every_reader_refuses_what_is_no_such_file_in_one_sentence(name, kind, tmp_path):
     path = made(kind, tmp_path / f"thing{ENDS.get(name, '.mcap')}")
     refused(*words(name, path, tmp_path / "out"))
