@@ -141,16 +141,8 @@ def unusable(robot, cut, pose) -> list:
     return []
 
 
-def spoilt(robot, cut, pose) -> list:
-    """The caller changes its array afterwards."""
-    tool = pose.position.copy()
-    cut.pose(pose._replace(position=tool))
-    tool[:] = np.nan
-    return []
-
-
-@pytest.mark.parametrize(("disturb", "iterations"), [(repeated, 1), (repeated, 3), (unusable, 1), (spoilt, 1)])
-def test_repeated_unusable_and_spoilt_messages_change_nothing(disturb, iterations):
+@pytest.mark.parametrize(("disturb", "iterations"), [(repeated, 1), (repeated, 3), (unusable, 1)])
+def test_repeated_and_unusable_messages_change_nothing(disturb, iterations):
     cell = iterated(cell_with(IN_METAL, "path.length_mm=4"), iterations)
     disturbed, plain = run(*protocols(cell), disturb), run(*protocols(cell))
     np.testing.assert_array_equal(column(disturbed, "deflection", "twist"), column(plain, "deflection", "twist"))
@@ -207,13 +199,15 @@ def test_the_start_may_be_repeated_from_elsewhere_until_the_pass_is_under_way():
         cut.pose(pose)
 
 
-def test_what_a_caller_does_to_a_wrench_afterwards_does_not_matter():
-    robot, cut, _, _, following = started()
-    ((_, answer),) = cut.pose(following)
-    wrench = answer.wrench.copy()
-    outputs = robot.wrench(answer._replace(wrench=wrench))
-    wrench[:] = np.nan
-    assert np.isfinite(robot.wrench(cut.pose(outputs[0][1])[0][1])[0][1].position).all()
+def test_what_a_caller_does_to_its_arrays_afterwards_does_not_matter():
+    robot, cut, _, _, pose = started()
+    for _ in range(3):
+        tool = pose.position.copy()
+        ((_, answer),) = cut.pose(pose._replace(position=tool))
+        wrench = answer.wrench.copy()
+        ((_, pose), *_) = robot.wrench(answer._replace(wrench=wrench))
+        tool[:] = wrench[:] = np.nan
+        assert np.isfinite([*answer.wrench, *pose.position]).all() and answer.wrench.any()
 
 
 def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_cell):
@@ -281,7 +275,9 @@ def test_a_pass_is_revised_once_from_all_its_messages_in_whatever_order(protocol
     records = samples(ran, turned)
     if overtaking:  # every wrench overtakes the pose that it answers
         records = [record for i in range(0, len(records), 2) for record in reversed(records[i : i + 2])]
-    assert_revised(feed(protocol, records), expected(short_cell, ran))
+    outputs = feed(protocol, records)
+    assert_revised(outputs, expected(short_cell, ran))
+    assert outputs[0][1].learned[0].wrenches == len(ran.time_ns)
     np.testing.assert_array_equal(protocol.compensator.first.wrench, ran.wrench)
     assert not protocol.under_way
 
@@ -304,7 +300,8 @@ def test_poses_before_the_start_and_out_of_order_count_for_nothing(protocol, ran
 
 def test_a_new_start_begins_anew_and_nothing_is_finished_in_mid_pass(protocol, ran, short_cell):
     records = samples(ran)
-    assert feed(protocol, records[:40]) == [] == protocol.finish()
+    far = [r._replace(position=r.position + 1e-3) if isinstance(r, PoseSample) else r for r in records[:40]]
+    assert feed(protocol, far) == [] == protocol.finish()
     assert protocol.under_way and not protocol.at_end
     assert_revised(feed(protocol, records), expected(short_cell, ran))
     assert len(protocol.compensator.first.time_ns) == len(ran.time_ns)
