@@ -5,16 +5,15 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from three_tools import PLATE, QUICK, RIGID, STOCK, tool_cells
 
 from kr270_milling.base.errors import ConfigError
-from kr270_milling.cell.cell import read_cell, read_cells
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import Cell, read_cell, read_cells
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.decide.check import check
@@ -22,6 +21,74 @@ from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.part import assess
 from kr270_milling.decide.tools import in_turn
 from kr270_milling.path.cam.gcode.reader import read_gcode
+
+#: facing, a pocket with a helical ramp, a finished wall
+PLATE = """\
+%
+O1001 (BRACKET)
+(T1 D=40. CR=0. - ZMIN=-0.5 - FACE MILL)
+(T2 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)
+(T3 D=6. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)
+G90 G94 G17 G21
+(FACE1)
+T1 M6
+S3000 M3
+G54
+G0 X-55 Y0
+Z15
+Z-0.5
+(LEAD IN)
+G1 X55 F1500
+G0 Z15
+M5
+(POCKET2)
+T2 M6
+S8000 M3
+G54
+G0 X0 Y0
+Z15
+Z2
+(HELICAL RAMP)
+G1 Z0 F1200
+X2
+G3 X2 Y0 Z-1.5 I-2 J0
+G3 X2 Y0 Z-3 I-2 J0
+G3 X2 Y0 I-2 J0
+G1 X6.7 F2000
+G3 X6.7 Y0 I-6.7 J0
+G0 Z15
+M5
+(CONTOUR3)
+T3 M6
+S9000 M3
+G54
+G0 X8 Y0
+Z15
+Z-2
+G1 Z-3 F500
+X9 F1500
+G3 X9 Y0 I-9 J0
+G1 X8
+G0 Z15
+M5
+M30
+%
+"""
+#: a plate whose height maps have no level at half of a millimetre; a coarse and quick model
+STOCK = ("stock.min_mm=[-30,-15,-9]", "stock.max_mm=[30,15,0]")
+QUICK = (
+    *STOCK, "stock.grid_step_um=50", "exchange.period_ms=0.5", "exchange.micro_step_deg=3", "tool.spindle_speed_rpm=0",
+    "dynamics.follow_pose=false", "stock.floor_tolerance_um=0.2",
+)  # fmt: skip
+RIGID = "arm.joint_compliance_urad_per_n_m=[1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9]"
+
+
+def tool_cells(folder, program: str, tools: dict[str, dict], *more: str) -> tuple[Cell, ...]:
+    """The cells of a program, written into a folder, with ``tools`` in the shipped cell of the test piece."""
+    path = Path(folder) / "part.nc"
+    path.write_text(program)
+    return read_cells(find_file("test_piece.yaml"), [*QUICK, f"path.file={path}", f"tools={tools}", *more])
+
 
 DETAIL = [f"cutting.detail={detail}" for detail in ("teeth", "engagement")]
 
@@ -78,9 +145,8 @@ def test_rapid_moves_where_the_tool_before_has_cut_are_no_contact(tmp_path):
     program = HEAD + operation("T1", *ALONG) + operation("T2", *inside) + END
     cells = tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL})
     alone = cells[1].replace(stage=None)
-    contacts = [
-        rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact)) for cell in (cells[1], alone)
-    ]
+    margin = alone.limits.rapid_contact
+    contacts = [rapid_violations(cell.target(), engagement(cell, margin)) for cell in (cells[1], alone)]
     assert not contacts[0] and len(contacts[1]) == 2
     depth = engagement(cells[1], 0.0).depth.max(), engagement(alone, 0.0).depth.max()
     assert depth == (pytest.approx(1e-3), pytest.approx(2e-3))
@@ -165,15 +231,6 @@ def command(name: str, cell, *words: str) -> list[str]:
     return [name, str(cell), *(part for one in sets for part in ("--set", one)), *words]
 
 
-def test_init_writes_the_tools_of_a_program(drafted):
-    cells = read_cells(drafted)
-    assert [cell.stage.tool for cell in cells] == ["T1", "T2", "T3"]
-    assert [1e3 * cell.tool.diameter for cell in cells] == pytest.approx([40, 10, 6])
-    assert [cell.tool.spindle_speed * 30 / math.pi for cell in cells] == pytest.approx([3000, 8000, 9000])
-    assert [cell.programmed.program.operations for cell in cells] == [("FACE1",), ("POCKET2",), ("CONTOUR3",)]
-    assert [cell.program.name for cell in cells] == ["PLATE_T1", "PLATE_T2", "PLATE_T3"]
-
-
 def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path, capsys):
     assert main(command("check", drafted, "--json")) == 0
     checked = json.loads(capsys.readouterr().out)
@@ -205,20 +262,16 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
 
 
 def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path, capsys):
-    dangerous = PLATE.replace("G1 X6.7 F2000", "G0 X6.7")
     program = tmp_path / "dangerous.nc"
-    program.write_text(dangerous)
+    program.write_text(PLATE.replace("G1 X6.7 F2000", "G0 X6.7"))
     more = ["--set", f"path.file={program}"]
     out = tmp_path / "out"
     assert main(command("compensate", drafted, "--no-verdict", "--gcode", "--json", "--out", str(out), *more)) == 1
     answer = json.loads(capsys.readouterr().out)
     assert answer["decision"] == "no" and answer["deciding_tool"] == "T2" and "rapid" in answer["sentence"]
     assert [one["level"] for one in answer["tools"]] == ["caution", "no", "caution"]
-    assert (
-        not list(out.glob("krl_*"))
-        and not list(out.glob("*gcode_*"))
-        and "NOT RELEASED" in (out / "MANIFEST.txt").read_text()
-    )
+    assert not [*out.glob("krl_*"), *out.glob("*gcode_*")]
+    assert "NOT RELEASED" in (out / "MANIFEST.txt").read_text()
     assert main(command("check", drafted, *more)) == 1
     shown = capsys.readouterr().out
     assert "must not be run: stops of T2" in shown and "tool T3, 3 of 3" in shown
