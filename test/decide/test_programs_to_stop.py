@@ -337,7 +337,7 @@ def with_rapid_cut(row: Row) -> Row:
     return replace(row, name=f"{row.name}, rapid", program=text, lines=(line,), depth_mm=depth, volume_mm3=volume)
 
 
-RANDOM = [random_sound(seed) for seed in range(50)]
+RANDOM = [random_sound(seed) for seed in range(30)]
 ROWS = [row for diameter in DIAMETERS_MM for row in (*dangerous(diameter), *sound(diameter))]
 ROWS += [*RANDOM, *map(with_rapid_cut, RANDOM[::10])]
 BACK = SLOT.replace("G0 Z5", "G0 Z-0.4\nG0 X-14\nG0 Z5")

@@ -28,7 +28,7 @@ PLATE = """\
 O1001 (BRACKET)
 (T1 D=40. CR=0. - ZMIN=-0.5 - FACE MILL)
 (T2 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)
-(T3 D=6. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)
+(T3 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)
 G90 G94 G17 G21
 (FACE1)
 T1 M6
@@ -62,13 +62,13 @@ M5
 T3 M6
 S9000 M3
 G54
-G0 X8 Y0
+G0 X6 Y0
 Z15
 Z-2
 G1 Z-3 F500
-X9 F1500
-G3 X9 Y0 I-9 J0
-G1 X8
+X7 F1500
+G3 X7 Y0 I-7 J0
+G1 X6
 G0 Z15
 M5
 M30
@@ -223,7 +223,7 @@ def drafted(tmp_path_factory):
     return folder / "cell.yaml"
 
 
-FAST = ("cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=inverse")
+FAST = ("cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=mirror")
 
 
 def command(name: str, cell, *words: str) -> list[str]:

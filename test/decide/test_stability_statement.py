@@ -42,19 +42,8 @@ UNKNOWN = "tool and spindle: unknown (no tool.modes)"
 EDGE = "G21 G90 S8000 M3\nG0 X{0} Y-14 Z2\nG0 Z-0.5\nG1 X{1} F4000\nG0 Z5\nM30\n"
 
 
-def soft(depth: float):
-    return read_cell(find_file("paper.yaml"), [*SOFT, f"path.depth_of_cut_mm={depth * 1e3}"])
-
-
-def with_benchmark(depth: float):
-    return read_cell(find_file("paper.yaml"), [*BENCHMARK, f"path.depth_of_cut_mm={depth * 1e3}"])
-
-
-@pytest.fixture(scope="module")
-def soft_limit() -> float:
-    cell = soft(1e-3)
-    (lobe,) = lobes(cell, [cell.tool.spindle_speed])
-    return lobe.depth_limit
+def cell_of(depth: float, settings):
+    return read_cell(find_file("paper.yaml"), [*settings, f"path.depth_of_cut_mm={depth * 1e3}"])
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +58,7 @@ def slot_limit() -> float:
     [(1.1, "chatter", "stop"), (0.9, "near the limit", "warning"), (0.7, "stable", None)],
 )
 def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(slot_limit, share, word, severity):
-    checked = check(with_benchmark(share * slot_limit))
+    checked = check(cell_of(share * slot_limit, BENCHMARK))
     result = [f for f in checked.findings if f.what == "chatter"]
     assert checked.stability.word == word and [f.severity for f in result] == ([severity] if severity else [])
     assert checked.may_be_run == (severity != "stop")
@@ -90,18 +79,21 @@ def test_without_tool_modes_the_statement_is_about_the_arm_alone_and_a_variable_
     assert result.word == "unknown" and "unknown (variable pitch)" in result.text and UNKNOWN in result.text
 
 
-def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_are_ten_times_softer(
-    monkeypatch,
-):
-    cell = read_cell(find_file("test_piece_tool_modes.yaml"))
-    count, growth = [], StabilityMap.growth
-    monkeypatch.setattr(StabilityMap, "growth", lambda self, depth: count.append(depth) or growth(self, depth))
-    result = stability_statement(cell)
-    assert len(count) < 1000  # some milliseconds each
+@pytest.fixture(scope="module")
+def piece():
+    """The test piece with its tool modes, its statement, and how many evaluations the statement took."""
+    cell, count, growth = read_cell(find_file("test_piece_tool_modes.yaml")), [], StabilityMap.growth
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StabilityMap, "growth", lambda self, depth: count.append(depth) or growth(self, depth))
+        return cell, stability_statement(cell), len(count)
+
+
+def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_are_ten_times_softer(piece):
+    cell, result, evaluations = piece
     assert result.with_tool and result.word == "stable" and len(result.features) == 5
     assert result.text.startswith("stability: arm, tool and spindle: stable (square: 1.2 mm, limit ")
-    modes = cell.tool.modes
-    softer = cell.tool.replace(modes=modes.replace(mass=modes.mass / 10))
+    assert evaluations < 1000  # some milliseconds each
+    softer = cell.tool.replace(modes=cell.tool.modes.replace(mass=cell.tool.modes.mass / 10))
     result = stability_statement(cell.replace(tool=softer))
     assert result.word == "chatter" and result.worst.limit.chatter_frequency > 2 * np.pi * 900
 
@@ -140,9 +132,9 @@ def test_a_second_way_through_the_same_slot_and_a_rapid_are_no_engagement(tmp_pa
     assert abs(len(once.depth) - len(again.depth)) <= 3 and len(once.depth) > 80  # of some 300 places
 
 
-def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit():
-    cell = read_cell(find_file("test_piece_tool_modes.yaml"))
-    square = next(one for one in feature_limits(cell) if one.name == "square")
+def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
+    cell, statement, _ = piece
+    square = next(one for one in statement.features if one.name == "square")
     arcs = arcs_along(cell)
     shortest = FEWEST_TEETH * cell.feed_rate / (8000 / 60 * 4)
     groups = stability._groups(arcs, shortest)
@@ -181,11 +173,12 @@ def test_limits_over_speed_without_tool_modes_name_tool_and_spindle_as_rigid(cap
 
 
 # --- the simulated pass, with the modes of the arm alone ---
-@pytest.mark.parametrize("share, word", [(0.5, "repeats"), (2.0, "grows")])
-def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below(soft_limit, share, word):
-    cell = soft(share * soft_limit)
-    result = residue_of(cell, simulate(cell).result)
-    assert result.word == word, (soft_limit, result)
+def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below():
+    cell = cell_of(1e-3, SOFT)
+    (lobe,) = lobes(cell, [cell.tool.spindle_speed])
+    for share, word in ((0.5, "repeats"), (2.0, "grows")):
+        cell = cell_of(share * lobe.depth_limit, SOFT)
+        assert residue_of(cell, simulate(cell).result).word == word
 
 
 def test_the_papers_cut_repeats_and_a_short_one_has_no_statement(demo):
