@@ -43,14 +43,6 @@ def test_each_feature_that_cuts_has_a_row_and_the_whole_part_is_the_worst_of_the
         assert row.mean_normal < row.quantile_normal < row.max_normal
 
 
-def test_a_wall_is_off_by_what_the_tool_deviated_when_it_made_it(part):
-    walls = part.surface.walls
-    for row in part.rows:
-        assert row.max_wall < 1.05 * row.max_normal + 1e-6
-    # the tool deviates by tens of micrometres, and a wall far from entry and exit shows it
-    assert np.quantile(np.abs(walls.error), 0.9) > 5e-6
-
-
 def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell, ran, part):
     result, stock = ran.result, cell.stock
     above = np.minimum(result.tool[:-1, 2], result.tool[1:, 2]) > stock.max[2]
@@ -79,20 +71,6 @@ def test_mean_torque_of_a_rigid_slot_is_that_of_the_linear_edge_law(tmp_path):
     turns = int(full.sum() // 20) * 20  # periods of 18 deg
     mean = found.torque[np.flatnonzero(full)[:turns]].mean()
     assert mean == pytest.approx(cell.tool.teeth * per_tooth * RADIUS, rel=0.015)
-
-
-def test_the_papers_straight_cut_can_be_assessed_as_a_part():
-    cell = read_cell(CONFIG / "paper.yaml", ["stock.grid_step_um=40.0"])
-    ran = simulate(cell)
-    part = assess(cell, ran)
-    assert [row.name for row in part.rows] == ["straight cut"]
-    last = part.deviation[-(len(part.deviation) // 4) :, 1]
-    assert last.mean() == pytest.approx(ran.scores.static_deviation, rel=1e-9)
-    walls = part.surface.walls
-    settled = walls.position[:, 0] > 50e-3
-    assert settled.sum() > 100  # both walls are off by the static deviation, to opposite sides of the material
-    np.testing.assert_allclose(np.abs(walls.error[settled]), np.abs(last.mean()), atol=5e-6)
-    assert set(np.sign(walls.error[settled])) == {-1.0, 1.0}
 
 
 def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_gives(cell, ran, part):

@@ -9,7 +9,6 @@ import pytest
 from cuttings import profile
 from milled_part import HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 
-from kr270_milling.base.errors import InputError
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decide.part import heights_at, ideal_part, machined, surface, write_part, write_stl
 from kr270_milling.decide.part.course import Course, course
@@ -79,15 +78,6 @@ def test_walls_of_a_slot_stand_a_radius_beside_the_path_with_its_depth(slot):
         np.testing.assert_allclose(np.diff(x), 0.25 * MM, rtol=1e-6)
 
 
-def test_a_slow_wave_of_the_tool_is_the_wave_of_the_wall(slot):
-    path, target = planned(slot)
-    wave = 20 * UM * np.sin(2 * np.pi * target[:, 0] / (20 * MM))
-    walls = surface(slot, path, target, target + wave[:, None] * [0, 1, 0]).walls
-    expected = walls.normal[:, 1] * 20 * UM * np.sin(2 * np.pi * walls.position[:, 0] / (20 * MM))
-    # the farthest reach of neighbours: a slope of 6.3e-3 moves the wall by R / 2 slope^2 at most
-    np.testing.assert_allclose(walls.error, expected, atol=0.11 * UM)
-
-
 def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
     fine = small_cell(tmp_path, SLOT, "stock.grid_step_um=4.0", "stock.min_mm=[-3, -6, -6.5535]",
                       "stock.max_mm=[3, 6, 0]", "exchange.micro_step_deg=1.0")  # fmt: skip
@@ -132,19 +122,6 @@ def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put
     for chosen, expected, tolerance in cases:
         assert chosen.sum() > 100
         np.testing.assert_allclose(found.error[chosen], expected * UM, atol=tolerance + 1e-10)
-
-
-def test_several_levels_are_the_envelope_of_each_level_alone(tmp_path):
-    first = HEAD + "G0 X-28 Y-4 Z-1\nG1 X28 F3000\nG0 Z2\n"
-    second = "G0 X-5 Y-28\nG0 Z-0.4\nG1 Y28 F3000\nG0 Z2\n"
-    alone = []
-    for program in (first, HEAD + second.replace("G0 X-5 Y-28\n", "G0 X-5 Y-28 Z2\n")):
-        cell = small_cell(tmp_path, program)
-        alone.append(machined(cell, planned(cell)[1]).heights()[2])
-    both = small_cell(tmp_path, first + second)
-    together = machined(both, planned(both)[1]).heights()[2]
-    differs = np.abs(together - np.minimum(*alone)) > 1e-9
-    assert differs.mean() < 2e-3  # cusps of teeth that pass at other times
 
 
 def test_a_ramp_leaves_its_own_slope_and_an_oblique_shift_its_vertical_part(tmp_path):
@@ -239,12 +216,3 @@ def test_the_part_of_a_pass_is_that_of_its_own_map_and_of_another_sweep(tmp_path
 def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, tmp_path, monkeypatch):
     monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
     assert 10_000 < write_stl(tmp_path / "part.stl", cut) <= 20_000
-
-
-def test_a_file_that_cannot_be_written_leaves_nothing(cut, tmp_path):
-    with pytest.raises(InputError, match="cannot be written"):
-        write_stl(tmp_path / "missing" / "part.stl", cut)
-    (tmp_path / "part.stl").mkdir()
-    with pytest.raises(InputError):
-        write_stl(tmp_path / "part.stl", cut)
-    assert [p.name for p in tmp_path.iterdir()] == ["part.stl"]

@@ -22,58 +22,6 @@ from kr270_milling.decide.part import assess
 from kr270_milling.decide.tools import in_turn
 from kr270_milling.path.cam.gcode.reader import read_gcode
 
-#: facing, a pocket with a helical ramp, a finished wall
-PLATE = """\
-%
-O1001 (BRACKET)
-(T1 D=40. CR=0. - ZMIN=-0.5 - FACE MILL)
-(T2 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)
-(T3 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)
-G90 G94 G17 G21
-(FACE1)
-T1 M6
-S3000 M3
-G54
-G0 X-55 Y0
-Z15
-Z-0.5
-(LEAD IN)
-G1 X55 F1500
-G0 Z15
-M5
-(POCKET2)
-T2 M6
-S8000 M3
-G54
-G0 X0 Y0
-Z15
-Z2
-(HELICAL RAMP)
-G1 Z0 F1200
-X2
-G3 X2 Y0 Z-1.5 I-2 J0
-G3 X2 Y0 Z-3 I-2 J0
-G3 X2 Y0 I-2 J0
-G1 X6.7 F2000
-G3 X6.7 Y0 I-6.7 J0
-G0 Z15
-M5
-(CONTOUR3)
-T3 M6
-S9000 M3
-G54
-G0 X6 Y0
-Z15
-Z-2
-G1 Z-3 F500
-X7 F1500
-G3 X7 Y0 I-7 J0
-G1 X6
-G0 Z15
-M5
-M30
-%
-"""
 #: a plate whose height maps have no level at half of a millimetre; a coarse and quick model
 STOCK = ("stock.min_mm=[-30,-15,-9]", "stock.max_mm=[30,15,0]")
 QUICK = (
@@ -93,13 +41,25 @@ def tool_cells(folder, program: str, tools: dict[str, dict], *more: str) -> tupl
 DETAIL = [f"cutting.detail={detail}" for detail in ("teeth", "engagement")]
 
 
-def operation(tool: str, *moves: str) -> str:
-    return "\n".join([f"{tool} M6", "S6000 M3", *moves, "G0 Z20", "M5", ""])
+def operation(tool: str, *moves: str, speed: int = 6000) -> str:
+    return "\n".join([f"{tool} M6", f"S{speed} M3", *moves, "G0 Z20", "M5", ""])
 
 
 ALONG = ("G0 X-40 Y0 Z5", "G0 Z-1", "G1 X40 F3000")  #: a slot over the whole stock, 1 mm deep
 ACROSS = ("G0 X0 Y-25 Z5", "G0 Z-2", "G1 Y25 F3000")  #: 2 mm deep
 HEAD, END = "G21 G90\n", "M30\n"
+#: facing, a pocket with a helical ramp, a finished wall
+PLATE = (
+    "(T1 D=40. CR=0. - ZMIN=-0.5 - FACE MILL)\n(T2 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)\n"
+    "(T3 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)\nG90 G94 G17 G21 G54\n"
+    + "(FACE1)\n" + operation("T1", "G0 X-55 Y0", "Z15", "Z-0.5", "(LEAD IN)", "G1 X55 F1500", speed=3000)
+    + "(POCKET2)\n" + operation(
+        "T2", "G0 X0 Y0", "Z15", "Z2", "(HELICAL RAMP)", "G1 Z0 F1200", "X2", "G3 X2 Y0 Z-1.5 I-2 J0",
+        "G3 X2 Y0 Z-3 I-2 J0", "G3 X2 Y0 I-2 J0", "G1 X6.7 F2000", "G3 X6.7 Y0 I-6.7 J0", speed=8000)
+    + "(CONTOUR3)\n" + operation(
+        "T3", "G0 X6 Y0", "Z15", "Z-2", "G1 Z-3 F500", "X7 F1500", "G3 X7 Y0 I-7 J0", "G1 X6", speed=9000)
+    + END
+)  # fmt: skip
 LARGE, SMALL = {"diameter_mm": 10, "teeth": 2}, {"diameter_mm": 6, "teeth": 2}
 
 

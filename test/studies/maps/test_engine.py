@@ -96,11 +96,8 @@ def test_failures_are_rows_and_a_chunk_that_is_lost_is_made_again_as_it_was(clus
     made = [path.read_bytes() for path in files]
     row = parquet.read_table(files[1]).to_pylist()[0]
     assert "path.depth_of_cut_mm" in row["error"] and row["path.depth_of_cut_mm"] == -1.0
-    assert parquet.read_table(tmp_path)["path.depth_of_cut_mm"].to_pylist() == [
-        0.5,
-        -1.0,
-        0.8,
-    ]  # the folder is one table
+    whole = parquet.read_table(tmp_path)  # the folder is one table
+    assert whole["path.depth_of_cut_mm"].to_pylist() == [0.5, -1.0, 0.8]
     files[2].unlink()
     assert main(words) == 0  # one chunk alone: in this process
     assert [path.read_bytes() for path in files] == made

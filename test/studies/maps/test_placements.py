@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from types import SimpleNamespace
 
@@ -23,7 +24,7 @@ from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_
 from kr270_milling.studies.maps.postures import whole_turns
 from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
 
-pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
 
 
 @pytest.fixture(scope="module")
@@ -159,48 +160,30 @@ def sweep(**more) -> Sweep:
     return Sweep(str(find_file("paper.yaml")), SHORT, axes, **more)
 
 
-def test_axes_are_ranges_or_lists():
+def test_axes_are_ranges_or_lists_of_a_key_that_a_cell_has():
     assert parse_axis("tool.teeth=2:6:2") == Axis("tool.teeth", (2.0, 4.0, 6.0))
     assert parse_axis("tool.teeth=2:6/3") == parse_axis("tool.teeth=2:6:2")
     assert parse_axis("path.depth_of_cut_mm=0.2:2:0.2").values[-1] == pytest.approx(2.0)
     assert parse_axis("dynamics.mass_model=lumped,rigid").values == ("lumped", "rigid")
-    for text in (
-        "tool.teeth",
-        "tool.teeth=",
-        "tool.teeth=1:0:1",
-        "tool.teeth=1:2:0",
-        "tool.teeth=1:2/0.5",
-        "=1,2",
-        "x=1:2:nan",
-    ):
+    for text in ("teeth", "teeth=", "teeth=1:0:1", "teeth=1:2:0", "teeth=1:2/0.5", "=1,2", "x=1:2:nan"):
         with pytest.raises(ParameterError):
             parse_axis(text)
-
-
-def test_a_key_that_no_cell_has_is_refused_before_anything_is_started():
     with pytest.raises(ParameterError, match="did you mean tool.teeth"):
         Sweep(str(find_file("paper.yaml")), (), (Axis("tool.teth", (2.0,)),))
 
 
-def test_a_grid_has_every_combination_and_a_hypercube_every_stratum():
+def test_a_grid_has_every_combination_a_hypercube_every_stratum_and_files_are_neither_few_nor_without_number():
     assert [sweep().values(i) for i in range(4)] == [(0.2, 2.0), (0.2, 4.0), (0.4, 2.0), (0.4, 4.0)]
     drawn = sweep(samples=40)
     values = np.array([drawn.values(i) for i in range(40)])
     for column, low, high in ((0, 0.2, 0.4), (1, 2.0, 4.0)):
         strata = np.floor((values[:, column] - low) / (high - low) * 40)
         assert sorted(strata) == list(range(40))
-
-
-def test_files_are_neither_few_nor_without_number():
     for count, chunk in ((4, 1), (640, 8), (100_000, 8), (10_000_000, 500)):
         assert sweep(samples=count).chunk == chunk
 
 
 def test_the_rows_are_plain_passes_whatever_the_chunk():
-    import io
-
-    import pyarrow.parquet as parquet
-
     def rows(chunk):
         made = sweep(chunk=chunk)
         return [row for n in range(made.chunks) for row in parquet.read_table(io.BytesIO(made(n))).to_pylist()]
