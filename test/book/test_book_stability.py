@@ -60,13 +60,6 @@ def test_limit_depth_of_a_small_radius(case):
     return expected, limit_depth(BENCHMARK, case, expected, 0.03), SMALL[case] * expected
 
 
-def test_a_large_orbit_near_resonance_is_run_in_until_it_has_cleared_its_own_surface():
-    """25,000 rpm: the rigid tool's force moves the tool by five feeds a turn."""
-    case = Milling(25000.0, "slot")
-    depth = semi_discretisation(case)[0]
-    assert growth(BENCHMARK, case, 0.6 * depth) < 0.0 < growth(BENCHMARK, case, 1.6 * depth)
-
-
 def test_the_delay_between_two_trochoids_tends_to_the_tooth_period():
     wide, limit_of_the_period = Milling(12000.0, "slot", 100_000), semi_discretisation(SLOTS[0])[0]
     assert drifting_limit(wide) == pytest.approx(limit_of_the_period, rel=2e-3)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from milled_part import CONFIG, HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.cli import main
 from kr270_milling.decide.part import assess, assess_all, heights_at, machined
 from kr270_milling.decide.part.course import course, deviations
 from kr270_milling.physics.motion.arm_model import modal_models
@@ -149,13 +147,8 @@ def with_features(path, *names: str):
     return path
 
 
-@pytest.fixture(scope="module")
-def short(tmp_path_factory):
-    """The square and the inclined side only."""
-    return with_features(tmp_path_factory.mktemp("short") / "short.nc", "square", "inclined_side")
-
-
-def test_the_square_is_left_too_large_by_tens_of_micrometres(short):
+def test_the_square_is_left_too_large_by_tens_of_micrometres(tmp_path):
+    short = with_features(tmp_path / "short.nc", "square", "inclined_side")
     cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={short}"])
     part = assess(cell, simulate(cell))
     square, inclined = part.rows
@@ -165,21 +158,6 @@ def test_the_square_is_left_too_large_by_tens_of_micrometres(short):
     made = part.surface.walls.error[part.surface.walls.feature == part.path.features.index("square")]
     assert np.quantile(made, 0.02) > 0
     assert square.cut_length == pytest.approx(385e-3, rel=0.05)  # four sides of 100 mm less what the entry leaves
-
-
-def test_simulate_prints_each_feature_and_writes_the_part(short, tmp_path, capsys):
-    words = ["simulate", str(CONFIG / "test_piece.yaml"), "--set", f"path.file={short}"]
-    for setting in COARSE:
-        words += ["--set", setting]
-    assert main([*words, "--json", "--out", str(tmp_path)]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert [row["feature"] for row in found["features"]] == ["square", "inclined_side"]
-    assert found["whole_part"]["max_wall_error_um"] == max(row["max_wall_error_um"] for row in found["features"])
-    stl = tmp_path / "part.stl"
-    assert str(stl) in found["files"] and stl.stat().st_size > 1_000_000
-    assert main(words) == 0
-    text = capsys.readouterr().out
-    assert "inclined_side" in text and "whole part" in text and "nan" not in text
 
 
 def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):

@@ -11,7 +11,6 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
 from kr270_milling.cell.plant import perturbed
-from kr270_milling.decide import compensation
 from kr270_milling.decide.tolerance import Gauge
 from kr270_milling.decide.tolerance import judge as tolerance_judge
 from kr270_milling.decide.verdict import (
@@ -55,17 +54,6 @@ def pair(cell):
 def draw(cell, count: int, seed: int = 0) -> list:
     rng = np.random.default_rng(seed)
     return [perturbed(cell, rng) for _ in range(count)]
-
-
-def test_a_verdict_that_would_take_too_long_is_not_begun(cell, monkeypatch):
-    def fail(*_, **__):
-        raise AssertionError("alternatives were run")
-
-    monkeypatch.setattr(compensation, "alternatives", fail)
-    monkeypatch.setattr(compensation, "USUAL_BUDGET", 0.0)
-    assert compensation.compensate(cell, "linear", verdict=compensation.VerdictOrder()).decision.verdict is None
-    with pytest.raises(AssertionError, match="were run"):
-        compensation.compensate(cell, "linear", verdict=compensation.VerdictOrder(asked_for=True))
 
 
 def test_plants_scatter_about_the_model_as_the_uncertainties_say(cell):

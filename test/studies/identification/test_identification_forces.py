@@ -153,9 +153,8 @@ def test_unusable_rows_are_refused_with_their_line(tmp_path, row, text):
 # --- The shipped table of published force coefficients ---
 def test_every_material_has_a_source_and_the_coefficients_of_the_milling_plane():
     rows = materials()
-    assert len(rows) >= 6
-    for row in rows:
-        assert "10.1186/s10033-021-00536-9" in row.source and np.isfinite(row.values[:4]).all()
+    assert len(rows) >= 6 and all("10.1186/s10033-021-00536-9" in row.source for row in rows)
+    assert all(np.isfinite(row.values[:4]).all() for row in rows)
     assert find_material("al7075-T6")[0].values[0] == pytest.approx(600.46e6)
     with pytest.raises(InputError, match="has no material"):
         find_material("wood")
