@@ -12,13 +12,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from semi_discretisation import MASS, OMEGA, ZETA
 
 from kr270_milling.physics.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.physics.motion.arm_model import arm_model
 from kr270_milling.physics.motion.dynamics import ArmModel, modes
 from kr270_milling.physics.motion.milling_pass import CompliantArm
 
-__all__ = ["BENCHMARK", "Milling", "Mode", "growth", "limit_depth"]
+__all__ = ["Milling", "growth", "limit_depth"]
 
 GRID = 1e-6  # [m]
 MICRO_STEP = math.radians(1.0)
@@ -28,27 +29,12 @@ LOST, LARGE = 0.03, 0.35  # of the feed per tooth: below, the grid's noise reign
 
 
 @dataclass(frozen=True)
-class Mode:
-    """One mode of the tool along x, and the coefficients of the cut."""
-
-    frequency: float  #: [Hz]
-    damping: float
-    mass: float  #: [kg]
-    tangential: float  #: K_t [N/m^2]
-    normal: float  #: K_n [N/m^2]
-
-
-BENCHMARK = Mode(922.0, 0.011, 0.03993, 6e8, 2e8)
-
-
-@dataclass(frozen=True)
 class Milling:
     """A two-tooth cutter fed along +x into a straight wall, a half immersion or a slot."""
 
     spindle_rpm: float
     immersion: str  #: slot, up, down: half immersion up- or down-milling
     radius: int = 1000  #: R / f_z
-    chip_angle: str = "previous_centre"
 
     @property
     def chip(self) -> int:
@@ -66,23 +52,21 @@ class Milling:
         return {"slot": (-1.1, 1.1), "up": (0.0, 1.1), "down": (-1.1, 0.0)}[self.immersion]
 
 
-def _workpiece(mode: Mode, milling: Milling) -> Cut:
+def _workpiece(milling: Milling) -> Cut:
     radius = milling.radius * milling.feed
-    law = LinearEdgeLaw(tangential_cutting=mode.tangential, tangential_edge=0.0, radial_cutting=mode.normal,
-                        radial_edge=0.0)  # fmt: skip
+    law = LinearEdgeLaw(tangential_cutting=6e8, tangential_edge=0.0, radial_cutting=2e8, radial_edge=0.0)
     low, high = np.multiply(milling.wall, radius)
     end = 1.1 * radius + (PERIODS + 2 * MOST_TURNS) * milling.feed
     stock = Stock(min=np.array([-1.1 * radius, low, -0.05]), max=np.array([end, high, 0]), grid_step=GRID)
     tool = Tool(diameter=2 * radius, teeth=2, spindle_speed=milling.spindle_rpm * 2 * np.pi / 60)
-    cutting = Cutting(law="linear_edge", linear_edge=law, chip_angle=milling.chip_angle)
-    return Cut(tool, cutting, stock, MICRO_STEP)
+    return Cut(tool, Cutting(law="linear_edge", linear_edge=law), stock, MICRO_STEP)
 
 
-def _model(mode: Mode, spindle_speed: float) -> ArmModel:
+def _model(spindle_speed: float) -> ArmModel:
     """Eq. (1) with inertia along x alone; exchange period: one micro-step."""
-    soft = 1.0 / (mode.mass * (2 * np.pi * mode.frequency) ** 2)
-    found = modes(np.diag([soft] + [1e-12] * 5), np.diag([mode.mass] + [0.0] * 5))
-    return arm_model([found], mode.damping, MICRO_STEP / spindle_speed)
+    soft = 1.0 / (MASS * OMEGA**2)
+    along_x = modes(np.diag([soft] + [1e-12] * 5), np.diag([MASS] + [0.0] * 5))
+    return arm_model([along_x], ZETA, MICRO_STEP / spindle_speed)
 
 
 def _orbit(model: ArmModel, force: np.ndarray) -> np.ndarray:
@@ -103,19 +87,19 @@ def _orbit(model: ArmModel, force: np.ndarray) -> np.ndarray:
 class _Run:
     """One cut from the periodic motion on, disturbed by a fifth of the feed per tooth."""
 
-    def __init__(self, mode: Mode, milling: Milling, depth: float):
-        self.cut = _workpiece(mode, milling)
+    def __init__(self, milling: Milling, depth: float):
+        self.cut = _workpiece(milling)
         self.turn = self.cut.params.steps
         self.feed = 2 * milling.feed  # a turn
         self.start, self.step = np.array([0.0, 0.0, -depth]), 0
-        self.model = _model(mode, self.cut.tool.spindle_speed)
+        self.model = _model(self.cut.tool.spindle_speed)
         self.cut.sweep(self.start, self.start, 0, self.turn)  # a hole as large as the tool, without feed
         self.start = self.start - [self.feed, 0.0, 0.0]
         self.step = self.turn
         self._rigid(2)
         self.orbit = _orbit(self.model, self._rigid(1))
         self.arm = CompliantArm(self.model)
-        kick = 0.1 * self.feed * np.array([1.0, 2 * np.pi * mode.frequency]) / np.sqrt(2)
+        kick = 0.1 * self.feed * np.array([1.0, OMEGA]) / np.sqrt(2)
         self.arm.state = self.orbit[0] + kick
         self.before = self._course(self.step) + [self.orbit[0, 0], 0.0, 0.0]
         for _ in range(self._run_in() * self.turn):  # the surface that the undisturbed motion leaves
@@ -150,23 +134,23 @@ class _Run:
         return math.sqrt(total / half) / (0.5 * self.feed)
 
 
-def growth(mode: Mode, milling: Milling, depth: float) -> float:
+def growth(milling: Milling, depth: float) -> float:
     """Logarithmic growth of a small disturbance per tooth period at a depth of cut [m]; negative: it dies out."""
-    run, levels = _Run(mode, milling, depth), []
+    run, levels = _Run(milling, depth), []
     while len(levels) < PERIODS and (len(levels) < 6 or LOST < levels[-1] < LARGE):
         levels.append(run.period())
     late = np.arange(len(levels))[len(levels) // 3 :]
     return float(np.polyfit(late, np.log(np.array(levels)[late]), 1)[0])
 
 
-def limit_depth(mode: Mode, milling: Milling, near: float, share: float = 0.02) -> float:
+def limit_depth(milling: Milling, near: float, share: float = 0.02) -> float:
     """Depth of cut [m] at which disturbances neither grow nor die: growth(near (1 -+ share)) joined by a straight line.
 
     It lies between the two depths where, and only where, disturbances die at the first and grow at the second; NaN
     where they grow no faster at the second.
     """
     depths = near * np.array([1.0 - share, 1.0 + share])
-    rates = [growth(mode, milling, depth) for depth in depths]
+    rates = [growth(milling, depth) for depth in depths]
     if not rates[0] < rates[1]:
         return math.nan
     return float(depths[0] - rates[0] * (depths[1] - depths[0]) / (rates[1] - rates[0]))

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from book import check
-from flexible_tool import BENCHMARK, Milling, growth, limit_depth
+from flexible_tool import Milling, growth, limit_depth
 from semi_discretisation import (
     MASS,
     OMEGA,
@@ -37,9 +37,9 @@ FLAT = 14000.0
 def test_limit_depth(case):
     expected, share = semi_discretisation(case)[0], SHARE.get(case.spindle_rpm, 0.02)
     if case.spindle_rpm != FLAT:
-        return expected, limit_depth(BENCHMARK, case, expected, share), share * expected
+        return expected, limit_depth(case, expected, share), share * expected
     near, far = (
-        limit_depth(BENCHMARK, dataclasses.replace(case, radius=radius), (1.0 - 60.0 / radius) * expected, share)
+        limit_depth(dataclasses.replace(case, radius=radius), (1.0 - 60.0 / radius) * expected, share)
         for radius in (1000, 2000)
     )
     return expected, 2.0 * far - near, share * expected
@@ -57,7 +57,7 @@ SMALL = {Milling(15000.0, "up", 80): 0.02, Milling(5000.0, "slot", 80): 0.04}
 def test_limit_depth_of_a_small_radius(case):
     """With the nominal angle the slot's limit would be 40 % high."""
     expected = drifting_limit(case)
-    return expected, limit_depth(BENCHMARK, case, expected, 0.03), SMALL[case] * expected
+    return expected, limit_depth(case, expected, 0.03), SMALL[case] * expected
 
 
 def test_the_delay_between_two_trochoids_tends_to_the_tooth_period():
@@ -71,7 +71,7 @@ def test_disturbances_grow_and_die_as_fast_as_the_multiplier_says(share):
     case = Milling(15000.0, "up")
     depth = share * semi_discretisation(case)[0]
     largest = np.abs(multipliers(depth, 0.002, directional("up", 160))).max()
-    assert growth(BENCHMARK, case, depth) == pytest.approx(np.log(largest), rel=0.12)
+    assert growth(case, depth) == pytest.approx(np.log(largest), rel=0.12)
 
 
 # --- the oracle itself ---

@@ -1,17 +1,29 @@
-"""Results of each feature along a tool path, the finished workpiece, and the shipped test piece."""
+"""Results of each feature along a tool path, errors of walls and floors, the finished workpiece as STL."""
 
 from __future__ import annotations
 
 import dataclasses
+import struct
 
 import numpy as np
 import pytest
+from cuttings import profile
 from milled_part import CONFIG, HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.decide.part import assess, assess_all, heights_at, machined
-from kr270_milling.decide.part.course import course, deviations
+from kr270_milling.decide.part import (
+    assess,
+    assess_all,
+    heights_at,
+    ideal_part,
+    machined,
+    surface,
+    write_part,
+    write_stl,
+)
+from kr270_milling.decide.part.course import Course, course, deviations
+from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.motion.dynamics import discretise
 
@@ -212,3 +224,203 @@ def test_postures_5_mm_apart_give_stiffness_and_frequency_to_1e_3_and_the_error_
     finest, fine, coarse = (np.array(interpolation_error(tmp_path, spacing)) for spacing in (5.0, 20.0, 40.0))
     assert finest.max() < 1e-3
     np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.4)
+
+
+# --- Errors of walls and floors for deviations that are known beforehand ---
+MM, UM = 1e-3, 1e-6
+
+
+def planned(cell):
+    """Stamps, course and target (n + 1, 3) of a cell."""
+    clock = cell.clock
+    stamps = clock.stamp(np.arange(clock.steps(cell.target().duration_ns) + 1))
+    return course(cell, stamps), cell.target().sample(stamps)
+
+
+def errors(cell, shift):
+    """Surface errors where the tool is shifted by (n + 1, 3) or (3,) [m]."""
+    path, target = planned(cell)
+    return surface(cell, path, target, target + shift)
+
+
+@pytest.fixture(scope="module")
+def slot(tmp_path_factory):
+    return small_cell(tmp_path_factory.mktemp("slot"), SLOT)
+
+
+def test_a_rigid_arm_leaves_no_error(tmp_path):
+    cell = small_cell(tmp_path, POCKET, RIGID)
+    ran = simulate(cell).result
+    assert np.abs(ran.wrench[:, :2]).max() > 50  # it does cut
+    path, _ = planned(cell)
+    found = surface(cell, path, ran.target, ran.actual)
+    assert found.walls.error.size > 300 and np.abs(found.walls.error).max() < 1e-12
+    assert found.floors.errors().size > 5000 and np.abs(found.floors.errors()).max() == 0.0
+
+
+@pytest.mark.parametrize("shift", [(30e-6, 0, 0), (0, -20e-6, 0), (40e-6, -30e-6, 0)])
+def test_a_shift_across_moves_each_wall_by_its_part_along_the_normal_and_no_floor(cell, shift):
+    found = errors(cell, np.array(shift))
+    assert len(np.unique(np.round(np.arctan2(*found.walls.normal.T), 2))) > 50  # straight sides, a corner, an arc
+    np.testing.assert_allclose(found.walls.error, found.walls.normal @ np.array(shift[:2]), atol=1e-10)
+    assert np.abs(found.floors.errors()).max() == 0.0
+
+
+@pytest.mark.parametrize("level", [-40, 25, 300])
+def test_a_shift_along_the_spindle_is_the_error_of_every_floor_and_no_wall(cell, level):
+    step = cell.stock.level_step
+    found = errors(cell, np.array([0, 0, level * step]))
+    assert np.unique(found.floors.feature[np.isfinite(found.floors.error)]).tolist() == [1, 2]
+    np.testing.assert_allclose(found.floors.errors(), level * step, atol=1e-9 * step + 1e-15)
+    np.testing.assert_allclose(found.walls.error, 0.0, atol=1e-12)
+
+
+def test_walls_of_a_slot_stand_a_radius_beside_the_path_with_its_depth(slot):
+    walls = errors(slot, np.zeros(3)).walls
+    np.testing.assert_allclose(np.abs(walls.position[:, 1]), RADIUS, atol=1e-9)
+    np.testing.assert_allclose(walls.normal, -np.sign(walls.position[:, 1:2]) * [0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(walls.height, 1 * MM, atol=2 * slot.stock.level_step)
+    for side in (1, -1):  # one mark for each tooth: f_z = 3000 mm/min / 6000 rpm / 2 = 0.25 mm
+        x = np.sort(walls.position[np.sign(walls.position[:, 1]) == side, 0])
+        assert x[0] < -19.7 * MM and x[-1] > 19.7 * MM
+        np.testing.assert_allclose(np.diff(x), 0.25 * MM, rtol=1e-6)
+
+
+def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
+    fine = small_cell(tmp_path, SLOT, "stock.grid_step_um=4.0", "stock.min_mm=[-3, -6, -6.5535]",
+                      "stock.max_mm=[3, 6, 0]", "exchange.micro_step_deg=1.0")  # fmt: skip
+    path, target = planned(fine)
+    time = np.arange(len(target)) * fine.clock.period
+    shake = 8 * UM * np.sin(2 * np.pi * 63.0 * time)  # comes round between the teeth, which pass at 200 Hz
+    found = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
+    cut = machined(fine, target + shake[:, None] * [0, 1, 0])
+    x, low, high = profile(cut)
+    left = found.normal[:, 1] < 0
+    for mine, border, side in ((left, high + 2 * UM, 1), (~left, low - 2 * UM, -1)):
+        columns = np.searchsorted(x, found.position[mine, 0])
+        inside = (columns > 30) & (columns < len(x) - 30)
+        by_nodes = RADIUS - side * border[columns[inside]]
+        assert np.abs(by_nodes).max() > 5 * UM
+        np.testing.assert_allclose(found.error[mine][inside], by_nodes, atol=3.5 * UM)  # nodes are 4 um apart
+        assert np.mean(found.error[mine][inside] - by_nodes) == pytest.approx(0, abs=0.8 * UM)
+
+
+def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
+    rough = HEAD + "(rough)\nG0 X-28 Y2.6 Z-1\nG1 X28 F3000\nG0 Z2\n(finish)\nG0 X-28 Y2 Z2\nG0 Z-1\nG1 X28\nG0 Z2\n"
+    cell = small_cell(tmp_path, rough)
+    path, target = planned(cell)
+    roughing = path.feature == path.features.index("rough")
+    found = surface(cell, path, target, target + np.where(roughing, 50 * UM, 0.0)[:, None] * [0, -1, 0]).walls
+    below = found.normal[:, 1] > 0  # the side where the finishing pass took more
+    assert set(found.feature[below]) == {path.features.index("finish")}
+    np.testing.assert_allclose(found.error[below], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.error[~below], 50 * UM, atol=1e-10)  # the far wall stays as it was roughed
+
+
+def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put_material_back(tmp_path):
+    two = HEAD + "(upper)\nG0 X-28 Y0 Z-1\nG1 X28 F3000\nG0 Z2\n(lower)\nG0 X-28 Z2\nG0 Z-2\nG1 X28\nG0 Z2\n"
+    cell = small_cell(tmp_path, two)
+    path, target = planned(cell)
+    lower = path.feature == path.features.index("lower")
+    shift = np.where(lower, 20 * UM, 0.0)[:, None] * [0, 1, 0]
+    found = surface(cell, path, target, target + shift).walls
+    left, upper = found.normal[:, 1] < 0, found.feature == path.features.index("upper")
+    cusp = (0.25 * MM) ** 2 / (8 * RADIUS)  # the teeth of the lower pass need not meet the marks of the upper one
+    cases = ((left & upper, -20, cusp), (left & ~upper, -20, 0), (~left & upper, 0, 0), (~left & ~upper, 20, 0))
+    for chosen, expected, tolerance in cases:
+        assert chosen.sum() > 100
+        np.testing.assert_allclose(found.error[chosen], expected * UM, atol=tolerance + 1e-10)
+
+
+def test_a_ramp_leaves_its_own_slope_and_an_oblique_shift_its_vertical_part(tmp_path):
+    cell = small_cell(tmp_path, HEAD + "(ramp)\nG0 X-28 Y0 Z-0.5\nG1 X28 Z-0.9 F3000\nG0 Z2\n")
+    path, target = planned(cell)
+    ideal = ideal_part(cell, path, target)
+    middle = np.argmin(np.abs(ideal.y))
+    inner = np.abs(ideal.x) < 14 * MM
+    slope = np.polyfit(ideal.x[inner], ideal.height[inner, middle], 1)[0]
+    assert slope == pytest.approx(-0.4 / 56, rel=2e-2)
+    error = surface(cell, path, target, target + [0, 0, 10 * UM], ideal).floors.errors()
+    assert np.mean(error) == pytest.approx(10 * UM, rel=0.02)
+
+
+def test_a_plunge_owns_the_floor_it_ends_on(tmp_path):
+    cell = small_cell(tmp_path, HEAD + "(hole)\nG0 X5 Y5 Z2\nG1 Z-1 F600\nG0 Z2\n(slot)\nG0 X-28 Y-8\nG0 Z-1\nG1 X28\n")
+    path, target = planned(cell)
+    floors = errors(cell, np.zeros(3)).floors
+    hole = path.features.index("hole")
+    place = np.argwhere(floors.feature == hole)
+    assert len(place) > 500
+    away = np.hypot(floors.x[place[:, 0]] - 5 * MM, floors.y[place[:, 1]] - 5 * MM)
+    assert away.max() < RADIUS
+    deepest = heights_at(machined(cell, target), np.array([[5 * MM, 5 * MM]]))[0]
+    assert deepest == pytest.approx(-1 * MM, abs=5e-6)  # no dwell
+
+
+def test_heights_beside_the_stock_are_not_known(slot):
+    cut = slot.cut()
+    found = heights_at(cut, np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
+    assert found[0] == 0.0 and np.isnan(found[1:]).all()
+
+
+def test_a_mark_among_too_many_of_other_walls_counts_alone():
+    """A tool that rests in a corner: more marks at one point than are looked at, all but one of the other wall."""
+    other, mine, radius = 60, 1, 0.01
+    normal = np.array([[0.0, 1.0]] * other + [[1.0, 0.0]] * mine)
+    centre = np.column_stack([-radius * normal, np.full(other + mine, -1e-3)])  # all teeth point at the origin
+    marks = Marks(centre, normal, np.full(61, radius), np.zeros(61, np.int64), np.full(61, 0.5))
+    path = Course(
+        np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",), np.zeros(2, bool)
+    )
+    walls = remaining_walls(IdealWalls(marks, np.array([60]), np.array([1e-3])), path, np.full((2, 3), 1e-5), 1e-9)
+    np.testing.assert_allclose(walls.error, [-1e-5])  # the wall is cut 10 um too deep
+
+
+# --- The STL file ---
+@pytest.fixture(scope="module")
+def cut(cell):
+    return machined(cell, planned(cell)[1])
+
+
+def test_a_binary_stl_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(cut, tmp_path):
+    path = tmp_path / "part.stl"
+    written = write_stl(path, cut)
+    data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
+    (count,) = struct.unpack_from("<I", data, 80)
+    assert count == written and len(data) == 84 + 50 * count and not data.startswith(b"solid")
+    rows = np.array([struct.unpack_from("<12f", data, 84 + 50 * k) for k in range(count)])
+    corners, normals = rows[:, 3:].reshape(-1, 3, 3), rows[:, :3]
+
+    _, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    number = number.reshape(-1, 3)
+    edges = np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]])
+    one_way, times = np.unique(edges, axis=0, return_counts=True)
+    assert times.max() == 1  # two triangles share each edge, and run it in opposite directions
+    np.testing.assert_array_equal(one_way, np.unique(edges[:, ::-1], axis=0))
+
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    np.testing.assert_allclose(np.sum(cross * normals, axis=1), length, rtol=1e-5)
+    assert length.min() > 0
+
+    volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    chips = cut.removed_volume * 1e9
+    assert volume == pytest.approx(np.prod(cut.stock.max - cut.stock.min) * 1e9 - chips, abs=0.01 * chips)
+    assert chips > 200
+    np.testing.assert_allclose(corners.reshape(-1, 3).min(0), cut.stock.min * 1e3, atol=1e-5)
+    np.testing.assert_allclose(corners.reshape(-1, 3).max(0), cut.stock.max * 1e3, atol=1e-5)
+
+
+def test_the_part_of_a_pass_is_that_of_its_own_map_and_of_another_sweep(tmp_path, monkeypatch):
+    cell = small_cell(tmp_path, POCKET, "stock.grid_step_um=100")
+    result = simulate(cell).result
+    again = machined(cell, result.tool)
+    write_stl(tmp_path / "swept.stl", again, again.map_heights())
+    monkeypatch.setattr("kr270_milling.decide.part.workpiece.machined", None)  # nothing is swept
+    write_part(tmp_path / "part.stl", cell, result)
+    assert (tmp_path / "part.stl").read_bytes() == (tmp_path / "swept.stl").read_bytes()
+
+
+def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, tmp_path, monkeypatch):
+    monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
+    assert 10_000 < write_stl(tmp_path / "part.stl", cut) <= 20_000

@@ -7,7 +7,6 @@ their volumes are closed forms, with the radius R of the cutter, the length l of
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -328,18 +327,8 @@ def random_sound(seed: int) -> Row:
     return Row(f"random {seed}", program_of(*lines, "G0 Z5"), diameter_mm=diameter)
 
 
-def with_rapid_cut(row: Row) -> Row:
-    """The same program with the first plunge into the uncut stock as a rapid move."""
-    plunge = re.search(r"G1 Z(-[\d.]+) F600", row.program)
-    text = row.program.replace(plunge[0], f"G0 Z{plunge[1]}", 1)
-    line, depth = row.program[: plunge.start()].count("\n") + 1, -float(plunge[1])
-    volume = math.pi * (row.diameter_mm / 2.0) ** 2 * depth
-    return replace(row, name=f"{row.name}, rapid", program=text, lines=(line,), depth_mm=depth, volume_mm3=volume)
-
-
-RANDOM = [random_sound(seed) for seed in range(30)]
 ROWS = [row for diameter in DIAMETERS_MM for row in (*dangerous(diameter), *sound(diameter))]
-ROWS += [*RANDOM, *map(with_rapid_cut, RANDOM[::10])]
+ROWS += map(random_sound, range(30))
 BACK = SLOT.replace("G0 Z5", "G0 Z-0.4\nG0 X-14\nG0 Z5")
 THROUGH = SLOT.replace("X26 F4000", "X12 F4000\nG0 X20\nG1 X26")
 SHORT = ("timing.rapid_feed_m_per_min=4", "stock.grid_step_um=100")

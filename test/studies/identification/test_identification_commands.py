@@ -44,20 +44,23 @@ def refused(capsys, *words) -> str:
     return err
 
 
+def record(directory, forces, rate: float, topic: str = "/plate/wrench") -> None:
+    """A recording of forces (n, 3) [N] in the sensor's axes, from 100 s on."""
+    with BagWriter(directory) as writer:
+        writer.add_topic(topic, WRENCH, [{}])
+        for k, force in enumerate(forces):
+            sec, nanosec = divmod(round(100e9 + k * 1e9 / rate), 10**9)
+            vector = dict(zip("xyz", force.tolist(), strict=True))
+            fields = {"header": {"stamp": {"sec": sec, "nanosec": nanosec}}, "wrench": {"force": vector}}
+            writer.write(topic, serialise(WRENCH, fields), 10**9 + k)
+
+
 def sensor_recording(directory, force) -> None:
     """A dynamometer under the part: 0.3 s idle, 0.5 s of a cut with four teeth's ripple, 1 % of noise."""
-    rng = np.random.default_rng(3)
-    with BagWriter(directory) as writer:
-        writer.add_topic("/plate/wrench", WRENCH, [{}])
-        for k in range(int(0.8 * RATE)):
-            t = k / RATE
-            ripple = 1 + 0.4 * math.sin(4 * 2 * math.pi * RPM / 60 * t)
-            felt = -(force * ripple if t >= 0.3 else 0.0 * force)
-            shown = TURN.T @ felt + OFFSET + rng.normal(size=3)
-            stamp = {"sec": 100 + int(t), "nanosec": round((t - int(t)) * 1e9)}
-            vector = dict(zip("xyz", shown.tolist(), strict=True))
-            fields = {"header": {"stamp": stamp, "frame_id": "plate"}, "wrench": {"force": vector}}
-            writer.write("/plate/wrench", serialise(WRENCH, fields), 10**9 + k)
+    t = np.arange(int(0.8 * RATE)) / RATE
+    share = np.where(t < 0.3, 0.0, 1 + 0.4 * np.sin(4 * 2 * np.pi * RPM / 60 * t))
+    noise = np.random.default_rng(3).normal(size=(len(t), 3))
+    record(directory, -np.outer(share, force) @ TURN + OFFSET + noise, RATE)
 
 
 def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsys):
@@ -83,13 +86,7 @@ def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsy
 def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on_part):
     """20 kg hang on it: 196.133 N down, which a plate under the part feels as a force on the part."""
     force, sign = np.array([10.0, 40.0, -15.0]), -1.0 if on_part else 1.0
-    with BagWriter(tmp_path / "cut") as writer:
-        writer.add_topic("/wrench", WRENCH, [{}])
-        for k in range(250):
-            shown = sign * force + [0.0, 0.0, -196.133]
-            stamp = {"sec": 0, "nanosec": k * 400_000}
-            fields = {"header": {"stamp": stamp}, "wrench": {"force": dict(zip("xyz", shown.tolist(), strict=True))}}
-            writer.write("/wrench", serialise(WRENCH, fields), k)
+    record(tmp_path / "cut", np.tile(sign * force + [0.0, 0.0, -196.133], (250, 1)), RATE)
     sensor = Sensor(on_part=on_part, mass=20.0)
     result, _ = recorded_mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
     assert result == pytest.approx(force, abs=1e-3)

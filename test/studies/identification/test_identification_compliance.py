@@ -109,6 +109,15 @@ def test_plan():
     return 0.5, math.sqrt(ours / blind), 0.0
 
 
+def test_intervals_of_an_unknown_noise_cover_the_truth():
+    """60 campaigns x 6 joints; sqrt(0.95 x 0.05 / 360) = 1.1 %."""
+    rng, hits = np.random.default_rng(3), []
+    for _ in range(60):
+        fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng), rng=rng, known=False)))
+        hits.append(np.abs(fitted.values - TRUE.joint_compliance) <= fitted.half_widths)
+    assert 0.91 <= np.mean(hits) <= 0.99
+
+
 def test_a_joint_that_no_load_turned_is_named(rng):
     """Force and reflector at the flange's centre: axis 6 passes through it."""
     fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng, point=np.zeros(3)), rng=rng)))
