@@ -14,6 +14,13 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 OMEGA, ZETA, MASS, TEETH = 2 * np.pi * 922.0, 0.011, 0.03993, 2
+#: the benchmark as settings of a cell
+BENCHMARK = (
+    "cutting.law=linear_edge", "cutting.linear_edge.tangential_cutting_n_per_mm2=600",
+    "cutting.linear_edge.tangential_edge_n_per_mm=0", "cutting.linear_edge.radial_cutting_n_per_mm2=200",
+    "cutting.linear_edge.radial_edge_n_per_mm=0", f"tool.teeth={TEETH}",
+    f"tool.modes=[{{direction: [1, 0, 0], frequency_hz: 922, damping_ratio: {ZETA}, mass_kg: {MASS}}}]",
+)  # fmt: skip
 ENGAGED = {"slot": (0.0, np.pi), "up": (0.0, np.pi / 2), "down": (np.pi / 2, np.pi)}  # phi from +y, clockwise
 
 

@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from semi_discretisation import MASS, directional, limit
+from semi_discretisation import BENCHMARK, directional, limit
 from small_part import assignments, small_part
 
 from kr270_milling.base.record import find_file
@@ -28,15 +28,9 @@ SOFT = (
     "dynamics.reference_inertia=false", "stock.grid_step_um=20", "path.length_mm=20",
     "tool.spindle_speed_rpm=800", "path.feed_rate_m_per_min=0.4", "exchange.period_ms=0.625",  # teeth at 53 Hz
 )  # fmt: skip
-#: the benchmark of [Insperger2004], a tool of two teeth with one mode along the feed, on an arm without a mode near it
 RPM = 9000
-BENCHMARK = (
-    "cutting.law=linear_edge", "cutting.linear_edge.tangential_cutting_n_per_mm2=600",
-    "cutting.linear_edge.tangential_edge_n_per_mm=0", "cutting.linear_edge.radial_cutting_n_per_mm2=200",
-    "cutting.linear_edge.radial_edge_n_per_mm=0", "tool.teeth=2", f"tool.spindle_speed_rpm={RPM}",
-    f"tool.modes=[{{direction: [1, 0, 0], frequency_hz: 922, damping_ratio: 0.011, mass_kg: {MASS}}}]",
-    "path.length_mm=20", "stock.grid_step_um=50",
-)  # fmt: skip
+#: a tool of two teeth with one mode along the feed, on an arm without a mode near it
+TOOL_MODE = (*BENCHMARK, f"tool.spindle_speed_rpm={RPM}", "path.length_mm=20", "stock.grid_step_um=50")
 UNKNOWN = "tool and spindle: unknown (no tool.modes)"
 #: half a cutter of 20 mm in the stock along its edge y = -14, z 0.5 mm deep
 EDGE = "G21 G90 S8000 M3\nG0 X{0} Y-14 Z2\nG0 Z-0.5\nG1 X{1} F4000\nG0 Z5\nM30\n"
@@ -58,7 +52,7 @@ def slot_limit() -> float:
     [(1.1, "chatter", "stop"), (0.9, "near the limit", "warning"), (0.7, "stable", None)],
 )
 def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(slot_limit, share, word, severity):
-    checked = check(cell_of(share * slot_limit, BENCHMARK))
+    checked = check(cell_of(share * slot_limit, TOOL_MODE))
     result = [f for f in checked.findings if f.what == "chatter"]
     assert checked.stability.word == word and [f.severity for f in result] == ([severity] if severity else [])
     assert checked.may_be_run == (severity != "stop")

@@ -86,23 +86,6 @@ def chunks(study: Study, count: int) -> list[bytes]:
     return [study.chunk(number).read_bytes() for number in range(count)]
 
 
-def test_failures_are_rows_and_a_chunk_that_is_lost_is_made_again_as_it_was(cluster, tmp_path, capsys):
-    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.5,-1,0.8", "--json", "--out", str(tmp_path)]
-    words += [part for pair in SHORT for part in ("--set", pair)]
-    assert main([*words, "--scheduler", cluster.address]) == 0
-    outcome = json.loads(capsys.readouterr().out)
-    assert outcome["rows"] == 3 and outcome["failed"] == 1
-    files = sorted(tmp_path.glob("*.parquet"))
-    made = [path.read_bytes() for path in files]
-    row = parquet.read_table(files[1]).to_pylist()[0]
-    assert "path.depth_of_cut_mm" in row["error"] and row["path.depth_of_cut_mm"] == -1.0
-    whole = parquet.read_table(tmp_path)  # the folder is one table
-    assert whole["path.depth_of_cut_mm"].to_pylist() == [0.5, -1.0, 0.8]
-    files[2].unlink()
-    assert main(words) == 0  # one chunk alone: in this process
-    assert [path.read_bytes() for path in files] == made
-
-
 def test_a_short_study_needs_no_cluster_and_a_long_one_soon_has_one(tmp_path, monkeypatch):
     def refuse(scheduler):
         raise EngineError("a cluster")

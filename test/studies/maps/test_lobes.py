@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from semi_discretisation import MASS, OMEGA, TEETH, ZETA, directional, limit
+from semi_discretisation import BENCHMARK, MASS, OMEGA, TEETH, ZETA, directional, limit
 from small_part import small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
@@ -19,13 +19,6 @@ from kr270_milling.physics.motion.stability import limit_depth
 from kr270_milling.studies.maps.lobes import lobes
 
 RPM = np.pi / 30.0
-#: the benchmark of [Insperger2004] as a cell: two teeth, one mode along the feed
-BENCHMARK = (
-    "cutting.law=linear_edge", "cutting.linear_edge.tangential_cutting_n_per_mm2=600",
-    "cutting.linear_edge.tangential_edge_n_per_mm=0", "cutting.linear_edge.radial_cutting_n_per_mm2=200",
-    "cutting.linear_edge.radial_edge_n_per_mm=0", f"tool.teeth={TEETH}",
-    "tool.modes=[{direction: [1, 0, 0], frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}]",
-)  # fmt: skip
 
 
 def benchmark(immersion: float = 1.0, mode: str = "slot"):
@@ -70,25 +63,22 @@ def test_the_largest_multiplier_of_many_states_is_that_of_the_whole_map(monkeypa
 
 def test_a_feature_is_cut_in_its_own_direction(tmp_path):
     """A feed along y meets a mode along y as one along x meets that along x, and another one where modes differ."""
-    law = "cutting.law=linear_edge", "cutting.linear_edge.tangential_cutting_n_per_mm2=600"
-    law += tuple(f"cutting.linear_edge.{key}=100" for key in ("tangential_edge_n_per_mm", "radial_cutting_n_per_mm2"))
-    law += ("cutting.linear_edge.radial_edge_n_per_mm=0", "path.mode=up", "path.radial_immersion=0.5")
-    mode = "tool.modes=[{{direction: [{}, {}, 0], frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}}]"
+    law = (*BENCHMARK[:-1], "path.mode=up", "path.radial_immersion=0.5")
     along_x = "G21 G90 S8000 M3\nG0 X-14 Y-14 Z2\nG0 Z-0.5\nG1 X54 F4000\nG0 Z5\nM30\n"
     along_y = "G21 G90 S8000 M3\nG0 X40 Y-28 Z2\nG0 Z-0.5\nG1 Y54 F4000\nG0 Z5\nM30\n"
 
     def limit_of(program, direction):
-        cell = small_part(tmp_path, program, *law, mode.format(*direction))
+        cell = small_part(tmp_path, program, *law, BENCHMARK[-1].replace("[1, 0, 0]", direction))
         (result,) = feature_limits(cell, arm=False)
         assert result.depth == pytest.approx(0.5e-3)
         assert np.degrees(result.exit) == pytest.approx(0, abs=1.5)
         return result.limit, cell
 
-    with_x, cell = limit_of(along_x, (1, 0))
+    with_x, cell = limit_of(along_x, "[1, 0, 0]")
     (expected,) = lobes(cell, [cell.tool.spindle_speed], arm=False)
     assert with_x.depth_limit == pytest.approx(expected.depth_limit, rel=0.05)
-    assert limit_of(along_y, (0, 1))[0].depth_limit == pytest.approx(with_x.depth_limit, rel=0.05)
-    assert limit_of(along_x, (0, 1))[0].depth_limit != pytest.approx(with_x.depth_limit, rel=0.2)
+    assert limit_of(along_y, "[0, 1, 0]")[0].depth_limit == pytest.approx(with_x.depth_limit, rel=0.05)
+    assert limit_of(along_x, "[0, 1, 0]")[0].depth_limit != pytest.approx(with_x.depth_limit, rel=0.2)
 
 
 def test_without_a_cut_the_multipliers_are_those_of_the_free_modes():

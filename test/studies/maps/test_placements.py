@@ -200,6 +200,7 @@ def test_every_spindle_speed_runs_with_the_nearest_period_of_whole_micro_steps()
     rows = [made.row(index) for index in range(3)]
     assert [row["exchange.period_ms"] for row in rows] == pytest.approx([22 / 44.4, 0.5, 0.5], rel=1e-12)
     assert [bool(row["error"]) for row in rows] == [False, False, True] and "spindle_speed" in rows[2]["error"]
+    assert rows[2]["tool.spindle_speed_rpm"] == 0.0  # a failure is a row
     own = Sweep(made.cell, SHORT, (*made.axes, Axis("exchange.period_ms", (0.5,))))
     assert "whole number of micro-steps" in own.row(0)["error"]  # what was asked for is not changed
 
