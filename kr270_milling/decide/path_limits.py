@@ -17,8 +17,7 @@ from kr270_milling.physics.robot import inverse_along, singularity_measures, sta
 from kr270_milling.physics.robot.errors import SingularityError
 from kr270_milling.physics.robot.inverse import branches
 
-__all__ = ["arm_violations", "corner_blending", "correction_per_tick", "correction_size",
-           "joint_rate_violations"]  # fmt: skip
+__all__ = ["arm_violations", "corner_blending", "correction_per_tick", "correction_size"]
 
 LEAST_ROUNDING = 1e-7  #: [m], of a corner; less is no matter
 MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
@@ -39,7 +38,7 @@ def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.nda
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
     limits = cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit
     results = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
-    return results + joint_rate_violations(run.time, joints, *limits, at_rest), joints
+    return results + _joint_rates(run.time, joints, *limits, at_rest), joints
 
 
 def _reach(cell: Cell, run: Trajectory) -> list[Violation]:
@@ -90,16 +89,16 @@ def _flips(cell: Cell, joints: np.ndarray) -> list[Violation]:
     ]
 
 
-def joint_rate_violations(time, joints, speed_limit, acceleration_limit, at_rest: bool = True) -> list[Violation]:
+def _joint_rates(time, joints, speed_limit, acceleration_limit, at_rest: bool) -> list[Violation]:
     """Where a joint runs faster between two knots (named by the later one), or accelerates harder, than it may.
 
     time [s], (n,); joints [rad], (n, 6); limits [rad/s], [rad/s^2], (6,); at_rest: as for ``joint_rates``.
     """
-    joints, points = np.asarray(joints, float), np.arange(1, len(joints) + 1)
+    points = np.arange(1, len(joints) + 1)
     results: tuple[list[Violation], ...] = [], []
     kinds = ("joint speed", speed_limit), ("joint acceleration", acceleration_limit)
     for axis in range(joints.shape[1]):
-        rates = joint_rates(np.asarray(time), joints[:, axis : axis + 1], at_rest)
+        rates = joint_rates(time, joints[:, axis : axis + 1], at_rest)
         for (kind, limits), values, of_kind in zip(kinds, rates, results, strict=True):
             where = points[-len(values) :]
             of_kind += violations(kind, np.abs(values[:, 0]), limits[axis], points=where, axis=f"axis {axis + 1}")

@@ -84,8 +84,10 @@ CASES = (
     Case("a bull-nose mill", comment("D=20. CR=2. - ZMIN=-0.5 - bullnose end mill"), (), "tool shape"),
     Case("a chamfer mill", comment("D=20. - chamfer mill"), (), "tool shape"),
     Case("a ball-end mill of APT", APT.format("20,10"), (), "tool shape", suffix=".apt"),
-    Case("a force coefficient a thousand times too small", SLOT, law(0.6), "force coefficient"),
-    Case("a force coefficient ten times too large", SLOT, law(6004.6), "force coefficient"),
+    Case("a force coefficient a thousand times too small", SLOT, law(0.6), "force coefficient",
+         value=0.6, limit=0.3 * 243.77),  # the least of config/materials.csv
+    Case("a force coefficient ten times too large", SLOT, law(6004.6), "force coefficient",
+         value=6004.6, limit=3.0 * 1319.41),  # the largest
     Case("a feature beside the stock",
          SLOT.replace("G0 Z5", "G0 Z5\n(far slot)\nG0 X-60 Y80\nG1 Z-0.5 F500\nX60\nG0 Z5"),
          (), "outside the stock"),
