@@ -8,11 +8,10 @@ import json
 
 import numpy as np
 import pytest
-from campaigns import ARM, MOUNT, loads, measured
+from campaigns import TRUE, loads, measured
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cli import main
-from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.studies.identification.measurements import write_measurements
 
 ANGLES = tuple(f"a{j}_deg" for j in range(1, 7))
@@ -120,39 +119,27 @@ def test_a_shipped_table_raises_no_doubt_and_a_german_spreadsheet_is_the_same_ta
     assert json.loads(other) == json.loads(text)
 
 
-def campaign(folder, change=lambda tests: tests, seed: int = 3) -> str:
-    rng = np.random.default_rng(seed)
-    path = str(folder / "campaign.csv")
-    write_measurements(path, change(measured(loads(rng, 24), rng=rng)))
+def campaign(folder, arm=TRUE, signs=1) -> str:
+    rng, path = np.random.default_rng(3), str(folder / "campaign.csv")
+    tests = measured(loads(rng, 24), arm, rng)
+    write_measurements(path, dataclasses.replace(tests, q=tests.q * signs))
     return path
-
-
-def tilted(tests):
-    """The same arm on a base that tilts by 0.3 urad/(N m) about x and y."""
-    frames = forward(ARM, MOUNT, tests.q)
-    moment = np.cross(frames.flange.apply(tests.application), tests.wrench[:, :3])
-    tilt = 0.3e-6 * moment * [1.0, 1.0, 0.0]
-    moved = tests.displacement.copy()
-    moved[:, :3] += np.cross(tilt, frames.flange.apply(tests.reflector))
-    return dataclasses.replace(tests, displacement=moved)
-
-
-def test_a_base_that_tilts_is_named(tmp_path, capsys):
-    code, text = run(capsys, "compliance", campaign(tmp_path, tilted), "--arm", "test_piece.yaml")
-    assert "the residuals look like a base that tilts by 0.3, 0.3 urad/(N m) about x, y" in text, text
-    assert "fit it with --base (about z " in text and "base z" not in text
-    code, text = run(capsys, "compliance", campaign(tmp_path, tilted), "--arm", "test_piece.yaml", "--base")
-    assert code == 0 and "look like a base" not in text
-    assert "not identified: base z: it turns the arm as joint 1" in text
-    code, text = run(capsys, "compliance", campaign(tmp_path), "--arm", "test_piece.yaml", "--json")
-    assert code == 0 and json.loads(text)["doubts"] == []
 
 
 def test_angles_of_another_sign_are_named(tmp_path, capsys):
     """A1 counted about +z, as ROS does."""
-
-    def change(tests):
-        return dataclasses.replace(tests, q=tests.q * [-1, 1, 1, 1, 1, 1])
-
-    code, text = run(capsys, "compliance", campaign(tmp_path, change), "--arm", "test_piece.yaml")
+    table = campaign(tmp_path, signs=[-1, 1, 1, 1, 1, 1])
+    code, text = run(capsys, "compliance", table, "--arm", "test_piece.yaml")
     assert code == 1 and "with the sign of A1 changed" in text, text
+
+
+def test_a_base_that_tilts_is_named(tmp_path, capsys):
+    tilted = campaign(tmp_path, TRUE.replace(base_compliance=np.array([0.3e-6, 0.3e-6, 0.0])))
+    code, text = run(capsys, "compliance", tilted, "--arm", "test_piece.yaml")
+    assert "the residuals look like a base that tilts by 0.3, 0.3 urad/(N m) about x, y" in text, text
+    assert "fit it with --base (about z " in text and "base z" not in text
+    code, text = run(capsys, "compliance", tilted, "--arm", "test_piece.yaml", "--base")
+    assert code == 0 and "look like a base" not in text
+    assert "not identified: base z: it turns the arm as joint 1" in text
+    code, text = run(capsys, "compliance", campaign(tmp_path), "--arm", "test_piece.yaml", "--json")
+    assert code == 0 and json.loads(text)["doubts"] == []

@@ -49,10 +49,15 @@ def rng():
     return np.random.default_rng(7)
 
 
-def test_displacements_are_those_of_the_loaded_equilibrium(rng):
+#: on a base that tilts about x and y of base_link [rad/(N m)]
+TILTING = TRUE.replace(base_compliance=np.array([0.08e-6, 0.08e-6, 0.0]))
+
+
+@pytest.mark.parametrize("arm", [ARM, TILTING], ids=["rigid base", "tilting base"])
+def test_displacements_are_those_of_the_loaded_equilibrium(rng, arm):
     tests = campaigns.loads(rng)
-    loaded, rest = (equilibrium(ARM, MOUNT, tests.q, w).pose.position for w in (tests.wrench, None))
-    assert displacements(ARM, MOUNT, tests)[:, :3] == pytest.approx(loaded - rest, abs=1e-12)
+    loaded, rest = (equilibrium(arm, MOUNT, tests.q, w).pose.position for w in (tests.wrench, None))
+    assert displacements(arm, MOUNT, tests)[:, :3] == pytest.approx(loaded - rest, abs=1e-12)
 
 
 def test_without_noise_the_compliances_are_fitted_exactly_unless_gravity_is_left_out(rng):
@@ -147,9 +152,8 @@ def test_published_compliances_are_identified_from_hanging_loads(rng):
 
 def test_joints_that_move_alike_are_not_identified(rng):
     """One posture, one load: three numbers, of which axes 2, 3 and 5 make two."""
-    tests = campaigns.loads(rng, 1)
-    many = tests.take(np.zeros(8, int))
-    fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(many)))
+    tests = campaigns.loads(rng, 1).take(np.zeros(8, int))
+    fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests)))
     assert fitted.free.sum() <= 3
     assert [e.cause for e in fitted.exclusions.values()].count(Cause.ALIKE) == 3
 
@@ -259,8 +263,7 @@ def test_each_criterion_wins_by_its_own_measure(planner):
 
 def test_the_exchange_finds_the_best_of_all_choices():
     """All 4060 choices of 3 of 30 candidates."""
-    few = candidates(ARM, MOUNT, BENCH, 8, 5)
-    few = few.take(np.arange(30))
+    few = candidates(ARM, MOUNT, BENCH, 8, 5).take(np.arange(30))
     planner = Planner(ARM, MOUNT, few, POSE)
     best = min(planner.design(rows).pose_error for rows in itertools.combinations(range(30), 3))
     assert planner.best(3).pose_error <= 1.02 * best
@@ -285,23 +288,12 @@ def test_tests_planned_for_a_base_that_tilts_know_the_posture_better_than_tests_
 
 
 # --- A base that tilts ---
-TILTING = TRUE.replace(base_compliance=np.array([0.08e-6, 0.08e-6, 0.0]))  # [rad/(N m)] about x, y, z of base_link
-
-
-def tilting_campaign(rng, tests):
-    """Tests of an arm on a base that tilts: the difference of two equilibria, by elastostatics, with noise."""
-    loaded, rest = (equilibrium(TILTING, MOUNT, tests.q, w).pose.position for w in (tests.wrench, None))
-    moved = np.full((len(tests), 6), np.nan)
-    moved[:, :3] = loaded - rest + campaigns.SIGMA * rng.normal(size=(len(tests), 3))
-    return dataclasses.replace(tests, displacement=moved)
-
-
 def test_intervals_cover_the_truth_with_the_base_among_the_unknowns_and_miss_the_truth_without():
     """40 campaigns x 8 numbers: sqrt(0.95 x 0.05 / 320) = 1.2 %; 300 campaigns gave 94.5 %."""
     rng, hits, missed = np.random.default_rng(3), [], []
     true = np.append(TILTING.joint_compliance, TILTING.base_compliance[:2])
     for _ in range(40):
-        seen = tilting_campaign(rng, campaigns.loads(rng))
+        seen = campaigns.measured(campaigns.loads(rng), TILTING, rng)
         fitted = fit_compliance(Problem(ARM, MOUNT, seen, base=True))
         hits.append(np.abs(fitted.values - true) <= fitted.half_widths)
         missed.append(abs(fit_compliance(Problem(ARM, MOUNT, seen)).factors[1] / 0.8 - 1.0))
@@ -311,7 +303,7 @@ def test_intervals_cover_the_truth_with_the_base_among_the_unknowns_and_miss_the
 
 def test_a_known_base_of_the_arm_file_is_a_part_of_the_model(rng):
     known = ARM.replace(base_compliance=TILTING.base_compliance)
-    seen = tilting_campaign(rng, campaigns.loads(rng))
+    seen = campaigns.measured(campaigns.loads(rng), TILTING, rng)
     fitted = fit_compliance(Problem(known, MOUNT, seen))
     assert np.abs(fitted.values / TILTING.joint_compliance - 1.0).max() < 0.25
     assert fitted.chi2_reduced < 1.7
