@@ -76,7 +76,7 @@ def _orbit(model: ArmModel, force: np.ndarray) -> np.ndarray:
     """
     a, b = model.transition[0], model.input[0][:, 0]
     state = np.zeros((force.size + 1, 2))
-    for _ in range(2):  # from rest first, whose end tells where the periodic state starts
+    for _ in range(2):  # from rest first, whose end is where the periodic state starts
         for n, f in enumerate(force):
             state[n + 1] = a @ state[n] + b * f
         if not state[0].any():

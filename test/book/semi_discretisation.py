@@ -92,9 +92,9 @@ def limit(delay, coarse, fine, depths):
     """
     first = next(i for i, d in enumerate(depths) if radius(d, delay, coarse) > 1)
     low, high = 0.97 * depths[first - 1], 1.03 * depths[first]
-    found = brentq(lambda d: radius(d, delay, fine) - 1, low, high, rtol=1e-5)
-    largest = multipliers(found, delay, fine)
-    return found, largest[np.argmax(np.abs(largest))]
+    depth = brentq(lambda d: radius(d, delay, fine) - 1, low, high, rtol=1e-5)
+    largest = multipliers(depth, delay, fine)
+    return depth, largest[np.argmax(np.abs(largest))]
 
 
 @functools.cache

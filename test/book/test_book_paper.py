@@ -31,8 +31,8 @@ def _pass(name: str):
     cases=("score share", [("static_deviation", 0.01), ("max_deviation", 0.02)]),
 )  # fmt: skip
 def test_original(score, share):
-    expected, found = getattr(ORIGINAL, score), getattr(_pass("original").scores, score)
-    return expected, found, share * expected
+    expected, got = getattr(ORIGINAL, score), getattr(_pass("original").scores, score)
+    return expected, got, share * expected
 
 
 @check(
@@ -64,8 +64,8 @@ def test_tooth_passing():
     ran = _pass("original").result
     force = ran.wrench[ran.time > _cell().full_engagement, 1]
     spectrum = np.abs(np.fft.rfft((force - force.mean()) * np.hanning(force.size), 16 * force.size))
-    found = np.fft.rfftfreq(16 * force.size, _cell().exchange.period)[np.argmax(spectrum)]
-    return 8000 / 60 * 4, found, 0.5
+    peak = np.fft.rfftfreq(16 * force.size, _cell().exchange.period)[np.argmax(spectrum)]
+    return 8000 / 60 * 4, peak, 0.5
 
 
 @check("mean lateral force of the pass", "81 N: 58.1 um over 0.717 um/N [derived]", "N")

@@ -83,6 +83,6 @@ def test_semi_discretisation_finds_the_closed_form_of_turning():
     for lobe in (1, 4):
         phase = np.arctan2(rise, 2 * ZETA * OMEGA * beyond)
         delay = 2 * (lobe * np.pi - phase) / beyond
-        found, multiplier = limit(delay, np.full(40, 1e9), np.full(160, 1e9), np.geomspace(1e-5, 1e-2, 30))
-        assert found * 1e9 / MASS == pytest.approx(strength, rel=2e-3)
+        depth, multiplier = limit(delay, np.full(40, 1e9), np.full(160, 1e9), np.geomspace(1e-5, 1e-2, 30))
+        assert depth * 1e9 / MASS == pytest.approx(strength, rel=2e-3)
         assert abs(multiplier.imag) > 0.01

@@ -147,8 +147,8 @@ def test_blending_rounds_a_corner_as_a_parabola_does_unless_the_tool_stops():
 def test_a_large_or_hasty_correction_must_not_be_run(cell, ran):
     target, most = cell.target(), cell.compensation.max_correction
     checked = check(cell, shifted(target, 1.01 * most * (np.arange(len(target)) == 40)), ran=ran)
-    found = {f.what: f for f in checked.findings if f.severity == "stop"}
-    assert found["correction size"].where.point == 41 and found["correction per tick"].where.point in (41, 42)
+    stops = {f.what: f for f in checked.findings if f.severity == "stop"}
+    assert stops["correction size"].where.point == 41 and stops["correction per tick"].where.point in (41, 42)
     calm = check(cell, shifted(target, 0.9 * most * np.sin(np.pi * np.linspace(0, 1, len(target)))), ran=ran)
     assert not kinds(calm) & {"correction size", "correction per tick"}
 

@@ -37,19 +37,19 @@ def cell_with(**tolerances):
 
 
 def test_the_error_that_is_farthest_beyond_its_own_tolerance_decides():
-    found = judge_part(
+    result = judge_part(
         cell_with(tolerance=50e-6, floor_tolerance=10e-6, features=("pocket=30",)),
         part(slot=(49e-6, 9e-6), pocket=(40e-6, np.nan)),
     )
-    assert not found.passes and found.feature == "pocket" and found.tolerance == pytest.approx(30e-6)
-    assert found.words == "largest wall or floor error misses 30 um (40 um at pocket)"
+    assert not result.passes and result.feature == "pocket" and result.tolerance == pytest.approx(30e-6)
+    assert result.words == "largest wall or floor error misses 30 um (40 um at pocket)"
 
 
 def test_all_within_passes_and_without_a_tolerance_nothing_is_said():
     rows = part(slot=(49e-6, 9e-6))
     assert judge_part(cell_with(tolerance=50e-6), rows).passes is True
-    found = judge_part(cell_with(), rows)
-    assert found.passes is None and found.wall == 49e-6 and found.error == 49e-6
+    result = judge_part(cell_with(), rows)
+    assert result.passes is None and result.wall == 49e-6 and result.error == 49e-6
 
 
 @pytest.mark.parametrize("text", ["pocket", "=30", "pocket=", "pocket=-1", "pocket=nan"])
@@ -167,9 +167,9 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
 def test_best_takes_learned_only_with_a_tracker(tmp_path):
     cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best")
     original = simulate(cell)
-    found = compare_methods(cell, original)
-    assert found.best == "inverse" and set(found.deviations) == {"none", "linear", "spline", "mirror", "inverse"}
-    assert found.deviations["inverse"] == min(found.deviations.values())
+    result = compare_methods(cell, original)
+    assert result.best == "inverse" and set(result.deviations) == {"none", "linear", "spline", "mirror", "inverse"}
+    assert result.deviations["inverse"] == min(result.deviations.values())
     tracked = cell.replace(compensation=cell.compensation.replace(tracker=True))
     assert compare_methods(tracked, original).best == "learned"
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
@@ -184,8 +184,8 @@ def test_learned_says_that_it_needs_a_tracker(tmp_path):
 
 def test_the_verdict_of_best_runs_no_other_method(tmp_path):
     cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best", "part.tolerance_um=100")
-    found = compensation.compensate(cell, verdict=VerdictOrder(1, asked_for=True)).decision
-    assert list(found.verdict.methods) == ["inverse"] and found.verdict.quantity == found.compensated.quantity
+    result = compensation.compensate(cell, verdict=VerdictOrder(1, asked_for=True)).decision
+    assert list(result.verdict.methods) == ["inverse"] and result.verdict.quantity == result.compensated.quantity
 
 
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):

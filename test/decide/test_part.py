@@ -72,14 +72,14 @@ def test_a_feature_in_the_air_has_no_row(tmp_path):
 
 def test_mean_torque_of_a_rigid_slot_is_that_of_the_linear_edge_law(tmp_path):
     cell = small_cell(tmp_path, SLOT, RIGID, "stock.grid_step_um=20.0", "exchange.micro_step_deg=1.0")
-    found = assess(cell, simulate(cell))
-    full = np.abs(found.path.distance - 30e-3 - 2e-3) < 8e-3  # plunge of 3 mm, then x from -28 to 28: in the middle
+    result = assess(cell, simulate(cell))
+    full = np.abs(result.path.distance - 30e-3 - 2e-3) < 8e-3  # plunge of 3 mm, then x from -28 to 28: in the middle
     full = full[: full.size]
     law, depth, feed = cell.cutting.linear_edge, 1e-3, 0.25e-3
     # each of the teeth cuts over half a turn with h = f_z sin: mean of F_t is (2 K_tc f_z + pi K_te) a / (2 pi)
     per_tooth = (2 * law.tangential_cutting * feed + np.pi * law.tangential_edge) * depth / (2 * np.pi)
     turns = int(full.sum() // 20) * 20  # periods of 18 deg
-    mean = found.torque[np.flatnonzero(full)[:turns]].mean()
+    mean = result.torque[np.flatnonzero(full)[:turns]].mean()
     assert mean == pytest.approx(cell.tool.teeth * per_tooth * RADIUS, rel=0.015)
 
 
@@ -189,9 +189,9 @@ def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_c
 FAR = HEAD + "(far)\nG0 X-100 Y-50 Z-1\nG1 X100 Y50 F3000\n"
 
 
-def static(transition, held, output, feedthrough) -> np.ndarray:
+def static(transition, input_matrix, output, feedthrough) -> np.ndarray:
     """Deflection under a wrench that stays, (6, 6)."""
-    return output @ np.linalg.solve(np.eye(len(transition)) - transition, held) + feedthrough
+    return output @ np.linalg.solve(np.eye(len(transition)) - transition, input_matrix) + feedthrough
 
 
 def lowest(transition) -> float:
@@ -253,26 +253,26 @@ def test_a_rigid_arm_leaves_no_error(tmp_path):
     ran = simulate(cell).result
     assert np.abs(ran.wrench[:, :2]).max() > 50  # it does cut
     path, _ = planned(cell)
-    found = surface(cell, path, ran.target, ran.actual)
-    assert found.walls.error.size > 300 and np.abs(found.walls.error).max() < 1e-12
-    assert found.floors.errors().size > 5000 and np.abs(found.floors.errors()).max() == 0.0
+    result = surface(cell, path, ran.target, ran.actual)
+    assert result.walls.error.size > 300 and np.abs(result.walls.error).max() < 1e-12
+    assert result.floors.errors().size > 5000 and np.abs(result.floors.errors()).max() == 0.0
 
 
 @pytest.mark.parametrize("shift", [(30e-6, 0, 0), (0, -20e-6, 0), (40e-6, -30e-6, 0)])
 def test_a_shift_across_moves_each_wall_by_its_part_along_the_normal_and_no_floor(cell, shift):
-    found = errors(cell, np.array(shift))
-    assert len(np.unique(np.round(np.arctan2(*found.walls.normal.T), 2))) > 50  # straight sides, a corner, an arc
-    np.testing.assert_allclose(found.walls.error, found.walls.normal @ np.array(shift[:2]), atol=1e-10)
-    assert np.abs(found.floors.errors()).max() == 0.0
+    result = errors(cell, np.array(shift))
+    assert len(np.unique(np.round(np.arctan2(*result.walls.normal.T), 2))) > 50  # straight sides, a corner, an arc
+    np.testing.assert_allclose(result.walls.error, result.walls.normal @ np.array(shift[:2]), atol=1e-10)
+    assert np.abs(result.floors.errors()).max() == 0.0
 
 
 @pytest.mark.parametrize("level", [-40, 25, 300])
 def test_a_shift_along_the_spindle_is_the_error_of_every_floor_and_no_wall(cell, level):
     step = cell.stock.level_step
-    found = errors(cell, np.array([0, 0, level * step]))
-    assert np.unique(found.floors.feature[np.isfinite(found.floors.error)]).tolist() == [1, 2]
-    np.testing.assert_allclose(found.floors.errors(), level * step, atol=1e-9 * step + 1e-15)
-    np.testing.assert_allclose(found.walls.error, 0.0, atol=1e-12)
+    result = errors(cell, np.array([0, 0, level * step]))
+    assert np.unique(result.floors.feature[np.isfinite(result.floors.error)]).tolist() == [1, 2]
+    np.testing.assert_allclose(result.floors.errors(), level * step, atol=1e-9 * step + 1e-15)
+    np.testing.assert_allclose(result.walls.error, 0.0, atol=1e-12)
 
 
 def test_walls_of_a_slot_stand_a_radius_beside_the_path_with_its_depth(slot):
@@ -292,17 +292,17 @@ def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
     path, target = planned(fine)
     time = np.arange(len(target)) * fine.clock.period
     shake = 8 * UM * np.sin(2 * np.pi * 63.0 * time)  # comes round between the teeth, which pass at 200 Hz
-    found = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
+    result = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
     cut = machined(fine, target + shake[:, None] * [0, 1, 0])
     x, low, high = profile(cut)
-    left = found.normal[:, 1] < 0
+    left = result.normal[:, 1] < 0
     for mine, border, side in ((left, high + 2 * UM, 1), (~left, low - 2 * UM, -1)):
-        columns = np.searchsorted(x, found.position[mine, 0])
+        columns = np.searchsorted(x, result.position[mine, 0])
         inside = (columns > 30) & (columns < len(x) - 30)
         by_nodes = RADIUS - side * border[columns[inside]]
         assert np.abs(by_nodes).max() > 5 * UM
-        np.testing.assert_allclose(found.error[mine][inside], by_nodes, atol=3.5 * UM)  # nodes are 4 um apart
-        assert np.mean(found.error[mine][inside] - by_nodes) == pytest.approx(0, abs=0.8 * UM)
+        np.testing.assert_allclose(result.error[mine][inside], by_nodes, atol=3.5 * UM)  # nodes are 4 um apart
+        assert np.mean(result.error[mine][inside] - by_nodes) == pytest.approx(0, abs=0.8 * UM)
 
 
 def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
@@ -310,11 +310,11 @@ def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
     cell = small_cell(tmp_path, rough)
     path, target = planned(cell)
     roughing = path.feature == path.features.index("rough")
-    found = surface(cell, path, target, target + np.where(roughing, 50 * UM, 0.0)[:, None] * [0, -1, 0]).walls
-    below = found.normal[:, 1] > 0  # the side where the finishing pass took more
-    assert set(found.feature[below]) == {path.features.index("finish")}
-    np.testing.assert_allclose(found.error[below], 0.0, atol=1e-12)
-    np.testing.assert_allclose(found.error[~below], 50 * UM, atol=1e-10)  # the far wall stays as it was roughed
+    result = surface(cell, path, target, target + np.where(roughing, 50 * UM, 0.0)[:, None] * [0, -1, 0]).walls
+    below = result.normal[:, 1] > 0  # the side where the finishing pass took more
+    assert set(result.feature[below]) == {path.features.index("finish")}
+    np.testing.assert_allclose(result.error[below], 0.0, atol=1e-12)
+    np.testing.assert_allclose(result.error[~below], 50 * UM, atol=1e-10)  # the far wall stays as it was roughed
 
 
 def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put_material_back(tmp_path):
@@ -323,13 +323,13 @@ def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put
     path, target = planned(cell)
     lower = path.feature == path.features.index("lower")
     shift = np.where(lower, 20 * UM, 0.0)[:, None] * [0, 1, 0]
-    found = surface(cell, path, target, target + shift).walls
-    left, upper = found.normal[:, 1] < 0, found.feature == path.features.index("upper")
+    result = surface(cell, path, target, target + shift).walls
+    left, upper = result.normal[:, 1] < 0, result.feature == path.features.index("upper")
     cusp = (0.25 * MM) ** 2 / (8 * RADIUS)  # the teeth of the lower pass need not meet the marks of the upper one
     cases = ((left & upper, -20, cusp), (left & ~upper, -20, 0), (~left & upper, 0, 0), (~left & ~upper, 20, 0))
     for chosen, expected, tolerance in cases:
         assert chosen.sum() > 100
-        np.testing.assert_allclose(found.error[chosen], expected * UM, atol=tolerance + 1e-10)
+        np.testing.assert_allclose(result.error[chosen], expected * UM, atol=tolerance + 1e-10)
 
 
 def test_a_ramp_leaves_its_own_slope_and_an_oblique_shift_its_vertical_part(tmp_path):
@@ -359,8 +359,8 @@ def test_a_plunge_owns_the_floor_it_ends_on(tmp_path):
 
 def test_heights_beside_the_stock_are_not_known(slot):
     cut = slot.cut()
-    found = heights_at(cut, np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
-    assert found[0] == 0.0 and np.isnan(found[1:]).all()
+    result = heights_at(cut, np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
+    assert result[0] == 0.0 and np.isnan(result[1:]).all()
 
 
 def test_a_mark_among_too_many_of_other_walls_counts_alone():

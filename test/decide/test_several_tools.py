@@ -208,11 +208,11 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
     manifest = (tmp_path / "out" / "MANIFEST.txt").read_text()
     header = next(tmp_path.glob("out/krl_*_T2_*/PLATE_T2_CMP.src")).read_text()
     report = (tmp_path / "out" / "report.html").read_text()
-    said = f"decision: caution: {answer['sentence']}"
-    assert said in manifest and said in " ".join(re.findall(r"^; (.*?)\r?$", header, re.MULTILINE))
+    line = f"decision: caution: {answer['sentence']}"
+    assert line in manifest and line in " ".join(re.findall(r"^; (.*?)\r?$", header, re.MULTILINE))
     assert manifest.count("====") == 6 and all(f'data-tool="T{k}"' in report for k in (1, 2, 3))
     corrected = Path(answer["gcode"]["file"])  # one program with all tools
-    assert corrected.name in manifest and f"(part program: {said[:50]}" in corrected.read_text()
+    assert corrected.name in manifest and f"(part program: {line[:50]}" in corrected.read_text()
     for cell, one in zip(read_cells(drafted, [*STOCK, *FAST]), answer["gcode"]["tools"], strict=True):
         read = read_gcode(corrected, one["tool"])
         assert one["error_um"] < 2.1 and one["blocks"] == np.count_nonzero(~read.rapid) > one["source_blocks"]

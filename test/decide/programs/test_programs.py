@@ -290,9 +290,9 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
     table = np.loadtxt(table, delimiter=",", skiprows=1)
     knots = read.numbers - 1
     reached = flanges(cell.arm, np.radians(table[knots, 1:]))
-    told = read.matrix("BASE") @ read.transforms @ np.linalg.inv(read.matrix("TOOL"))
-    assert np.abs(told[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
-    turned = Rotation.from_matrix(np.swapaxes(told[:, :3, :3], 1, 2) @ reached[:, :3, :3])
+    commanded = read.matrix("BASE") @ read.transforms @ np.linalg.inv(read.matrix("TOOL"))
+    assert np.abs(commanded[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
+    turned = Rotation.from_matrix(np.swapaxes(commanded[:, :3, :3], 1, 2) @ reached[:, :3, :3])
     assert np.degrees(turned.magnitude()).max() < 1e-3
     assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
     assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
@@ -333,9 +333,9 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
     line = Trajectory(np.arange(4) * 10**8, np.outer(np.arange(4), [1e-3, 0, 0]), cell.target().quaternion[0])
     write_programs(tmp_path, own, line, line, method="same", date=DATE)
     read = Robot(next(tmp_path.glob("krl_spline_*")), "MILLING_ORG")
-    told = read.matrix("BASE") @ read.transforms @ np.linalg.inv(read.matrix("TOOL"))
+    commanded = read.matrix("BASE") @ read.transforms @ np.linalg.inv(read.matrix("TOOL"))
     reached = flanges(own.arm, commanded_joints(own, line))
-    assert np.abs(told[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
+    assert np.abs(commanded[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
     lifted = (own.workpiece.pose.apply(read.transforms[:, :3, 3]) - own.workpiece.pose.apply(line.position))[:, 2]
     assert np.all(lifted > 0.1e-3)  # 700 kg of arm bend it by tenths of a millimetre
 
@@ -482,10 +482,10 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     files = write_programs(tmp_path, cell, cell.target(), run, method="spline", date="2030-01-01", motions=[motion])
     folder = files[f"krl_{motion.lower()}"][0].parent
     main = f"{cell.program.name}_CMP"
-    found, robot = read_krl(folder, main), Robot(folder, main)
-    assert found.spline == (motion == "SPLINE") and found.number.tolist() == robot.numbers.tolist()
-    assert [1, *robot.rests] == found.number[found.stops].tolist()
-    assert found.pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
+    written, robot = read_krl(folder, main), Robot(folder, main)
+    assert written.spline == (motion == "SPLINE") and written.number.tolist() == robot.numbers.tolist()
+    assert [1, *robot.rests] == written.number[written.stops].tolist()
+    assert written.pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
     assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
     assert any(time_law(cell)[:40] in line for line in robot.steps)
 

@@ -87,8 +87,8 @@ def test_coverage():
     choice = candidates(ARM, MOUNT, Bench(MOUNT.xyz), 500, 1)
     hits = 0
     for _ in range(CAMPAIGNS):
-        found = fit_compliance(campaign(choice, rng.choice(len(choice.tests), 12, replace=False), rng))
-        hits += np.sum(np.abs(found.values - TRUE.joint_compliance) <= found.half_widths)
+        fitted = fit_compliance(campaign(choice, rng.choice(len(choice.tests), 12, replace=False), rng))
+        hits += np.sum(np.abs(fitted.values - TRUE.joint_compliance) <= fitted.half_widths)
     return 0.95, hits / (6 * CAMPAIGNS), 0.02
 
 
@@ -106,8 +106,8 @@ def test_plan():
     true = displacements(TRUE, MOUNT, pose)[:, :3]
 
     def error(rows) -> float:
-        found = fit_compliance(campaign(choice, rows, rng))
-        return float(np.sum((displacements(found.problem.arm_at(found.factors), MOUNT, pose)[:, :3] - true) ** 2))
+        fitted = fit_compliance(campaign(choice, rows, rng))
+        return float(np.sum((displacements(fitted.problem.arm_at(fitted.factors), MOUNT, pose)[:, :3] - true) ** 2))
 
     ours = np.mean([error(planned) for _ in range(60)])
     blind = np.mean([error(np.array([rng.choice(rows) for rows in kinds])) for _ in range(60)])

@@ -78,8 +78,8 @@ def test_force_coverage():
     cuts = CutMeasurements(tool, feed, np.full(12, 1e-3), *ends.T, nothing, np.ones(12), False)
     force, hits = LinearEdgeLaw(*map(float, true)).mean_forces(cuts), 0
     for _ in range(CAMPAIGNS):
-        found = fit_forces("linear_edge", dataclasses.replace(cuts, force=force + 2.0 * rng.normal(size=(12, 3))))
-        hits += np.sum(np.abs(found.values - true) <= found.half_widths)
+        fitted = fit_forces("linear_edge", dataclasses.replace(cuts, force=force + 2.0 * rng.normal(size=(12, 3))))
+        hits += np.sum(np.abs(fitted.values - true) <= fitted.half_widths)
     return 0.95, hits / (6 * CAMPAIGNS), 0.02
 
 
