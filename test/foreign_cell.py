@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-import time
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.samples import JointSample, PoseSample, WrenchSample
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import simulate
-from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.recordings.messages.codec import to_bytes, trajectory_from_bytes
+from kr270_milling.base.samples import PoseSample, WrenchSample
 
 WALL = 1_700_000_000_123_456_789  # [ns]
 PERIOD, JITTER, SENSOR = 4_000_000, 500_000, 1_000_000  # [ns]
@@ -57,54 +50,3 @@ def foreign_pass(result, number: int, noise: float = 0.0, cell=None, start: int 
     poses = [PoseSample(start + ns, "workpiece", row, DOWN) for ns, row in zip(posed.tolist(), place, strict=True)]
     wrenches = [WrenchSample(start + ns, frame, row) for ns, row in zip(sensed.tolist(), force, strict=True)]
     return sorted([*poses, *wrenches], key=lambda sample: sample.stamp)
-
-
-def main() -> None:
-    """Run the robot and the sensor of the cell file as two nodes, one pass along each reference, until a signal."""
-    import rclpy
-    from geometry_msgs.msg import PoseStamped, WrenchStamped
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
-    from rclpy.utilities import remove_ros_args
-    from sensor_msgs.msg import JointState
-
-    from kr270_milling.live.ros import topics
-    from kr270_milling.live.ros.environment import keep_to_this_host
-
-    keep_to_this_host()
-    rclpy.init()
-    cell = read_cell(remove_ros_args(sys.argv)[1])
-    driver, sensor, executor = Node("driver"), Node("sensor"), SingleThreadedExecutor()
-    for node in (driver, sensor):
-        executor.add_node(node)
-    best_effort = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-    pose = driver.create_publisher(PoseStamped, "tool_pose", 1000)
-    joints = driver.create_publisher(JointState, "driver/joint_states", best_effort)
-    force = sensor.create_publisher(WrenchStamped, "sensor/force", best_effort)
-    references: list[Trajectory] = []
-    topic = topics.REFERENCE_TRAJECTORY
-    driver.create_subscription(topic.type, topic.name, lambda data: references.append(trajectory_from_bytes(data)),
-                               topic.qos, raw=True)  # fmt: skip
-    number = 0
-    while True:
-        executor.spin_once(timeout_sec=0.05)
-        listeners = (pose.get_subscription_count(), joints.get_subscription_count(), force.get_subscription_count())
-        if len(references) <= number or not all(listeners):
-            continue
-        reference = references[number]
-        result = simulate(cell, reference).result
-        now = time.time_ns() + STANDING
-        for sample in foreign_pass(result, number, cell.imperfections.pose_noise, cell, now):
-            time.sleep(max(0.0, (sample.stamp - time.time_ns()) * 1e-9))
-            publisher = pose if isinstance(sample, PoseSample) else force
-            publisher.publish(to_bytes(sample))
-            if publisher is pose:
-                at = np.clip(sample.stamp - now, 0, result.time_ns[-1])[None]
-                sent = JointSample(sample.stamp, cell.joint_names, cell.joints_along(reference, at)[0])
-                joints.publish(to_bytes(sent))
-        number += 1
-
-
-if __name__ == "__main__":
-    main()

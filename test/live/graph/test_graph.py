@@ -8,13 +8,18 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ros_domain import running
 
 pytest.importorskip("rclpy")
+
+from ros_messages import to_msg
 
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cli import main
@@ -22,54 +27,24 @@ from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph import plan
 from kr270_milling.live.graph.driver import Driver
-from kr270_milling.live.graph.graph import Graph, RunValues
+from kr270_milling.live.graph.graph import QUIET, Graph, RunValues
 from kr270_milling.live.graph.plan import fresh_directory
-from kr270_milling.live.graph.processes import Child, RunError
-from kr270_milling.live.ros import topics
+from kr270_milling.live.graph.processes import Child, RunError, stop
+from kr270_milling.live.ros import node, topics
+from kr270_milling.live.ros.node import LOST, Silence
 from kr270_milling.live.ros.status import Status
 from kr270_milling.recordings.bag.reader import Recording
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
-LONG = ["path.length_mm=75", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # some seconds, to be disturbed
+MANY = ["path.length_mm=25", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
 NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
-
-
-@pytest.fixture
-def runner(ros_environment):
-    """Start runs; end the runs that a failed test has not ended."""
-    started: list[subprocess.Popen] = []
-
-    def start(out, *arguments, **options):
-        started.append(start_run(ros_environment, out, *arguments, **{"sets": SHORT, **options}))
-        return started[-1]
-
-    yield start
-    for process in started:
-        if process.poll() is None:
-            process.terminate()
-        process.communicate()
+CLI = [sys.executable, "-m", "kr270_milling.cli"]
+LIMIT = 300.0  # [s] for what does not happen
 
 
 def run_words(out, *arguments, sets=SHORT) -> list[str]:
     pairs = [word for assignment in sets for word in ("--set", assignment)]
     return ["run", "paper.yaml", "--out", str(out), *arguments, *pairs]
-
-
-def start_run(environment, out, *arguments, sets, program=("-m", "kr270_milling.cli")):
-    command = [sys.executable, *program, *run_words(out, *arguments, sets=sets)]
-    return subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-
-
-def finished(process, seconds: float = 300.0) -> tuple[int, str, str]:
-    try:
-        out, errors = process.communicate(timeout=seconds)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        out, errors = process.communicate()
-        pytest.fail(f"the run hangs: {errors}")
-    return process.returncode, out, errors
 
 
 def nodes_of(out: Path) -> dict[str, int]:
@@ -90,23 +65,12 @@ def nodes_of(out: Path) -> dict[str, int]:
     return nodes_by_name
 
 
-def wait_until(condition, seconds: float, what: str):
-    end = time.monotonic() + seconds
+def wait_until(condition, what: str):
+    end = time.monotonic() + LIMIT
     while not (value := condition()):
         assert time.monotonic() < end, what
         time.sleep(0.02)
     return value
-
-
-def in_mid_pass(out: Path) -> dict[str, int]:
-    """Wait until the original pass runs; returns the nodes."""
-    logs = [out / "log" / f"{name}.log" for name in ("compliant_robot+cutting_process", "cutting_process")]
-    wait_until(
-        lambda: any("]: cutting" in log.read_text() for log in logs if log.exists()), 60, "the pass does not start"
-    )
-    file = out / "original" / "original.mcap"
-    wait_until(lambda: file.stat().st_size > 30_000, 30, "nothing of the pass is written")
-    return nodes_of(out)
 
 
 def same(recorded, plain) -> None:
@@ -114,9 +78,22 @@ def same(recorded, plain) -> None:
         assert np.array_equal(getattr(recorded, field), getattr(plain, field)), field
 
 
-def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environment, tmp_path, capsys, short_cell):
-    methods = ("--method", "linear", "--method", "spline", "--method", "linear")  # a repeated method is run once
-    assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
+def events_of(url: str) -> list[dict]:
+    """The events of a live page, until its stream ends."""
+    with urllib.request.urlopen(f"{url}events", timeout=LIMIT) as stream:
+        return [json.loads(line[6:]) for line in stream if line.startswith(b"data: ")]
+
+
+def test_run_gives_the_plain_loop_bit_for_bit_while_a_page_shows_it(ros_environment, tmp_path, capsys, short_cell):
+    """A repeated method is run once. The page receives by best effort, so its number of samples may vary."""
+    methods = ("--method", "linear", "--method", "spline", "--method", "linear")
+    watch = [*CLI, "watch", "--port", "0", "--json"]
+    with running(watch, ros_environment, stdout=subprocess.PIPE, text=True) as page, ThreadPoolExecutor(1) as thread:
+        stream = thread.submit(events_of, json.loads(page.stdout.readline())["url"])
+        assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
+        events = stream.result()
+        assert page.wait(LIMIT) == 0
+    assert not nodes_of(tmp_path)
     printed = capsys.readouterr()
     assert "not complete" not in printed.err
     result = json.loads(printed.out)
@@ -130,8 +107,16 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environ
         assert row["max_deviation_um"] == expected.scores.max_deviation * 1e6
         assert row["static_deviation_um"] == expected.scores.static_deviation * 1e6
         assert row["real_time_factor"] == pytest.approx(row["duration_s"] / row["wall_s"])
-    assert 0 < result["graph_up_s"] < 30
-    assert not nodes_of(tmp_path)
+    assert 0 < result["graph_up_s"] < LIMIT
+    times = [event["t"] for event in events if event["kind"] == "sample"]
+    assert times and 0.0 <= min(times) and max(times) <= original.result.time[-1]
+    assert {f"/{name}" for name in NODES[:3]} <= {event["node"] for event in events if event["kind"] == "state"}
+    assert {"number": 1, "kind": "pass"}.items() <= next(e for e in events if e["kind"] == "pass").items()
+    assert events[-1] == {"kind": "end"}
+    with Recording(tmp_path / "o" / "original") as recording:
+        recorded_topics = recording.topics()
+        assert {"/tf", "/tf_static", "/markers", "/robot_description"} <= set(recorded_topics)
+        assert recorded_topics["/tf"].count > 1 and recorded_topics["/tf_static"].count >= 1
 
 
 @pytest.mark.parametrize(("lost", "code"), [(0, 0), (1705, 1)])
@@ -152,15 +137,6 @@ def test_recordings_are_never_overwritten(tmp_path):
         (directory / "cell.yaml").write_text("")
 
 
-def test_stopped_nodes_end_the_run_with_a_sentence_and_no_process_remains(runner, tmp_path):
-    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
-    for pid in set(in_mid_pass(tmp_path / "o").values()):
-        os.kill(pid, signal.SIGSTOP)
-    code, _, errors = finished(process)
-    assert code == 2 and "has not reported for 4 s" in errors
-    assert not nodes_of(tmp_path)
-
-
 def sockets_of(pid: int) -> list[str]:
     """Local addresses of the UDP and TCP sockets of a process."""
     inodes = set()
@@ -177,96 +153,57 @@ def sockets_of(pid: int) -> list[str]:
     return addresses
 
 
-def test_all_sockets_are_on_this_host_and_a_signal_ends_everything_with_a_whole_file(runner, tmp_path):
-    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
-    pids = in_mid_pass(tmp_path / "o")
-    assert sorted(pids) == sorted(NODES) and len(set(pids.values())) == 2
-    for pid in (*pids.values(), process.pid):
-        assert set(sockets_of(pid)) == {"0100007F"}  # 127.0.0.1 as /proc writes it
-    process.send_signal(signal.SIGTERM)
-    code, _, errors = finished(process)
-    assert code == 143 and "Traceback" not in errors
+def whole_passes(out: Path) -> list[Path]:
+    """The passes whose recordings are closed, in their order."""
+    return [file.parent for file in sorted(out.glob("*/metadata.yaml"), key=lambda file: file.stat().st_mtime)]
+
+
+def test_a_second_graph_is_refused_and_the_first_continues_on_this_host_until_a_signal(
+    ros_environment, tmp_path, capsys
+):
+    out, words = tmp_path / "a", run_words(tmp_path / "a", "--passes", "1000", sets=MANY)
+    with running([*CLI, *words], ros_environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as first:
+        wait_until(lambda: whole_passes(out), "no pass ends")
+        pids = nodes_of(out)
+        assert sorted(pids) == sorted(NODES) and len(set(pids.values())) == 2
+        for pid in (*pids.values(), first.pid):
+            assert set(sockets_of(pid)) == {"0100007F"}  # 127.0.0.1 as /proc writes it
+        assert main(run_words(tmp_path / "b", "--passes", "1")) == 2
+        errors = capsys.readouterr().err
+        assert "already runs in this ROS domain" in errors and errors.count("\n") == 1
+        assert not list((tmp_path / "b" / "log").iterdir())  # messages of its nodes would reach the first graph
+        done = len(whole_passes(out))  # the pass in which the other graph came up is the next
+        wait_until(lambda: len(whole_passes(out)) > done + 1, "no further pass ends")
+        first.send_signal(signal.SIGTERM)
+        _, errors = first.communicate(timeout=LIMIT)
+    assert first.returncode == 143 and "Traceback" not in errors
     assert not nodes_of(tmp_path)
-    with Recording(tmp_path / "o" / "original") as recording:
+    *whole, last = whole_passes(out)
+    assert len(whole) > done and all(pass_from_recording(path).messages_lost == 0 for path in whole)
+    with Recording(last) as recording:
         assert not recording.cut_off
 
 
-def test_killed_runner_leaves_no_orphans(runner, tmp_path):
-    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
-    in_mid_pass(tmp_path / "o")
-    process.kill()
-    process.communicate()
-    wait_until(lambda: not nodes_of(tmp_path), 30, "orphans are left")
-    with Recording(tmp_path / "o" / "original") as recording:
-        assert not recording.cut_off
-
-
-BLOCKS = """
-import ctypes, sys
-from kr270_milling.live.nodes import start
-from rclpy.node import Node
-Node.destroy_node = lambda node: ctypes.PyDLL(None).sleep(100)
-sys.argv = sys.argv[3:]  # the words after "-m kr270_milling.live.nodes"
-raise SystemExit(start.start(sys.argv[0]))
-"""
-
-
-def test_run_kills_a_node_whose_middleware_blocks_while_it_leaves(runner, tmp_path):
-    python = tmp_path / "python"
-    python.write_text(f"#!{sys.executable}{BLOCKS}")
-    python.chmod(0o755)
-    program = f"import sys; from kr270_milling.cli import main; sys.executable = {str(python)!r}; main()"
-    code, out, errors = finished(runner(tmp_path / "o", "--passes", "1", "--json", program=("-c", program)))
-    assert code == 0 and [row["name"] for row in json.loads(out)["passes"]] == ["original"], errors
-    assert not nodes_of(tmp_path)
-
-
-def test_ctrl_c_after_the_passes_ends_the_run_with_130(ros_environment, tmp_path, capsys, monkeypatch):
-    def press_ctrl_c(*_):
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr("kr270_milling.show.commands.run.table_of", press_ctrl_c)
-    assert main(run_words(tmp_path / "o", "--passes", "1")) == 130
+def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_same_names(
+    world, ros_environment, tmp_path, capsys, monkeypatch, short_cell
+):
+    """And Ctrl-C after the passes ends the run."""
+    for space in ("/", "/right"):
+        for name in NODES:
+            partner = world.partner(name, space)
+            publishers = [partner.create_publisher(*topics.BY_NAME[t]) for t in ("tool_pose", "reference_trajectory")]
+            publishers[1].publish(to_msg(short_cell.target()))
+    monkeypatch.setattr("kr270_milling.show.commands.run.table_of", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    assert main(run_words(tmp_path, "--namespace", "left", "--passes", "1", "--processes")) == 130
     out, errors = capsys.readouterr()
     assert not out and errors.endswith("interrupted\n")
-    assert not nodes_of(tmp_path)
-
-
-def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path, capsys):
-    first = runner(tmp_path / "a", "--passes", "1000", sets=["path.length_mm=25", *LONG[1:]])
-    in_mid_pass(tmp_path / "a")
-    assert main(run_words(tmp_path / "b", "--passes", "1")) == 2
-    errors = capsys.readouterr().err
-    assert "already runs in this ROS domain" in errors and errors.count("\n") == 1
-    assert not list((tmp_path / "b" / "log").iterdir())  # messages of its nodes would reach the first graph
-    done = list((tmp_path / "a").glob("*/metadata.yaml"))  # the pass in which the other graph came up is the next
-    wait_until(lambda: len(list((tmp_path / "a").glob("*/metadata.yaml"))) > len(done) + 1, 60, "no pass ends")
-    first.send_signal(signal.SIGINT)
-    assert finished(first)[0] == 130
-    files = sorted((tmp_path / "a").glob("*/*.mcap"), key=lambda file: file.stat().st_mtime)
-    with Recording(files[-1]) as recording:
-        assert not recording.cut_off
-    whole = sorted((tmp_path / "a").glob("*/metadata.yaml"), key=lambda file: file.stat().st_mtime)[:-1]
-    assert len(whole) > len(done) and all(pass_from_recording(file.parent).messages_lost == 0 for file in whole)
-
-
-def test_graphs_in_two_namespaces_give_the_plain_loop_at_once_also_with_one_process_a_node(
-    runner, tmp_path, short_cell
-):
-    names, plain = ("left", "right"), simulate(short_cell).result
-    more = {"left": (), "right": ("--processes",)}
-    runs = [runner(tmp_path / n, "--namespace", n, "--passes", "1", "--json", *more[n]) for n in names]
-    for process, name in zip(runs, names, strict=True):
-        code, _, errors = finished(process)
-        assert code == 0, errors
-        file = tmp_path / name / "original"
-        same(pass_from_recording(file).scored.result, plain)
-        with Recording(file) as recording:
-            other = names[1 - names.index(name)]
-            assert not any(topic.startswith(f"/{other}/") for topic in recording.topics())
-            assert f"/{name}/clock" in recording.topics() and "/clock" not in recording.topics()
-        assert recompute(file).verdict == "identical"
-    assert {f"{node}.log" for node in NODES[:3]} <= {file.name for file in (tmp_path / "right" / "log").iterdir()}
+    recorded = tmp_path / "original"
+    same(pass_from_recording(recorded).scored.result, simulate(short_cell).result)
+    assert recompute(recorded).verdict == "identical"
+    with Recording(recorded) as recording:
+        assert "/left/clock" in recording.topics()
+        assert {name for name in recording.topics() if not name.startswith("/left/")} == {"/diagnostics"}
+    assert {f"{node}.log" for node in NODES} == {file.name for file in (tmp_path / "log").iterdir()}
 
 
 # --- which passes a run makes, with a graph whose passes are simulated at once ---
@@ -280,14 +217,12 @@ class PlainGraph:
     def __init__(self, cell):
         self.cell = cell
         self.compensator = compensator(cell, cell.target())
+        self.choose = self.compensator.choose
         self.ran: dict[str, object] = {}
 
     @property
     def repeats(self) -> bool:
         return self.compensator.repeats
-
-    def choose(self, method: str) -> None:
-        self.compensator.choose(method)
 
     def run_pass(self, name: str) -> RunValues:
         self.ran[name] = simulate(self.cell, self.compensator.reference, name)
@@ -301,8 +236,7 @@ def run(monkeypatch, short_cell):
     """Runs a plan for a cell with other parameters of the compensation; returns the graph and the rows."""
 
     def run(methods, passes=None, **parameters):
-        cell = short_cell.replace(compensation=short_cell.compensation.replace(**parameters))
-        graph = PlainGraph(cell)
+        graph = PlainGraph(short_cell.replace(compensation=short_cell.compensation.replace(**parameters)))
 
         def recorded(recording, name, namespace):
             return SimpleNamespace(scored=graph.ran[str(recording)], lost_to_end=0)
@@ -313,16 +247,15 @@ def run(monkeypatch, short_cell):
     return run
 
 
-def test_each_method_that_does_not_repeat_makes_one_pass(run):
-    _, rows = run(["linear", "spline"])
-    assert [row.scored.name for row in rows] == ["original", "linear", "spline"]
+@pytest.mark.parametrize(("methods", "passes", "names"), [
+    (["linear", "spline"], None, ["original", "linear", "spline"]),
+    (["linear"], 3, ["original", "linear", "linear_2"]),
+    (["learned"], 1, ["original"]),
+])  # fmt: skip
+def test_each_method_that_does_not_repeat_makes_one_pass_or_the_given_number(run, methods, passes, names):
+    _, rows = run(methods, passes)
+    assert [row.scored.name for row in rows] == names
     assert not any(row.learning for row in rows)
-
-
-def test_the_number_of_passes_may_be_given(run):
-    _, rows = run(["linear"], 3)
-    assert [row.scored.name for row in rows] == ["original", "linear", "linear_2"]
-    assert [row.scored.name for row in run(["learned"], 1)[1]] == ["original"]
 
 
 @pytest.mark.parametrize("method, repeat", [("learned", False), ("spline", True)])
@@ -336,26 +269,54 @@ def test_a_method_that_repeats_continues_until_the_compensator_is_finished_as_of
 
 
 def test_the_original_pass_is_the_best_where_no_revision_helps(run):
-    graph, (original, best) = run(["spline"], repeat=True, max_correction=1e-9)
+    _, (original, best) = run(["spline"], repeat=True, max_correction=1e-9)
     assert len(best.learning) >= 1 and best.scored.scores.max_deviation <= original.scored.scores.max_deviation
 
 
-# --- what the runner takes from the reports of the nodes ---
+# --- what the runner takes from the reports and the ends of the nodes ---
 
 
-def test_of_two_nodes_that_have_ended_the_first_one_is_named(tmp_path, monkeypatch):
-    program = tmp_path / "node"  # called with: -m, module, node, seconds
-    program.write_text("#!/bin/sh\nsleep $4; echo gone; exit 1\n")
-    program.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(program))
+@pytest.fixture
+def children(tmp_path, monkeypatch):
+    """Start children that run a script in place of a node; its words: -m, module, node and one more."""
+
+    def start(script: str, **words: str) -> dict[str, Child]:
+        program = tmp_path / "node"
+        program.write_text(f"#!{script}")
+        program.chmod(0o755)
+        monkeypatch.setattr(sys, "executable", str(program))
+        return {name: Child((name,), [word], tmp_path) for name, word in words.items()}
+
+    return start
+
+
+def test_of_two_nodes_that_have_ended_the_first_one_is_named(children, tmp_path):
     graph = Graph(None, tmp_path)
-    graph.children = {node: Child((node,), [seconds], tmp_path) for node, seconds in zip(NODES, "1092", strict=True)}
-    wait_until(lambda: sum(not child.alive for child in graph.children.values()) >= 2, 30, "the children do not end")
+    graph.children = children("/bin/sh\nsleep $4; echo gone; exit 1\n", **dict(zip(NODES, "1092", strict=True)))
+    wait_until(lambda: sum(not child.alive for child in graph.children.values()) >= 2, "the children do not end")
     try:
         with pytest.raises(RunError, match=r"^cutting_process: ended with exit code 1 \(gone; see "):
             graph.check()
     finally:
         graph.stop()
+
+
+def test_a_stopped_node_may_still_close_its_file_and_a_node_that_does_not_leave_is_killed(children):
+    """The middleware may block a node that leaves: no signal but SIGKILL reaches it."""
+    script = f"""{sys.executable} -IS
+import signal, sys, time
+if sys.argv[4] == "leaves":
+    signal.signal(signal.SIGINT, lambda *_: sys.exit())
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+print("up", flush=True)
+time.sleep(1000)
+"""
+    both = children(script, recorder="leaves", cutting_process="blocks")
+    for child in both.values():
+        wait_until(child.last_line, "the child is not up")
+    both["recorder"].signal(signal.SIGSTOP)
+    assert stop(both.values()) == ["cutting_process"]
+    assert both["recorder"].process.wait(LIMIT) == 0
 
 
 def test_the_node_that_is_silent_is_named_and_not_the_one_that_misses_its_messages(tmp_path):
@@ -369,16 +330,42 @@ def test_the_node_that_is_silent_is_named_and_not_the_one_that_misses_its_messag
         graph.check()
 
 
+def test_silent_node_is_reported_once_and_then_ends_the_run(tmp_path, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(node, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    silence, graph, sentences = Silence(), Graph(None, tmp_path), []
+    graph.driver = SimpleNamespace(error=None, silences={"cutting_process": silence})
+    graph.children = {"cutting_process": SimpleNamespace(alive=True)}
+    graph.warn = sentences.append
+
+    def wait(seconds: float) -> None:
+        for _ in range(round(seconds / 0.1)):
+            now[0] += 0.1
+            graph.check()
+
+    wait(9.0)  # not in mid-pass: a long computation
+    now[0] += 10.0
+    graph._in_pass = True
+    wait(QUIET)  # this process itself was stopped
+    assert not sentences
+    wait(QUIET)
+    silence.end()
+    wait(2 * QUIET)
+    assert sentences == ["cutting_process: has not reported for 1 s; waiting"] * 2
+    with pytest.raises(RunError, match="cutting_process: has not reported for 4 s"):
+        wait(LOST)
+
+
 def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, world):
     sent = world.partner("recorder").create_publisher(*topics.STATUS)
     driver = Driver("", lambda: None)
     try:
         driver.expect("recorder", 1)
-        driver.until(sent.get_subscription_count, "matching", 60.0)
+        driver.until(sent.get_subscription_count, "matching", LIMIT)
         sent.publish(Status(1, 0, "recording").to_msg())
-        driver.until(lambda: driver.statuses, "the report", 60.0)
+        driver.until(lambda: driver.statuses, "the report", LIMIT)
         sent.publish(Status(2, 2, "the directory is there already", "the directory is there already").to_msg())
-        driver.until(lambda: driver.foreign, "the other report", 60.0)
+        driver.until(lambda: driver.foreign, "the other report", LIMIT)
         assert driver.statuses["recorder"].message == "recording" and driver.error is None
     finally:
         driver.node.destroy_node()
