@@ -109,7 +109,7 @@ def test_run_gives_the_plain_loop_bit_for_bit_while_a_page_shows_it(ros_environm
         assert row["real_time_factor"] == pytest.approx(row["duration_s"] / row["wall_s"])
     assert 0 < result["graph_up_s"] < LIMIT
     times = [event["t"] for event in events if event["kind"] == "sample"]
-    assert times and 0.0 <= min(times) and max(times) <= original.result.time[-1]
+    assert times and min(times) >= 0.0 and max(times) <= original.result.time[-1]
     assert {f"/{name}" for name in NODES[:3]} <= {event["node"] for event in events if event["kind"] == "state"}
     assert {"number": 1, "kind": "pass"}.items() <= next(e for e in events if e["kind"] == "pass").items()
     assert events[-1] == {"kind": "end"}
