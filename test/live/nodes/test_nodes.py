@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foreign_cell import WALL, foreign_pass
+from foreign_cell import WALL
 from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
@@ -16,13 +16,12 @@ import ros_messages as messages
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from ros_messages import from_msg
-from scipy.ndimage import binary_dilation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from kr270_milling.base.samples import PoseSample
 from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.live.nodes import compliant_robot
 from kr270_milling.live.nodes.compliant_robot import CompliantRobot
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.nodes.recorder import Recorder
@@ -80,13 +79,18 @@ class Loop:
         self.start()
         self.world.until(lambda: len(self.series["wrench"]) > count)
 
-    def stop(self) -> None:
+    def again(self, result) -> None:
+        """A pass after a fresh start gives the same as the plain loop."""
         for node in (self.robot, self.cut):
             node.trigger_deactivate()
             node.trigger_cleanup()
+        self.series = {topic: {} for topic in self.series}
+        self.start()
+        self.revised(1)
+        self.matches(result)
 
     def revised(self, count: int):
-        self.world.until(lambda: len(self.references) > count, 20)
+        self.world.until(lambda: len(self.references) > count)
         return from_msg(self.references[count])
 
     def matches(self, result) -> None:
@@ -102,7 +106,7 @@ def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_match
     wait = ("-p", "wait_for:=cutting_process, compliant_robot?, recorder")
     loop = Loop(world, short_cell, tmp_path, compensator=wait)
     loop.start()
-    world.step(1.0)
+    world.step(0.3)
     assert loop.compensator.status().values["waiting_for"] == "recorder is not in the graph (parameter wait_for)"
     assert "the pass waits: recorder" in requested(loop.ear, world, "send_joint_trajectory").message
     assert not loop.robot.protocol.started
@@ -115,57 +119,63 @@ def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_match
     assert not [topic for topic in counts if topic.endswith("/status")]
 
 
+@pytest.fixture(scope="module")
+def ran(short_cell):
+    return simulate(short_cell).result
+
+
+@pytest.fixture(scope="module")
+def revised(short_cell, ran):
+    """Positions of the reference after this pass."""
+    return compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran)).position
+
+
 @pytest.fixture
 def loop(world, short_cell, tmp_path):
     return Loop(world, short_cell, tmp_path)
 
 
-def test_graph_in_one_process_gives_the_plain_loop_bit_for_bit(world, short_cell, tmp_path):
+def test_a_paced_pass_gives_the_plain_loop_bit_for_bit_and_is_not_quicker(world, short_cell, tmp_path):
     """With two iterations; the graph of processes has one (test_graph)."""
     cell = short_cell.replace(exchange=short_cell.exchange.replace(iterations=2))
-    loop = Loop(world, cell, tmp_path)
+    loop = Loop(world, cell, tmp_path, "-p", "pace:=0.1")
     loop.start()
     plain = simulate(cell)
     revised = loop.revised(1)
     loop.matches(plain.result)
     expected = compensator(cell, cell.target()).revise(record_of(cell, plain.result))
     assert np.array_equal(revised.position, expected.position)
+    world.until(lambda: "wall_s" in loop.reports.last.get(ROBOT, {}))
+    assert float(loop.reports.last[ROBOT]["wall_s"]) >= 10 * plain.result.time[-1] - 0.02
     world.remove(loop.robot)  # after the pass this is no fault
     world.step(0.5)
     assert not any(level == ERROR for _, level, _ in loop.reports.all)
 
 
-def test_robot_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, loop, short_cell, tmp_path):
+def test_robot_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, loop, ran, short_cell, tmp_path):
     loop.reach(20)
     world.remove(loop.robot)
-    loop.reports.until("/cutting_process", "the robot is gone in mid-pass", ERROR, deadline=3)
-    loop.reports.until("/trajectory_compensator", "/tool_pose has no publisher", ERROR, deadline=3)
+    loop.reports.until(CUT, "the robot is gone in mid-pass", ERROR)
+    loop.reports.until(COMPENSATOR, "/tool_pose has no publisher", ERROR)
     loop.robot = world.add(CompliantRobot, cell=short_cell, directory=tmp_path)
     loop.robot.trigger_configure()
     loop.robot.trigger_activate()
-    loop.reports.until("/cutting_process", "a new pass needs a fresh workpiece", ERROR)
-    loop.stop()
-    loop.series = {topic: {} for topic in loop.series}
-    loop.start()
-    loop.revised(1)
-    loop.matches(simulate(short_cell).result)
+    loop.reports.until(CUT, "a new pass needs a fresh workpiece", ERROR)
+    loop.again(ran)
 
 
-def test_cut_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, loop, short_cell, tmp_path):
+def test_cut_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, loop, ran, short_cell, tmp_path):
     loop.reach(20)
     world.remove(loop.cut)
+    loop.reports.until(ROBOT, "no wrench: its publisher is gone; the cutting process is gone", ERROR)
     loop.cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     loop.cut.trigger_configure()
     loop.cut.trigger_activate()
-    loop.reports.until("/compliant_robot", "the cutting process is gone", ERROR, deadline=20.0)
-    loop.stop()
-    loop.series = {topic: {} for topic in loop.series}
-    loop.start()
-    loop.revised(1)
-    loop.matches(simulate(short_cell).result)
+    loop.again(ran)
 
 
-def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, short_cell):
+def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, ran, monkeypatch):
+    monkeypatch.setattr(compliant_robot, "LOST", 0.5)
     loop.start(cut=False)
     asked = world.listen(loop.ear, topics.TOOL_POSE)
     world.until(lambda: len(asked) >= 6)  # longer than a pass under way would be waited for
@@ -173,39 +183,36 @@ def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, shor
     assert not loop.reports.reported(ROBOT, "", ERROR)
     loop.cut.trigger_activate()
     loop.revised(1)
-    loop.matches(simulate(short_cell).result)
+    loop.matches(ran)
 
 
-def test_silent_cut_is_reported_within_3_s_and_the_pass_is_given_up(world, loop):
+def test_silent_cut_is_reported_and_the_pass_is_given_up(world, loop, monkeypatch):
+    monkeypatch.setattr(compliant_robot, "LOST", 1.5)
     loop.reach(20)
     world.executor.remove_node(loop.cut)
-    loop.reports.until(ROBOT, "no wrench from the cutting process: repeating the tool pose", WARN, deadline=1.5)
-    loop.reports.until(ROBOT, "no wrench for 4 s; the cutting process is gone", ERROR, deadline=4.5)
+    loop.reports.until(ROBOT, "no wrench from the cutting process: repeating the tool pose", WARN)
+    loop.reports.until(ROBOT, "no wrench for 1.5 s; the cutting process is gone", ERROR)
     world.executor.add_node(loop.cut)
     count = len(loop.series["deflection"])
     world.step(0.3)
     assert len(loop.series["deflection"]) == count  # a late answer does not continue the pass
 
 
-def test_silent_robot_is_reported_within_3_s_and_the_pass_continues_with_the_same_result(world, loop, short_cell):
+def test_silent_and_second_robots_are_reported_and_the_pass_continues_with_the_same_result(world, loop, ran):
     loop.reach(20)
     world.executor.remove_node(loop.robot)
     for node in (CUT, COMPENSATOR):
-        loop.reports.until(node, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.2)
+        loop.reports.until(node, "no tool_pose for 2.6 s in mid-pass", WARN)
+    assert not loop.reports.reported(CUT, "a second robot")
+    second = world.partner("second")
+    second.create_publisher(*topics.TOOL_POSE)
+    loop.reports.until(CUT, "a second robot publishes in mid-pass", ERROR)
+    world.remove(second)
     world.executor.add_node(loop.robot)
     loop.reports.until(CUT, "cutting again", OK)
     loop.reports.until(COMPENSATOR, "the pass continues", OK)
     loop.revised(1)
-    loop.matches(simulate(short_cell).result)
-
-
-def test_second_robot_in_mid_pass_is_reported_by_the_cut(world, loop):
-    loop.reach(20)
-    world.executor.remove_node(loop.robot)  # so that the pass does not end
-    world.step(0.3)
-    assert not loop.reports.reported(CUT, "a second robot")
-    world.partner("second").create_publisher(*topics.TOOL_POSE)
-    loop.reports.until(CUT, "a second robot publishes in mid-pass", ERROR, deadline=3.0)
+    loop.matches(ran)
 
 
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, loop):
@@ -224,12 +231,6 @@ def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, loop):
     world.until(lambda: future.done() and len(maps) == 4)
     assert future.result().success and min(maps[2].data) < 100
     assert maps[3].data == maps[2].data and maps[2].header.frame_id == "workpiece"
-    info, depth = maps[2].info, cut.cell.stock.max[2] - cut.cell.stock.min[2]
-    cells = (100 - np.array(maps[2].data).reshape(info.height, info.width)) / 100 * info.resolution**2
-    # the map rounds a cell's share to a percent of the stock's height: half a percent of each touched cell, and of the
-    # cells beside them, which are touched by less than that
-    touched = np.count_nonzero(binary_dilation(cells > 0.0)) * info.resolution**2
-    assert abs(cells.sum() * depth - cut.protocol.removed_volume) <= 0.005 * touched * depth
 
 
 def test_impossible_transition_is_refused_and_the_node_lives_on(world, loop):
@@ -251,18 +252,10 @@ def test_impossible_transition_is_refused_and_the_node_lives_on(world, loop):
     loop.revised(1)
 
 
-def test_pace_holds_the_pass_back_to_the_wall_clock(world, short_cell, tmp_path):
-    loop = Loop(world, short_cell, tmp_path, "-p", "pace:=0.1")
-    loop.start()
-    world.until(lambda: "wall_s" in loop.reports.last.get(ROBOT, {}))
-    duration = short_cell.target().duration_ns * 1e-9
-    assert 10 * duration <= float(loop.reports.last[ROBOT]["wall_s"]) + 0.02
-
-
 # --- the compensator with a machine that publishes passes ---
 
 
-class Cell:
+class Machine:
     """A machine that publishes poses and wrenches of passes; it may be a real machine."""
 
     def __init__(self, world):
@@ -289,11 +282,6 @@ class Cell:
         return from_msg(self.references[index])
 
 
-@pytest.fixture(scope="module")
-def ran(short_cell):
-    return simulate(short_cell).result
-
-
 @pytest.fixture
 def node(world, short_cell, tmp_path):
     return world.add(TrajectoryCompensator, "-p", "wait_for:=partner", cell=short_cell, directory=tmp_path)
@@ -301,69 +289,52 @@ def node(world, short_cell, tmp_path):
 
 @pytest.fixture
 def machine(world, node):
-    cell = Cell(world)
+    made = Machine(world)
     world.until(lambda: not node._readiness.waiting_for)
-    return cell
+    return made
 
 
-def test_a_robot_with_its_own_clock_is_followed_and_a_far_one_is_reported(machine, ran):
-    """A driver at 4 ms and a sensor at 1 kHz by the wall clock, with jitter and losses."""
-    machine.reference(0)
-    messages_of_pass = foreign_pass(ran, 0)
-    for away in (0.01, 0.0):
-        for sample in messages_of_pass:
-            if isinstance(sample, PoseSample):
-                machine.pose.publish(pose_msg(sample.stamp, sample.position + [0.0, 0.0, away], UPRIGHT))
-            else:
-                machine.wrench.publish(wrench_msg(sample.stamp, sample.wrench))
-            machine.world.executor.spin_once(timeout_sec=0.0)
-        if away:
-            machine.reports.until(COMPENSATOR, "from the first point of the reference", OK, deadline=1.5)
-    assert machine.reference(1).duration_ns == machine.reference(0).duration_ns
-
-
-@pytest.mark.parametrize(("late", "until", "sentence"), [
-    (-10.0, 1.0, "s before the start of the pass, so the pose is not used"),
-    (0.2, 1.0, "no tool_pose for 0.2"),
-    (0.0, 0.5, "no tool_pose for 0.8 s in mid-pass"),
-    (0.0, 0.0, "no tool_pose for 0.8 s in mid-pass"),
-])  # fmt: skip
-def test_what_does_not_fit_the_start_message_is_reported_within_1_s(
-    world, short_cell, tmp_path, ran, late, until, sentence
-):
-    """Stamps before the start, a gap, no end; late: of the poses after 10 ms [s]; until: share of the poses."""
+def test_what_does_not_fit_the_start_message_is_reported(world, short_cell, tmp_path, ran):
+    """A stamp before the start, then no poses."""
     given = ("-p", "start_topic:=driver/start")
-    world.add(TrajectoryCompensator, *given, cell=short_cell, directory=tmp_path)
-    machine, samples = Cell(world), [s for s in foreign_pass(ran, 0) if isinstance(s, PoseSample) and s.stamp > WALL]
+    node = world.add(TrajectoryCompensator, *given, cell=short_cell, directory=tmp_path)
+    machine = Machine(world)
     start = machine.node.create_publisher(Header, "driver/start", 10)
     world.until(start.get_subscription_count)
     start.publish(Header(stamp=stamp_from_ns(WALL)))
-    world.step(0.1)
-    inside = [s for s in samples if s.stamp < WALL + ran.time_ns[-1]]
-    for sample in inside[: round(until * len(inside))]:
-        shift = round(late * 1e9) * (late < 0.0 or sample.stamp > WALL + 10_000_000)
-        machine.pose.publish(pose_msg(sample.stamp + shift, sample.position, UPRIGHT))
-    machine.reports.until(COMPENSATOR, sentence, WARN, deadline=1.0)
+    world.until(lambda: node.protocol.under_way)
+    machine.pose.publish(pose_msg(WALL - 10**10, ran.tool[0], UPRIGHT))
+    machine.reports.until(COMPENSATOR, "s before the start of the pass, so the pose is not used", WARN)
+    machine.reports.until(COMPENSATOR, "no tool_pose for 0.8 s in mid-pass", WARN)
 
 
-def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_not_before(world, machine, short_cell):
+def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_not_in_a_pass(
+    world, machine, ran, short_cell
+):
     """Names and order as a driver publishes them, best effort; a controller that comes late receives nothing."""
     target, stands = short_cell.target(), short_cell.posture + 0.1
+
+    def answered(text: str, success: bool = False) -> None:
+        answers: list = []
+
+        def matches() -> bool:
+            answers.append(requested(machine.node, world, "send_joint_trajectory"))
+            return text in answers[-1].message
+
+        world.until(matches, text)
+        assert answers[-1].success is success
+
     assert np.array_equal(machine.reference(0).position, target.position)
-    refused = requested(machine.node, world, "send_joint_trajectory")
-    assert not refused.success and "joint_states: no message was received" in refused.message
+    answered("joint_states: no message was received")
     states = machine.node.create_publisher(JointState, "joint_states", qos_profile_sensor_data)
     world.until(states.get_subscription_count)
     names = ["external", *(f"joint_{i}" for i in range(6, 0, -1))]
     states.publish(JointState(name=names[:-1], position=[9.0, *stands[:0:-1]]))
-    world.step(0.1)
-    refused = requested(machine.node, world, "send_joint_trajectory")
-    assert "no position of joint_1 (parameter joint_names)" in refused.message
-    states.publish(JointState(name=names, position=[9.0, *stands[::-1]]))
-    world.step(0.1)
+    answered("no position of joint_1 (parameter joint_names)")
     assert not machine.joints
     before = machine.node.get_clock().now().nanoseconds
-    assert requested(machine.node, world, "send_joint_trajectory").success
+    states.publish(JointState(name=names, position=[9.0, *stands[::-1]]))
+    answered("start in 1 s", success=True)
     world.until(lambda: machine.joints)
     (sent,) = machine.joints
     assert 0.9e9 < messages.ns_from_stamp(sent.header.stamp) - before < 10e9
@@ -374,18 +345,12 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     assert all(len(point.velocities) == len(point.accelerations) == 6 for point in sent.points)
     late = world.listen(world.partner("late"), topics.JOINT_TRAJECTORY)
     world.step(1.1)
-    assert not late and "s old" in requested(machine.node, world, "send_joint_trajectory").message
-
-
-def test_in_mid_pass_no_joint_trajectory_is_sent(world, machine, ran, short_cell):
-    states = machine.node.create_publisher(JointState, "joint_states", 10)
-    world.until(states.get_subscription_count)
+    assert not late
+    answered("s old")
     machine.play(ran, range(20))
-    states.publish(JointState(name=list(short_cell.joint_names), position=short_cell.posture.tolist()))
-    world.step(0.1)
-    assert (
-        "a pass is under way" in requested(machine.node, world, "send_joint_trajectory").message and not machine.joints
-    )
+    states.publish(JointState(name=names, position=[9.0, *stands[::-1]]))
+    answered("a pass is under way")
+    assert len(machine.joints) == 1
 
 
 def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, ran, short_cell):
@@ -401,27 +366,6 @@ def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, r
         assert stamps[0] == 0 and stamps[-1] == run.duration_ns and set(run.time_ns.tolist()) <= set(stamps)
         assert np.array_equal(places, run.sample(stamps))
         assert path.header.frame_id == path.poses[-1].header.frame_id == "workpiece"
-
-
-def test_measured_pass_without_wrench_is_revised_from_its_poses(machine, ran, short_cell):
-    machine.play(ran, range(ran.time_ns.size), wrench=False)
-    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
-    assert np.array_equal(machine.reference(1).position, expected.position)
-
-
-def test_missing_poses_in_mid_pass_are_reported_and_may_resume(machine, ran, world):
-    watcher = world.diagnostics(world.partner("watcher"))
-    machine.play(ran, range(20))
-    watcher.until(COMPENSATOR, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.2)
-    machine.play(ran, range(20, 25))
-    watcher.until(COMPENSATOR, "the pass continues", OK)
-
-
-def test_target_of_the_user_replaces_that_of_the_cell(machine, short_cell, world):
-    publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
-    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
-    publisher.publish(messages.to_msg(longer))
-    assert machine.reference(1).duration_ns == longer.duration_ns
 
 
 def raised(short_cell):
@@ -442,12 +386,11 @@ def requested(node, world, service: str):
     return future.result()
 
 
-def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, short_cell):
+def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, revised, short_cell):
     machine.node.create_publisher(*topics.TARGET_TRAJECTORY).publish(raised(short_cell))
     machine.reports.until(COMPENSATOR, "reach", ERROR)
     machine.play(ran, range(ran.time_ns.size), wrench=False)
-    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
-    assert np.array_equal(machine.reference(1).position, expected.position)
+    assert np.array_equal(machine.reference(1).position, revised)
     assert reset(machine).success
     assert node.failure is None
 
@@ -461,8 +404,10 @@ def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world,
     reports.until(COMPENSATOR, "reach", ERROR)
     world.step(0.3)
     assert node.failure is None and not references
-    publisher.publish(messages.to_msg(short_cell.target()))
+    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
+    publisher.publish(messages.to_msg(longer))
     world.until(lambda: references)
+    assert from_msg(references[0]).duration_ns == longer.duration_ns
 
 
 def out_of_reach(monkeypatch) -> None:
@@ -475,6 +420,8 @@ def out_of_reach(monkeypatch) -> None:
 
 
 def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):
+    refused = node.set_parameters([Parameter("compensation.method", value="magic")])[0]
+    assert not refused.successful and "linear" in refused.reason
     out_of_reach(monkeypatch)
     answer = reset(machine)
     assert not answer.success and "would be 3.0000 m" in answer.message
@@ -483,9 +430,11 @@ def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machin
     assert node.protocol.compensator.method == "linear" == node.get_parameter("compensation.method").value
     monkeypatch.undo()
     assert reset(machine).success
+    assert node.set_parameters([Parameter("compensation.method", value="spline")])[0].successful
+    machine.world.until(lambda: machine.reports.last.get(COMPENSATOR, {}).get("method") == "spline")
 
 
-def test_pass_whose_revision_is_refused_is_reported_once_and_the_next_pass_counts(machine, node, ran, short_cell):
+def test_pass_whose_revision_is_refused_is_reported_once_and_the_next_pass_counts(machine, node, ran, revised):
     with pytest.MonkeyPatch.context() as patch:
         out_of_reach(patch)
         machine.play(ran, range(ran.time_ns.size))
@@ -493,15 +442,7 @@ def test_pass_whose_revision_is_refused_is_reported_once_and_the_next_pass_count
         machine.world.step(0.7)
     assert node.refused == 1 and node.protocol.compensator.errors == ()
     machine.play(ran, range(ran.time_ns.size))
-    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
-    assert np.array_equal(machine.reference(1).position, expected.position)
-
-
-def test_method_can_be_changed_but_only_to_one_that_exists(machine, node):
-    refused = node.set_parameters([Parameter("compensation.method", value="magic")])[0]
-    assert not refused.successful and "linear" in refused.reason
-    assert node.set_parameters([Parameter("compensation.method", value="spline")])[0].successful
-    machine.world.until(lambda: machine.reports.last.get(COMPENSATOR, {}).get("method") == "spline")
+    assert np.array_equal(machine.reference(1).position, revised)
 
 
 def test_every_other_parameter_is_read_only_and_described_with_its_range(node):
@@ -515,6 +456,6 @@ def test_every_other_parameter_is_read_only_and_described_with_its_range(node):
 
 def test_pass_whose_start_was_missed_is_reported_and_not_used(machine, ran):
     machine.play(ran, range(10, ran.time_ns.size))
-    machine.reports.until(COMPENSATOR, "did not receive its start", ERROR, deadline=3.0)
+    machine.reports.until(COMPENSATOR, "did not receive its start", ERROR)
     machine.world.step(0.7)
     assert len(machine.references) == 1
