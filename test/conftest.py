@@ -181,6 +181,7 @@ class World:
         rclpy.init(args=[], context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.nodes: list = []
+        self.caller = None  # the node that calls services
 
     def add(self, kind, *arguments: str, cell=None, directory: Path | None = None, **kwargs):
         """A node of this package; arguments as behind --ros-args; cell: its parameters."""
@@ -236,6 +237,19 @@ class World:
         messages: list = []
         node.create_subscription(topic.type, topic.name, callback or messages.append, topic.qos)
         return messages
+
+    def request(self, service: str):
+        """Call a service without arguments; return its answer."""
+        from std_srvs.srv import Trigger
+
+        if self.caller is None:
+            self.caller = self.partner("caller")
+        client = self.caller.create_client(Trigger, service)
+        self.until(client.service_is_ready, service)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done, service)
+        self.caller.destroy_client(client)
+        return future.result()
 
     def diagnostics(self, node) -> Diagnostics:
         return Diagnostics(self, node)

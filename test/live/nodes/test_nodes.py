@@ -18,7 +18,6 @@ from rclpy.qos import qos_profile_sensor_data
 from ros_messages import from_msg
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-from std_srvs.srv import Trigger
 
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.live.nodes import compliant_robot
@@ -108,7 +107,7 @@ def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_match
     loop.start()
     world.step(0.3)
     assert loop.compensator.status().values["waiting_for"] == "recorder is not in the graph (parameter wait_for)"
-    assert "the pass waits: recorder" in requested(loop.ear, world, "send_joint_trajectory").message
+    assert "the pass waits: recorder" in world.request("/trajectory_compensator/send_joint_trajectory").message
     assert not loop.robot.protocol.started
     recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'r'}")
     loop.revised(1)
@@ -225,11 +224,9 @@ def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, loop):
     cut.trigger_activate()
     world.until(lambda: len(maps) == 3)
     cut.trigger_deactivate()  # the map is known already
-    client = loop.ear.create_client(Trigger, "cutting_process/publish_workpiece")
-    world.until(client.service_is_ready)
-    future = client.call_async(Trigger.Request())
-    world.until(lambda: future.done() and len(maps) == 4)
-    assert future.result().success and min(maps[2].data) < 100
+    assert world.request("/cutting_process/publish_workpiece").success
+    world.until(lambda: len(maps) == 4)
+    assert min(maps[2].data) < 100
     assert maps[3].data == maps[2].data and maps[2].header.frame_id == "workpiece"
 
 
@@ -318,7 +315,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
         answers: list = []
 
         def matches() -> bool:
-            answers.append(requested(machine.node, world, "send_joint_trajectory"))
+            answers.append(world.request("/trajectory_compensator/send_joint_trajectory"))
             return text in answers[-1].message
 
         world.until(matches, text)
@@ -375,15 +372,7 @@ def raised(short_cell):
 
 
 def reset(machine):
-    return requested(machine.node, machine.world, "reset")
-
-
-def requested(node, world, service: str):
-    client = node.create_client(Trigger, f"trajectory_compensator/{service}")
-    world.until(client.service_is_ready)
-    future = client.call_async(Trigger.Request())
-    world.until(future.done)
-    return future.result()
+    return machine.world.request("/trajectory_compensator/reset")
 
 
 def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, revised, short_cell):
