@@ -12,6 +12,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
 import contextlib
 import io
 import json
+import resource
 import tempfile
 import time
 from pathlib import Path
@@ -158,7 +159,16 @@ def demo(tmp_path_factory):
 
 
 @pytest.fixture
-def world(domain, monkeypatch):
+def full_disk():
+    """A function that limits the files of this process to a size [bytes], until the end of the test."""
+    limits, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.fixture
+def world(domain):
     """Nodes in one context, stepped by hand."""
     pytest.importorskip("rclpy")
     from kr270_milling.live.ros.environment import keep_to_this_host

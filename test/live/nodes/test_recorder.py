@@ -1,17 +1,10 @@
 from __future__ import annotations
 
-import gc
 import os
-import resource
-import signal
-import subprocess
-import sys
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ros_domain import running
 from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
@@ -26,7 +19,6 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.polling import PolledMessage
-from kr270_milling.live.ros.status import Status, subscribe_status
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
 
@@ -48,19 +40,37 @@ def publish_wrenches(world, publisher, steps) -> None:
         world.executor.spin_once(timeout_sec=0.0)
 
 
-def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp_path):
-    partner = world.partner()
+def test_every_message_is_in_the_open_file_and_lost_messages_and_publishers_are_reported(
+    world, recorder, tmp_path, capfd
+):
+    """A recorder that is killed leaves what is in the file by then."""
+    reports, partner = world.diagnostics(world.partner("watcher")), world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
-    world.until(lambda: publisher.get_subscription_count())
-    publish_wrenches(world, publisher, range(300))
-    world.until(lambda: recorder.session.writer.report()["/wrench"]["count"] == 300)
-    recorder.close()
+    world.until(publisher.get_subscription_count)
+    world.until(lambda: recorder.status().sources.get("/wrench"))
+    steps = [i for i in range(300) if not 10 <= i < 15]
+    publish_wrenches(world, publisher, steps)
+    world.until(lambda: written(tmp_path / "rec", "/wrench") == len(steps))
     with Recording(tmp_path / "rec") as recording:
+        assert recording.cut_off
         records = series(recording, "/wrench")
-        assert not recording.cut_off
         times = [message.log_time for message in recording.messages(["/wrench"])]
-    assert records.stamp.tolist() == times == [i * 500_000 for i in range(300)]
-    assert np.array_equal(records.values, np.repeat(np.arange(300.0)[:, None], 6, axis=1))
+    assert records.stamp.tolist() == times == [i * 500_000 for i in steps]
+    assert np.array_equal(records.values, np.repeat(np.array(steps, float)[:, None], 6, axis=1))
+    world.until(lambda: reports.last.get(NAME, {}).get("missing") == "5")
+    world.remove(partner)
+    reports.until(NAME, "no publisher any more: /wrench", WARN)
+    recorder.close()
+    assert "/wrench: 5 of 300 messages are missing" in capfd.readouterr().err
+    with Recording(tmp_path / "rec") as recording:
+        assert not recording.cut_off and recording.topics()["/wrench"].count == len(steps)
+
+
+def written(directory, topic: str) -> int:
+    """How many messages of the topic are in the file while its writer still works."""
+    with Recording(directory) as recording:
+        records = recording.topics().get(topic)
+        return records.count if records else 0
 
 
 def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_continues(world, recorder, tmp_path):
@@ -118,16 +128,6 @@ def test_description_that_comes_before_every_stamp_does_not_make_the_recording_l
         assert [m.log_time for m in recording.messages()] == [0, 500_000]
 
 
-def test_vanished_publisher_is_reported_as_a_warning(world, recorder):
-    reports = world.diagnostics(world.partner("watcher"))
-    partner = world.partner()
-    publisher = partner.create_publisher(*topics.WRENCH)
-    world.until(lambda: publisher.get_subscription_count())
-    world.until(lambda: recorder.status().sources.get("/wrench"))
-    world.remove(partner)
-    reports.until(NAME, "no publisher any more: /wrench", WARN, deadline=1.5)
-
-
 def test_best_effort_and_latched_publishers_are_both_matched(world, recorder):
     partner = world.partner()
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -140,75 +140,17 @@ def test_best_effort_and_latched_publishers_are_both_matched(world, recorder):
         world.until(lambda n=name: recorder.session.writer.report()[f"/{n}"]["count"] == 1)
 
 
-def written(directory, topic: str) -> int:
-    """How many messages of the topic are in the file while its writer still works."""
-    with Recording(directory) as recording:
-        records = recording.topics().get(topic)
-        return records.count if records else 0
-
-
-def start(environment, directory, *arguments, **kwargs):
-    command = [
-        sys.executable,
-        "-m",
-        "kr270_milling.live.nodes",
-        "recorder",
-        "--ros-args",
-        "-p",
-        f"directory:={directory}",
-    ]
-    return running([*command, *arguments], environment, stderr=subprocess.PIPE, text=True, **kwargs)
-
-
-def matched(world, publisher):
-    """Wait until publisher and recorder have matched: each end matches separately."""
-    statuses: list = []
-    subscribe_status(world.partner("listener"), NAME, lambda msg: statuses.append(Status.from_msg(msg)))
-    world.until(lambda: statuses and statuses[-1].sources.get(publisher.topic_name), 20)
-    world.until(publisher.get_subscription_count)
-
-
-def test_signal_ends_the_recorder_with_0_and_a_whole_file(world, ros_environment, tmp_path):
-    publisher = world.partner().create_publisher(*topics.WRENCH)
-    with start(ros_environment, tmp_path / "rec") as process:
-        matched(world, publisher)
-        publish_wrenches(world, publisher, range(200))
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0, process.stderr.read()
-    with Recording(tmp_path / "rec") as recording:
-        assert not recording.cut_off
-        assert recording.topics()["/wrench"].count == 200
-    assert (tmp_path / "rec" / "metadata.yaml").exists()
-
-
-def test_killed_recorder_leaves_all_but_the_last_half_second(world, ros_environment, tmp_path):
-    publisher = world.partner().create_publisher(*topics.WRENCH)
-    with start(ros_environment, tmp_path / "rec") as process:
-        matched(world, publisher)
-        publish_wrenches(world, publisher, range(200))
-        world.until(lambda: written(tmp_path / "rec", "/wrench") == 200, 20)
-        publish_wrenches(world, publisher, range(200, 210))
-        process.kill()
-        process.wait(10)
-    with Recording(tmp_path / "rec") as recording:
-        assert recording.cut_off
-        assert recording.topics()["/wrench"].count >= 200
-
-
-def test_full_disk_is_reported_and_the_written_part_stays_readable(world, ros_environment, tmp_path):
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
+def test_full_disk_is_reported_and_the_written_part_stays_readable(world, recorder, tmp_path, full_disk):
     publisher = world.partner().create_publisher(String, "noise", 100)
-    with start(ros_environment, tmp_path / "rec", preexec_fn=limit) as process:
-        matched(world, publisher)
-        end = time.monotonic() + 10
-        while process.poll() is None and time.monotonic() < end:
-            publisher.publish(String(data=os.urandom(5000).hex()))
-            world.step(0.005)
-        assert process.wait(5) == 1
-        assert "are safe" in process.stderr.read()
+    world.until(publisher.get_subscription_count)
+    full_disk(200_000)
+
+    def is_done() -> bool:
+        publisher.publish(String(data=os.urandom(5000).hex()))
+        return recorder.done
+
+    world.until(is_done)
+    assert "are safe" in recorder.failure
     with Recording(tmp_path / "rec") as recording:
         assert recording.topics()["/noise"].count > 0
 
@@ -216,20 +158,7 @@ def test_full_disk_is_reported_and_the_written_part_stays_readable(world, ros_en
 def test_topic_with_an_impossible_name_is_refused_before_anything_is_written(world, tmp_path):
     with pytest.raises(MillingError, match="topics: 'bad name!' must be"):
         world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}", "-p", "topics:=wrench,bad name!")
-    gc.collect()  # the node in the frames of the error, which has open ports
     assert not (tmp_path / "rec").exists()
-
-
-def test_missing_messages_are_reported_with_the_expected_number(world, tmp_path, capfd):
-    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
-    partner = world.partner()
-    reports = world.diagnostics(partner)
-    publisher = partner.create_publisher(*topics.WRENCH)
-    world.until(lambda: publisher.get_subscription_count())
-    publish_wrenches(world, publisher, [i for i in range(30) if not 10 <= i < 15])
-    world.until(lambda: reports.last.get(NAME, {}).get("missing") == "5")
-    recorder.close()
-    assert "/wrench: 5 of 30 messages are missing" in capfd.readouterr().err
 
 
 # --- one recording after another in one node ---
@@ -272,8 +201,7 @@ def test_a_directory_that_is_set_ends_the_recording_and_begins_another(world, tm
     for name, steps in (("first", range(30)), ("second", range(20))):
         assert set_directory(recorder, tmp_path / name).successful
         world.until(lambda: publisher.get_subscription_count() == 1)
-        for i in steps:
-            publisher.publish(wrench_msg(i * 500_000, np.full(6, float(i))))
+        publish_wrenches(world, publisher, steps)
         due = {"/wrench": len(steps), "/robot_description": 1}
         world.until(
             lambda due=due: {t: e["count"] for t, e in recorder.session.writer.report().items() if t in due} == due
