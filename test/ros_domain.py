@@ -55,10 +55,11 @@ def own_domain():
 def is_used(domain: int) -> bool:
     """Whether a UDP port of the domain is open."""
     first, each = PORTS
-    return any(first + each * domain <= port < first + each * (domain + 1) for port in _open_ports())
+    return any(first + each * domain <= port < first + each * (domain + 1) for port in open_ports())
 
 
-def _open_ports() -> set[int]:
+def open_ports() -> set[int]:
+    """UDP ports of this host."""
     tables = [path for path in (Path("/proc/net/udp"), Path("/proc/net/udp6")) if path.exists()]
     return {int(row.split()[1].rpartition(":")[2], 16) for t in tables for row in t.read_text().splitlines()[1:]}
 

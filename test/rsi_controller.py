@@ -32,12 +32,13 @@ def telegram(ipoc, point_mm, actual_mm=None, delay=0, abc=(0.0, 90.0, 0.0)) -> b
 class Controller:
     """Sends telegrams to a port of this host."""
 
-    def __init__(self, port: int, timeout: float = 2.0):
+    def __init__(self, port: int, timeout: float = 60.0):
         self.port = port
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(timeout)
         self.ipoc = 4_208_163_634
+        self.close = self.socket.close
 
     def send(self, data: bytes) -> None:
         self.socket.sendto(data, ("127.0.0.1", self.port))
@@ -71,7 +72,7 @@ class Controller:
         with contextlib.suppress(TimeoutError):
             self.socket.recv(4096)
             return True
-        self.socket.settimeout(2.0)
+        self.socket.settimeout(60.0)
         return False
 
 

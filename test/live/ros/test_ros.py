@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import re
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,9 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from ros_domain import is_used
 
 from kr270_milling.base.errors import ConfigError, InputError
 from kr270_milling.base.parameter_file import find_file
@@ -56,16 +57,12 @@ class Failing(ManagedNode):
         raise InputError("stock", "is missed by the path")
 
 
-def test_unusable_input_is_reported_and_the_node_continues(world):
+def test_unusable_input_is_reported_and_a_mistake_in_a_callback_ends_the_node(world):
     node, reports = world.add(Clumsy), world.diagnostics(world.partner())
     world.until(lambda: "/clumsy" in reports.last)
     node.refuse()
     reports.until("/clumsy", "of no use", ERROR)
     assert node.failure is None and node.refused == 1
-
-
-def test_mistake_in_a_callback_is_reported_and_ends_the_node(world):
-    node = world.add(Clumsy)
     node.stumble()
     assert node.failure == "ZeroDivisionError in stumble: a mistake"
 
@@ -79,24 +76,21 @@ def test_failed_transition_is_reported_with_its_reason_and_can_be_repeated(world
     assert not node.active
 
 
-def test_names_can_be_remapped(world, short_cell, tmp_path):
-    remap = ["-r", "tool_pose:=/elsewhere/pose", "-r", "__node:=knife"]
-    world.add(CuttingProcess, *remap, cell=short_cell, directory=tmp_path)
-    partner = world.partner()
-    world.until(lambda: partner.count_subscribers("/elsewhere/pose") == 1)
-    assert partner.count_subscribers("/tool_pose") == 0
-    world.until(lambda: "knife" in partner.get_node_names())
-
-
-def test_autostart_is_described_and_cannot_be_set_later_and_a_status_names_its_hardware(world, short_cell, tmp_path):
-    from rclpy.parameter import Parameter
-
+def test_autostart_is_read_only_a_status_names_its_hardware_and_a_closed_node_leaves_no_port(
+    world, domain, short_cell, tmp_path
+):
     node = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     assert node.describe_parameter("autostart").description and node.describe_parameter("autostart").read_only
     assert not node.set_parameters([Parameter("autostart", value=True)])[0].successful
     messages = world.listen(world.partner(), topics.DIAGNOSTICS)
     world.until(lambda: messages)
     assert messages[0].status[0].hardware_id
+    assert is_used(domain)
+    world.close()
+    end = time.monotonic() + 60.0
+    while is_used(domain):
+        assert time.monotonic() < end, "a port is open"
+        time.sleep(0.02)
 
 
 # --- whether a pass may start, by the statuses of its nodes ---
@@ -143,40 +137,41 @@ class Sample(Record):
     teeth: int = parameter(3, low=1, high=9, text="a count")
 
 
-def declared(tmp_path, text: str) -> Sample:
+@pytest.fixture
+def declared(world, tmp_path):
     """The record as a node reads it from a parameter file."""
-    (tmp_path / "node.yaml").write_text("/**:\n  ros__parameters:\n" + text)
-    context = Context()
-    rclpy.init(args=[], context=context)
-    try:
-        arguments = ["--ros-args", "--params-file", str(tmp_path / "node.yaml")]
-        node = Node("sample", context=context, cli_args=arguments, use_global_arguments=False)
+
+    def read(text: str) -> Sample:
+        (tmp_path / "node.yaml").write_text("/**:\n  ros__parameters:\n" + text)
+        node = world.add(SampleNode, "--params-file", str(tmp_path / "node.yaml"))
         try:
             return declare(node, Sample)
         finally:
-            node.destroy_node()
-    finally:
-        rclpy.shutdown(context=context)
+            world.remove(node)
+
+    return read
 
 
-def test_a_node_takes_whole_numbers_where_floats_are_due(tmp_path):
-    sample = declared(tmp_path, "    speed_rpm: 60\n    angles_deg: [30, -90]\n")
+class SampleNode(Node):
+    def __init__(self, **kwargs):
+        super().__init__("sample", **kwargs)
+
+
+def test_a_node_takes_whole_numbers_where_floats_are_due_also_of_an_included_file(declared, tmp_path):
+    sample = declared("    speed_rpm: 60\n    angles_deg: [30, -90]\n")
     assert sample.speed == pytest.approx(2 * np.pi)
     np.testing.assert_allclose(np.degrees(sample.angles), [30.0, -90.0])
-
-
-def test_a_node_takes_whole_numbers_of_an_included_file(tmp_path):
     (tmp_path / "below.yaml").write_text("/**:\n  ros__parameters:\n    speed_rpm: 60\n    angles_deg: [30, -90.5]\n")
     with pytest.raises(ConfigError):  # -90.5 is out of range, not of type
-        declared(tmp_path, f"    includes: ['{tmp_path / 'below.yaml'}']\n    teeth: 4\n")
-    sample = declared(tmp_path, f"    includes: ['{tmp_path / 'below.yaml'}']\n    angles_deg: [1, 2]\n")
+        declared(f"    includes: ['{tmp_path / 'below.yaml'}']\n    teeth: 4\n")
+    sample = declared(f"    includes: ['{tmp_path / 'below.yaml'}']\n    angles_deg: [1, 2]\n")
     assert sample.speed == pytest.approx(2 * np.pi) and sample.teeth == 3
 
 
-def test_a_node_refuses_a_fraction_for_a_count_and_a_number_out_of_range(tmp_path):
+def test_a_node_refuses_a_fraction_for_a_count_and_a_number_out_of_range(declared):
     for text, key in (("speed_rpm: 60\n    teeth: 2.5", "teeth"), ("speed_rpm: 5", "speed_rpm")):
         with pytest.raises(ConfigError, match=key):
-            declared(tmp_path, f"    {text}\n    angles_deg: [1.0, 2.0]\n")
+            declared(f"    {text}\n    angles_deg: [1.0, 2.0]\n")
 
 
 # --- the environment of node processes: discovery on this host only ---
@@ -211,12 +206,9 @@ def values(record: Record) -> list:
     return [pair for key, value in rows for pair in (values(value) if isinstance(value, Record) else [(key, value)])]
 
 
-SETS = [(), ("tool.diameter_mm=12.7", "path.feed_rate_m_per_min=3.3", "mount.abc_deg=[0.1,89.9,0.7]")]
-
-
-@pytest.mark.parametrize("assignments", SETS)
-def test_cell_file_gives_the_same_numbers_bit_for_bit(tmp_path, assignments):
-    cell = read_cell(find_file("paper.yaml"), assignments)
+def test_cell_file_gives_the_same_numbers_bit_for_bit(tmp_path):
+    given = ("tool.diameter_mm=12.7", "path.feed_rate_m_per_min=3.3", "mount.abc_deg=[0.1,89.9,0.7]")
+    cell = read_cell(find_file("paper.yaml"), given)
     write_cell_file(cell, tmp_path / "cell.yaml")
     again = read_cell(tmp_path / "cell.yaml")
     for (key, before), (_, after) in zip(values(cell), values(again), strict=True):

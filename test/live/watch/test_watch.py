@@ -1,12 +1,10 @@
-"""The live view: events from messages, the page in a browser while events arrive, and the command beside a graph."""
+"""The live view: events from messages, and the page in a browser while events arrive (the command: test_graph)."""
 
 from __future__ import annotations
 
 import contextlib
 import http.client
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pass_recording as made
@@ -14,30 +12,28 @@ import pytest
 from browser import Visit
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.cli import main
 from kr270_milling.live.watch.feed import PERIOD_NS, LiveEvents
 from kr270_milling.live.watch.server import Events, serve
-from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import from_bytes, serialise
 from kr270_milling.show.report.watch_page import watch_page
 
 pytestmark = made.needs_messages
 
 
-def events_of(messages) -> list[dict]:
-    feed = LiveEvents()
-    return [event for m in messages for event in feed.events(m.topic, m.data) if m.topic in RECEIVED]
-
-
 RECEIVED = ("reference_trajectory", "target_trajectory", "tool_pose", "wrench")
 
 
-def received(messages):
-    return [m for m in messages if m.topic in RECEIVED]
+def received(**options) -> list:
+    return [m for m in made.one_pass(**options) if m.topic in RECEIVED]
+
+
+def events_of(messages) -> list[dict]:
+    feed = LiveEvents()
+    return [event for m in messages for event in feed.events(m.topic, m.data)]
 
 
 def test_samples_are_thinned_and_equal_the_messages():
-    messages = received(made.one_pass())
+    messages = received()
     events = events_of(messages)
     assert [e["kind"] for e in events].count("pass") == 1 and events[0]["kind"] == "pass"
     samples = [e for e in events if e["kind"] == "sample"]
@@ -55,7 +51,7 @@ def test_samples_are_thinned_and_equal_the_messages():
 
 
 def test_a_second_pass_is_an_event_and_states_only_when_they_change():
-    messages = received(made.one_pass(passes=2))
+    messages = received(passes=2)
     assert [e["number"] for e in events_of(messages) if e["kind"] == "pass"] == [1, 2]
     feed = LiveEvents()
     status = {"level": 1, "name": "/robot", "message": "slow"}
@@ -82,33 +78,24 @@ def answer(port: int, path: str, host: str, method: str = "GET") -> tuple[int, s
             return response.status, response.read().decode()
 
 
-def test_only_two_places_can_be_read_and_only_under_the_name_of_this_host(served):
-    _, port = served
-    assert answer(port, "/", f"127.0.0.1:{port}")[0] == 200
-    assert answer(port, "/", f"localhost:{port}")[0] == 200
-    assert answer(port, "/", "elsewhere.example")[0] == 403
-    assert answer(port, "/../etc", f"127.0.0.1:{port}")[0] == 404
-    assert answer(port, "/", f"127.0.0.1:{port}", "POST")[0] == 501
-
-
-def test_a_port_that_is_in_use_is_refused(served):
-    with pytest.raises(InputError, match="cannot be served"):
-        serve(Events(), "a page", "127.0.0.1", served[1])
-
-
-def test_a_late_page_receives_all_events_and_the_stream_ends_with_the_graph(served):
+def test_only_two_places_can_be_read_under_the_name_of_this_host_and_a_late_page_receives_all_events(served):
     events, port = served
+    here = f"127.0.0.1:{port}"
+    requests = [("/", here), ("/", f"localhost:{port}"), ("/", "elsewhere.example"), ("/../etc", here)]
+    assert [answer(port, *request)[0] for request in requests] == [200, 200, 403, 404]
+    assert answer(port, "/", here, "POST")[0] == 501
     sent = [{"kind": "pass", "number": 1, "duration_s": None}, {"kind": "end"}]
     for event in sent:
         events.add(event)
-    _, body = answer(port, "/events", f"127.0.0.1:{port}")
-    rows = [json.loads(line[6:]) for line in body.splitlines() if line.startswith("data: ")]
-    assert rows == sent
+    _, body = answer(port, "/events", here)
+    assert [json.loads(line[6:]) for line in body.splitlines() if line.startswith("data: ")] == sent
+    with pytest.raises(InputError, match="cannot be served"):
+        serve(Events(), "a page", "127.0.0.1", port)
 
 
 def test_the_page_grows_while_events_come_and_reports_the_end_of_the_graph(served, browser):
     events, port = served
-    events_sent = events_of(received(made.one_pass(passes=2)))
+    events_sent = events_of(received(passes=2))
     wide = Visit(browser, f"http://127.0.0.1:{port}/")
     phone = Visit(browser, f"http://127.0.0.1:{port}/", 390, dark=True, touch=True)
     for visit in (wide, phone):
@@ -136,41 +123,3 @@ def test_the_page_grows_while_events_come_and_reports_the_end_of_the_graph(serve
         assert visit.settled_overhang() <= 0.5 and visit.complaints == []
         assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}
         visit.close()
-
-
-# --- the command with a running graph: nothing is published, both end together ---
-
-
-@pytest.fixture
-def watching(ros_environment):
-    """The command as a process, and its address."""
-    pytest.importorskip("rclpy", reason="needs ROS 2")
-    words = [sys.executable, "-m", "kr270_milling.cli", "watch", "--port", "0", "--json"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        yield process, json.loads(process.stdout.readline())["url"]
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def test_the_page_shows_the_pass_that_runs_and_closes_with_the_graph(watching, browser, tmp_path, capsys):
-    process, url = watching
-    visit = Visit(browser, url)
-    sets = ["--set", "path.length_mm=15.0", "--set", "stock.grid_step_um=40.0"]
-    assert main(["run", "paper.yaml", "--passes", "1", "--out", str(tmp_path), *sets]) == 0, capsys.readouterr().err
-    visit.page.wait_for_function("KR.watch.ended")
-    samples = visit.ask("() => KR.watch.samples")
-    last = visit.ask("() => KR.watch.passes[0].t.at(-1)")
-    nodes = visit.ask("() => [...document.querySelectorAll('#nodes b')].map((b) => b.textContent)")
-    assert visit.complaints == []
-    visit.close()
-    duration = 15e-3 / (4.0 / 60.0)
-    assert samples >= 2 and 0.0 < last <= duration + 1e-9  # by best effort: the number of lost samples may vary
-    assert {"/compliant_robot", "/cutting_process", "/trajectory_compensator"} <= set(nodes)
-    assert process.wait(timeout=60) == 0
-    with Recording(tmp_path / "original") as recording:
-        topics = recording.topics()
-        assert {"/tf", "/tf_static", "/markers", "/robot_description"} <= set(topics)
-        assert topics["/tf"].count >= 5 and topics["/tf_static"].count >= 1
-        assert topics["/markers"].type == "visualization_msgs/msg/MarkerArray"
