@@ -356,6 +356,28 @@ def test_silent_node_is_reported_once_and_then_ends_the_run(tmp_path, monkeypatc
         wait(LOST)
 
 
+@pytest.mark.parametrize(("latest", "missing", "sentence"), [
+    (10, 0, ""), (10, 3, "3 messages of the pass were lost; "), (5, 0, "has not received the end of the pass; "),
+])  # fmt: skip
+def test_a_recorder_that_lacks_messages_of_a_pass_is_reported(tmp_path, monkeypatch, latest, missing, sentence):
+    monkeypatch.setattr("kr270_milling.live.graph.graph.CATCH_UP", 0.05)
+    graph, sentences, calls = Graph(None, tmp_path), [], []
+    stamps = dict(
+        zip(NODES, ({"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}), strict=True)
+    )
+    graph.driver = SimpleNamespace(
+        statuses={name: SimpleNamespace(stamps_ns=sent) for name, sent in stamps.items()},
+        value=lambda node, key: missing,
+        until=lambda condition, *_: wait_until(condition, "the end"),
+        set_parameters=lambda *words: calls.append(words[:2]),
+        transition=lambda *words, deadline: calls.append(words),
+    )
+    graph.warn = sentences.append
+    graph.end_recording()
+    assert sentences == ([f"recorder: {sentence}its recording is not complete"] if sentence else [])
+    assert calls == [("recorder", {"directory": ""}), ("cleanup", NODES[1]), ("configure", NODES[1])]
+
+
 def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, world):
     sent = world.partner("recorder").create_publisher(*topics.STATUS)
     driver = Driver("", lambda: None)
