@@ -20,57 +20,44 @@ from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import keep_to_this_host
 from kr270_milling.recordings.messages.codec import to_bytes
 
-POSE = to_bytes(PoseSample(0, "workpiece", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
-WRENCH = to_bytes(WrenchSample(0, "workpiece", np.zeros(6)))
+POSE = topics.TOOL_POSE, to_bytes(PoseSample(0, "workpiece", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+WRENCH = topics.WRENCH, to_bytes(WrenchSample(0, "workpiece", np.zeros(6)))
 WARM = 200  # trips before the clock runs
 
 
-class Answer(Node):
-    def __init__(self, context: Context):
-        super().__init__("answer", context=context)
-        self.publisher = self.create_publisher(*topics.WRENCH)
-        self.done = False
-        pose = topics.TOOL_POSE
-        self.create_subscription(pose.type, pose.name, self.hear, pose.qos, raw=True)
+class Partner(Node):
+    """Answers each message; ends after ``count`` messages."""
 
-    def hear(self, _: bytes) -> None:
-        self.publisher.publish(WRENCH)
+    def __init__(self, name: str, context: Context, sends, receives, count: float):
+        super().__init__(name, context=context)
+        (sent, self.data), (received, _) = sends, receives
+        self.publisher = self.create_publisher(*sent)
+        self.source = self.create_subscription(received.type, received.name, self.answer, received.qos, raw=True)
+        self.count, self.trips, self.times = count, 0, []
 
-
-class Ask(Node):
-    def __init__(self, context: Context, count: int):
-        super().__init__("ask", context=context)
-        self.publisher = self.create_publisher(*topics.TOOL_POSE)
-        self.count, self.trips, self.begun, self.done = count, 0, 0.0, False
-        wrench = topics.WRENCH
-        self.heard = self.create_subscription(wrench.type, wrench.name, self.hear, wrench.qos, raw=True)
-
-    def hear(self, _: bytes) -> None:
+    def answer(self, _: bytes) -> None:
         self.trips += 1
-        if self.trips == WARM:
-            self.begun = time.perf_counter()
-        if self.trips == WARM + self.count:
-            print(self.count / (time.perf_counter() - self.begun), flush=True)
-            self.done = True
-            return
-        self.publisher.publish(POSE)
+        if self.trips in (WARM, WARM + self.count):
+            self.times.append(time.perf_counter())
+        self.publisher.publish(self.data)
 
 
-def main(arguments: list[str]) -> int:
+def main(name: str, count: float = float("inf")) -> None:
     keep_to_this_host()
     context = Context()
     rclpy.init(args=[], context=context)
-    node = Answer(context) if arguments[0] == "answer" else Ask(context, int(arguments[1]))
-    executor = EventsExecutor(context=context)
+    ends = (WRENCH, POSE) if name == "answer" else (POSE, WRENCH)
+    node, executor = Partner(name, context, *ends, float(count)), EventsExecutor(context=context)
     executor.add_node(node)
-    if arguments[0] == "ask":
-        while not (node.publisher.get_subscription_count() and node.heard.get_publisher_count()):
-            executor.spin_once(timeout_sec=0.05)
-        node.publisher.publish(POSE)
-    while not node.done:
+    while not (node.publisher.get_subscription_count() and node.source.get_publisher_count()):
+        executor.spin_once(timeout_sec=0.05)
+    if name == "ask":
+        node.publisher.publish(node.data)
+    while len(node.times) < 2:
         executor.spin_once(timeout_sec=0.5)
-    return 0
+    begin, end = node.times
+    print(node.count / (end - begin), flush=True)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
+    main(*sys.argv[1:])

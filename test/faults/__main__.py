@@ -14,10 +14,8 @@ from pathlib import Path
 
 from ros_domain import COUNT, is_used
 
+from faults import soak, trials
 from faults.faults import FAULTS
-from faults.rows import COLUMNS, expected_seconds, run_faults
-from faults.soak import COLUMNS as SOAK_COLUMNS
-from faults.soak import run_soak
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.live.graph.plan import fresh_directory
@@ -59,18 +57,18 @@ def _faults(args, directory) -> int:
     if not faults:
         names = ", ".join(fault.name for fault in FAULTS)
         raise InputError("--only", f"no fault is named like {args.only!r}; there are {names}")
-    minutes = expected_seconds(faults, args.repeats) / 60
+    minutes = trials.expected_seconds(faults, args.repeats) / 60
     print(f"seed {args.seed}; this takes about {minutes:.0f} min", file=sys.stderr)
     with progress("faults") as report:
-        rows = run_faults(faults, args.repeats, args.seed, directory, report)
-    return _print(COLUMNS, {row.fault.name: row for row in rows})
+        rows = trials.run_faults(faults, args.repeats, args.seed, directory, report)
+    return _print(trials.COLUMNS, {row.fault.name: row for row in rows})
 
 
 def _soak(args, directory) -> int:
     print(f"this takes about {args.minutes + args.passes * 5 / 60:.0f} min", file=sys.stderr)
     with progress("soak") as report:
-        rows = run_soak(args.passes, args.minutes * 60, directory, report)
-    return _print(SOAK_COLUMNS, {row.name: row for row in rows})
+        rows = soak.run_soak(args.passes, args.minutes * 60, directory, report)
+    return _print(soak.COLUMNS, {row.name: row for row in rows})
 
 
 def _print(columns, rows: dict) -> int:

@@ -1,4 +1,4 @@
-"""The faults of the self test: the disturbance, the node that the message must name, and the designed reaction."""
+"""The faults of the self test, and a graph with a fault in mid-pass that records the messages and their times."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
-from faults.disturbed import Disturbed
-from kr270_milling.live.graph.graph import CELL, PLANNER
+from kr270_milling.cell.cell import Cell
+from kr270_milling.live.graph.graph import CELL, PLANNER, Graph
+from kr270_milling.live.graph.processes import Child
 from kr270_milling.recordings.bag.records import mcap_file
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
-__all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
-
+WARN = 1
 STOP = 2.0  # [s] between SIGSTOP and SIGCONT
 ENDS, GOES_ON = "run ends", "pass continues"
 #: words by which a message may name a node
@@ -27,6 +30,84 @@ NAMES = {
     RECORDER: (RECORDER,),
 }
 Script = Iterator[float]  #: steps of a disturbance; each yields the pause [s] before the next step
+
+
+class Message(NamedTuple):
+    """A sentence and its arrival [s of the monotonic clock]."""
+
+    at: float
+    sentence: str
+
+
+class Disturbed(Graph):
+    """A graph; ``disturb`` takes a script that begins some seconds after the next pass starts."""
+
+    def __init__(self, cell: Cell, out: Path, composed: bool = False):
+        super().__init__(cell, out, composed=composed)
+        self.messages: list[Message] = []
+        self.beside: list[subprocess.Popen] = []  #: processes that are no nodes
+        self.struck_at: float | None = None  #: [s of the monotonic clock]
+        self.struck_wall_ns = 0
+        self.recording = Path(out)
+        self._script: Script | None = None
+        self._next = 0.0
+
+    def child(self, process: str) -> Child:
+        """By the names of its nodes."""
+        return next(child for child in self.children.values() if child.name == process)
+
+    def disturb(self, script: Script, after: float) -> None:
+        self.messages, self.struck_at = [], None
+        self._script, self._next = self._delayed(script, after), 0.0
+
+    def _delayed(self, script: Script, after: float) -> Script:
+        while self.driver.value(ROBOT, "state") != "active" or self.driver.statuses[ROBOT].message != "pass running":
+            yield 0.0
+        yield after
+        yield from script
+
+    def run_pass(self, name: str):
+        self.recording = self.out / name
+        return super().run_pass(name)
+
+    def check(self) -> None:
+        if self._script is not None and time.monotonic() >= self._next:
+            pause = next(self._script, None)
+            self._script = None if pause is None else self._script
+            self._next = time.monotonic() + (pause or 0.0)
+        if self.struck_at is not None:
+            self._take_messages()
+        super().check()
+
+    def _take_messages(self) -> None:
+        """Warnings and errors since the fault."""
+        for name, status in self.driver.statuses.items():
+            sentence, at = f"{name}: {status.message}", self.driver.arrivals[name]
+            known = any(sentence == message.sentence for message in self.messages)
+            if status.level >= WARN and at > self.struck_at and not known:
+                self.messages.append(Message(at, sentence))
+
+    def warn(self, sentence: str) -> None:
+        self.messages.append(Message(time.monotonic(), sentence))
+
+    def struck(self) -> None:
+        """The fault happens now."""
+        self.struck_at, self.struck_wall_ns = time.monotonic(), time.time_ns()
+
+    def strike(self, process: str, number: int) -> None:
+        self.struck()
+        self.child(process).signal(number)
+
+    def end_beside(self) -> None:
+        for process in self.beside:
+            process.kill()
+            process.wait()
+        self.beside.clear()
+
+    def stop(self) -> None:
+        self._script = None
+        self.end_beside()
+        super().stop()
 
 
 @dataclass(frozen=True)
@@ -55,10 +136,9 @@ def _kill(process: str):
 
 def _stop(process: str):
     def strike(graph: Disturbed) -> Script:
-        stopped = graph.child(process)
         graph.strike(process, signal.SIGSTOP)
         yield STOP
-        stopped.signal(signal.SIGCONT)
+        graph.child(process).signal(signal.SIGCONT)
 
     return strike
 

@@ -11,19 +11,16 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from faults import soak, trial
+from faults import soak, trials
 from faults.__main__ import main
-from faults.aftermath import Recorded, is_alive
-from faults.disturbed import Message
-from faults.faults import ENDS, FAULTS, GOES_ON
-from faults.rows import Row
+from faults.faults import ENDS, FAULTS, GOES_ON, Message
 from faults.soak import Growth
-from faults.trial import Trial, judge_words
+from faults.trials import Recorded, Row, Trial, is_alive, judge_recording, judge_words
 from kr270_milling.live.graph.graph import NOT_COMPLETE
 
 
 def test_fault_is_reported_by_name_and_no_process_remains(ros_environment, monkeypatch, capsys):
-    monkeypatch.setattr(trial, "NAMED_WITHIN", 60.0)  # the table of a quiet machine has the delay of the report
+    monkeypatch.setattr(trials, "NAMED_WITHIN", 60.0)  # the table of a quiet machine has the delay of the report
     assert main(["--only", "cutting_process, SIGKILL", "--repeats", "1"]) == 0
     *_, row = capsys.readouterr().out.splitlines()
     name, repeats, detected, *rest = row.strip("| ").split(" | ")
@@ -51,12 +48,12 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
 def test_tail_that_a_recorder_lost_is_counted_and_a_tail_that_is_not_reported_fails_the_row(monkeypatch):
     stopped = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
     recorded = Recorded(False, 100, True, 0, 7, 0.0, False, True, "")
-    monkeypatch.setattr(trial, "read_back", lambda *_: recorded)
+    monkeypatch.setattr(trials, "read_back", lambda *_: recorded)
     warned = [Message(11.0, f"recorder: {NOT_COMPLETE}")]
     for messages, problems in ((warned, 0), ([], 1)):
         done = Trial(stopped.name, 0.5, reaction=GOES_ON)
         graph = SimpleNamespace(messages=messages, struck_wall_ns=0, recording=None)
-        trial._judge_recording(done, stopped, graph, None, False)
+        judge_recording(done, stopped, graph, None, False)
         assert len(done.problems) == problems
         assert Row(stopped, (done,)).cells()[-1] == "1 not whole, lost and counted: 7"
 
@@ -84,21 +81,15 @@ def test_soak_measures_every_process_and_loses_nothing(ros_environment, monkeypa
     assert [row.name for row in rows] == ["recorder", "runner", "recorder (one long recording)"]
     for row in rows:
         assert row.lost == 0 and len(row.cells()) == len(soak.COLUMNS) and len(row.samples) >= 2
-        assert row.samples[-1].memory_mb > 10 and row.samples[-1].threads >= 1 and row.samples[-1].files > 3
+        _, memory, threads, files = row.samples[-1]
+        assert memory > 10 and threads >= 1 and files > 3
 
 
 def test_growth_is_measured_by_its_slope_and_its_handles():
-    row = Growth("leaky", "pass")
-    for i in range(50):
-        row.look(i, os.getpid())
-    assert row.problems == []
-    row.samples = [
-        replace(s, memory_mb=s.memory_mb + 0.2 * i, files=s.files + i // 40) for i, s in enumerate(row.samples)
-    ]
-    assert row.growth == pytest.approx(0.2 * 24, abs=0.5)
-    assert row.problems == [f"files grew from {row.samples[25].files} to {row.samples[-1].files}"]
-    row.samples = [replace(s, memory_mb=3 * s.memory_mb, files=9) for s in row.samples]
-    assert len(row.problems) == 1 and "memory grew by 14" in row.problems[0]
+    row = Growth("leaky", "pass", [(i, 80 + 0.2 * i, 5, 10) for i in range(50)])
+    assert row.problems == [] and row.growth == pytest.approx(0.2 * 24)
+    row.samples = [(i, 80 + 0.6 * i, 5, 10 + i // 40) for i in range(50)]
+    assert row.problems == ["memory grew by 14.4 MB, more than 5", "files grew from 10 to 11"]
 
 
 def test_orphan_is_a_process_that_has_not_ended_also_a_stopped_one():

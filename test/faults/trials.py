@@ -1,0 +1,285 @@
+"""Repeat every fault at times of a seeded generator; compare reaction and recording with the design."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from faults.faults import ENDS, GOES_ON, Disturbed, Fault, Message
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.exchange.replay.attached import attached_cell
+from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.live.graph.graph import NOT_COMPLETE
+from kr270_milling.physics.motion.milling_pass import PassResult
+from kr270_milling.recordings.bag.info import info
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.messages.cdr import stamp_of
+
+#: a pass of 14,400 exchanges, at full speed longer than a stop of 2 s; twice as many for the faster composed graph
+CELL = ("path.length_mm=120", "stock.max_mm=[120,12,0]", "stock.grid_step_um=50", "exchange.period_ms=0.125")
+COMPOSED = (*CELL[:3], "exchange.period_ms=0.0625")
+AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
+TRIES = 6  #: on a busy machine the pass may end before the fault
+SECONDS = {True: 11.0, False: 9.0}  # [s] that a trial takes, with and without a separate graph
+NAMED_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
+TOO_LATE = "the fault came too late: the pass was over"
+BEHIND = 1.0  # [s] before the fault that a recording may miss
+COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "design", "orphans", "recording")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recording after a fault."""
+
+    cut_off: bool
+    messages: int
+    started: bool  #: it holds something of the pass: a pose or a wrench
+    missing: int  #: holes in it, counted from the stamps
+    short: int  #: messages of the whole pass that are missing
+    behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where the recording continues
+    complete: bool  #: it holds every message of the pass
+    same: bool  #: every pose, wrench and deflection in it is that of the undisturbed pass, bit for bit
+    verdict: str  #: of recompute; empty where recompute did not run
+
+
+@dataclass
+class Trial:
+    """Result of a trial; ``problems`` is empty where the reaction is the designed one."""
+
+    fault: str
+    after_s: float  #: from the start of the pass to the fault
+    detected_s: float | None = None  #: from the fault to the sentence that names the node
+    reaction: str = ""
+    lost: int = 0  #: messages that the recording has not, counted
+    recording: Recorded | None = None
+    orphans: int = 0
+    problems: list[str] = field(default_factory=list)
+
+
+def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int, again: bool) -> Recorded:
+    """again: recompute it too. struck_ns: when the fault was, started_ns: when the pass began [ns of the wall clock].
+
+    Raises RecordingError.
+    """
+    values_of = {"/tool_pose": expected.tool, "/wrench": expected.wrench, "/deflection": expected.deflection}
+    with Recording(path) as recording:
+        about, every = info(recording), attached_cell(recording).thinned_steps
+        references = recording.messages(["/reference_trajectory"])
+        stamps = expected.time_ns + next((stamp_of(message.data) or 0 for message in references), 0)
+        same, short, started, ended = True, 0, False, True
+        for topic, values in values_of.items():
+            recorded = series(recording, topic)
+            due = stamps[:: every if topic == "/deflection" else 1]
+            started |= recorded.stamp.size > 0 and topic != "/deflection"
+            ended &= bool(recorded.stamp.size and recorded.stamp[-1] == due[-1])
+            short += due.size - np.unique(recorded.stamp).size
+            same &= bool(np.isin(recorded.stamp, stamps).all()) and np.array_equal(
+                recorded.values[:, : values.shape[1]], values[np.searchsorted(stamps, recorded.stamp)]
+            )
+        last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=started_ns)
+    behind, whole = max(0.0, (struck_ns - last) * 1e-9), ended and not short
+    verdict = recompute(path).verdict if again else ""
+    cut_off, count, missing = (about[key] for key in ("cut_off", "messages", "missing"))
+    return Recorded(cut_off, count, started, missing, short, behind, whole, same, verdict)
+
+
+def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: PassResult, again: bool) -> Trial:
+    """One pass with the fault in it; again: recompute the recording. The graph is stopped if the fault ends it."""
+    trial = Trial(fault.name, after)
+    graph.disturb(fault.strike(graph), after)
+    try:
+        graph.run_pass(name)
+        trial.reaction = GOES_ON
+    except MillingError as error:
+        graph.messages.append(Message(time.monotonic(), str(error)))
+        trial.reaction = ENDS
+        graph.stop()
+    finally:
+        graph.end_beside()
+    if graph.struck_at is None:
+        ended = trial.reaction == ENDS
+        trial.problems.append(f"the run ended before the fault: {graph.messages[-1].sentence}" if ended else TOO_LATE)
+        return trial
+    judge_words(trial, fault, graph)
+    judge_recording(trial, fault, graph, plain, again)
+    return trial
+
+
+def judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
+    sentences = [message.sentence for message in graph.messages]
+    naming = [m.at for m in graph.messages if fault.names_it(m.sentence) and m.at >= graph.struck_at]
+    if fault.named and not naming:
+        trial.problems.append(f"not named; messages: {sentences}")
+    elif fault.named:
+        trial.detected_s = naming[0] - graph.struck_at
+        if trial.detected_s > NAMED_WITHIN:
+            trial.problems.append(f"reported after {trial.detected_s:.2f} s")
+    if trial.reaction != fault.reaction:
+        trial.problems.append(f"{trial.reaction}: {sentences[-1] if sentences else 'no message'}")
+
+
+def judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassResult, again: bool) -> None:
+    struck = graph.struck_wall_ns
+    try:
+        recorded = read_back(graph.recording, plain, struck, struck - round(trial.after_s * 1e9), again)
+    except MillingError as error:
+        trial.problems.append(f"recording: {error}")
+        return
+    goes_on = fault.reaction == GOES_ON
+    trial.recording, trial.lost = recorded, recorded.short if goes_on else recorded.missing
+    counted = goes_on and trial.lost > 0
+    if not recorded.same:
+        trial.problems.append("the recording differs from the undisturbed pass")
+    # of a recorder that was killed before it closed its first chunk of the pass there is nothing to compare
+    due = "identical" if recorded.started or not recorded.cut_off else "incomplete"
+    if again and recorded.verdict != due and not counted:
+        trial.problems.append(f"recomputed: {recorded.verdict}")
+    if goes_on and not recorded.complete and not any(NOT_COMPLETE in message.sentence for message in graph.messages):
+        trial.problems.append("the recording does not hold the whole pass, and no message reports it")
+    if fault.reaction == ENDS and recorded.missing:
+        trial.problems.append(f"{recorded.missing} messages are missing before the fault")
+    if recorded.behind_s > BEHIND:
+        trial.problems.append(f"the recording ends {recorded.behind_s:.2f} s before the fault")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fault with all its trials."""
+
+    fault: Fault
+    trials: tuple[Trial, ...]
+
+    @property
+    def problems(self) -> list[str]:
+        return [f"trial {n}: {p}" for n, trial in enumerate(self.trials, 1) for p in trial.problems]
+
+    def cells(self) -> list[str]:
+        """As text, in the order of COLUMNS."""
+        count, trials = len(self.trials), self.trials
+        times = [t.detected_s for t in trials if t.detected_s is not None]
+        named = f"{len(times)} of {count}" if self.fault.named else "-"
+        failed = sum(bool(t.problems) for t in trials)
+        design = self.fault.design + (f"; FAILED {failed} of {count}" if failed else "")
+        orphans = str(sum(t.orphans for t in trials))
+        slowest = f"{max(times):.2f}" if times else "-"
+        return [self.fault.name, str(count), slowest, named, design, orphans, self._recording()]
+
+    def _recording(self) -> str:
+        recordings = [t.recording for t in self.trials if t.recording]
+        if len(recordings) < len(self.trials) or not all(r.same for r in recordings):
+            return "FAILED"
+        lost, cut = sum(t.lost for t in self.trials), sum(r.cut_off for r in recordings)
+        whole = sum(r.complete for r in recordings)
+        state = "complete" if whole == len(recordings) else "complete up to the fault"
+        if self.fault.reaction != ENDS and whole < len(recordings):
+            state = f"{len(recordings) - whole} not whole"
+        elif any(r.behind_s > 0.05 for r in recordings):
+            state = f"readable, ends at most {max(r.behind_s for r in recordings):.2f} s before the fault"
+        return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
+
+
+class Undisturbed:
+    """The passes of an undisturbed graph, computed in one process: each along the reference of the previous pass."""
+
+    def __init__(self, cell: Cell):
+        self.cell, self._passes = cell, [simulate(cell).result]
+        self._compensator = compensator(cell, cell.target())
+
+    def __getitem__(self, number: int) -> PassResult:
+        while len(self._passes) <= number:
+            reference = self._compensator.revise(record_of(self.cell, self._passes[-1]))
+            self._passes.append(simulate(self.cell, reference).result)
+        return self._passes[number]
+
+
+def fault_cell(composed: bool = False) -> Cell:
+    return read_cell(find_file("paper.yaml"), list(COMPOSED if composed else CELL))
+
+
+def expected_seconds(faults: Sequence[Fault], repeats: int) -> float:
+    return 5.0 + sum(SECONDS[fault.reaction == ENDS] * repeats for fault in faults)
+
+
+def run_faults(
+    faults: Sequence[Fault], repeats: int, seed: int, out: Path, progress: Callable[[int, int], None]
+) -> list[Row]:
+    """Rows in the order of the faults; recordings and logs go to directories below ``out``."""
+    chance, rows = random.Random(seed), []
+    plains = {composed: Undisturbed(fault_cell(composed)) for composed in {fault.composed for fault in faults}}
+    for number, fault in enumerate(faults):
+        times = [chance.uniform(*AFTER) for _ in range(repeats)]
+        directory = out / f"fault_{number + 1:02d}"
+        directory.mkdir()
+        done = _Trials(fault, directory, plains[fault.composed])
+        for repeat, after in enumerate(times):
+            done.run(repeat, after)
+            progress(number * repeats + repeat + 1, len(faults) * repeats)
+        done.end()
+        rows.append(Row(fault, tuple(done.trials)))
+    return rows
+
+
+class _Trials:
+    """All trials of a fault, in one graph while it runs."""
+
+    def __init__(self, fault: Fault, out: Path, plain: Undisturbed):
+        self.fault, self.out, self.plain = fault, out, plain
+        self.trials: list[Trial] = []
+        self._graph: Disturbed | None = None
+        self._passes = 0  # of this graph
+
+    def run(self, repeat: int, after: float) -> None:
+        try:
+            trial = self._try(self._graph or self._begin(repeat), repeat, after)
+        except MillingError as error:  # of a graph that did not come up
+            trial = Trial(self.fault.name, after, problems=[str(error)])
+        except BaseException:
+            self.end()
+            raise
+        self.trials.append(trial)
+        if trial.reaction != GOES_ON or trial.problems:
+            self.end()
+
+    def _try(self, graph: Disturbed, repeat: int, after: float) -> Trial:
+        """Once more, and earlier, where the pass was over before the fault."""
+        for number in range(1, TRIES + 1):
+            name = f"pass_{repeat + 1}" if number == 1 else f"pass_{repeat + 1}_{number}"
+            trial = run_trial(graph, self.fault, name, after, self.plain[self._passes], repeat == 0)
+            self._passes += 1
+            if trial.problems != [TOO_LATE]:
+                break
+            after /= 2
+        return trial
+
+    def _begin(self, repeat: int) -> Disturbed:
+        directory = self.out / f"graph_{repeat + 1}"
+        directory.mkdir()
+        self._passes = 0
+        self._graph = Disturbed(self.plain.cell, directory, self.fault.composed)
+        return self._graph.__enter__()
+
+    def end(self) -> None:
+        """Close the graph and count the processes that are left."""
+        graph, self._graph = self._graph, None
+        if graph is None:
+            return
+        pids = {child.pid for child in graph.children.values()}
+        graph.stop()
+        if self.trials and (orphans := sum(map(is_alive, pids))):
+            self.trials[-1].orphans = orphans
+            self.trials[-1].problems.append(f"{orphans} processes are left")
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process exists, and not only its exit code."""
+    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
