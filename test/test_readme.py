@@ -212,7 +212,7 @@ def test_queue_and_silence_are_as_said():
 def test_the_fault_table_is_that_of_the_faults():
     pytest.importorskip("rclpy")
     from faults.faults import FAULTS
-    from faults.rows import COLUMNS
+    from faults.trials import COLUMNS
 
     table = rows("fault |")
     assert [row[0] for row in table] == [fault.name for fault in FAULTS]

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 from ros_domain import running
 
@@ -49,20 +50,13 @@ def run_words(out, *arguments, sets=SHORT) -> list[str]:
 
 def nodes_of(out: Path) -> dict[str, int]:
     """Node -> process id of the nodes that write below a directory, by their command lines."""
-    nodes_by_name = {}
-    for pid in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            command = Path("/proc", pid, "cmdline").read_bytes().split(b"\0")
-            state = Path("/proc", pid, "stat").read_text().rsplit(")", 1)[1].split()[0]
-        except OSError:
-            continue
-        words = [word.decode("utf-8", "replace") for word in command]
-        if not {"kr270_milling.live.nodes", "--ros-args"} <= set(words):
-            continue
-        nodes = words[words.index("kr270_milling.live.nodes") + 1 : words.index("--ros-args")]
-        if state != "Z" and any(w.startswith(str(out)) for w in words):
-            nodes_by_name |= {node: int(pid) for node in nodes if node != "milling_cell"}
-    return nodes_by_name
+    by_name = {}
+    for process in psutil.process_iter(["cmdline", "status"]):
+        words = process.info["cmdline"] or []
+        ours = "kr270_milling.live.nodes" in words and any(word.startswith(str(out)) for word in words)
+        if ours and process.info["status"] != psutil.STATUS_ZOMBIE:
+            by_name |= dict.fromkeys(set(NODES) & set(words), process.pid)
+    return by_name
 
 
 def wait_until(condition, what: str):
@@ -137,22 +131,6 @@ def test_recordings_are_never_overwritten(tmp_path):
         (directory / "cell.yaml").write_text("")
 
 
-def sockets_of(pid: int) -> list[str]:
-    """Local addresses of the UDP and TCP sockets of a process."""
-    inodes = set()
-    for entry in os.listdir(f"/proc/{pid}/fd"):
-        target = os.readlink(f"/proc/{pid}/fd/{entry}")
-        if target.startswith("socket:["):
-            inodes.add(target[8:-1])
-    addresses = []
-    for table in ("udp", "udp6", "tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            fields = line.split()
-            if fields[9] in inodes:
-                addresses.append(fields[1].rpartition(":")[0])
-    return addresses
-
-
 def whole_passes(out: Path) -> list[Path]:
     """The passes whose recordings are closed, in their order."""
     return [file.parent for file in sorted(out.glob("*/metadata.yaml"), key=lambda file: file.stat().st_mtime)]
@@ -167,7 +145,7 @@ def test_a_second_graph_is_refused_and_the_first_continues_on_this_host_until_a_
         pids = nodes_of(out)
         assert sorted(pids) == sorted(NODES) and len(set(pids.values())) == 2
         for pid in (*pids.values(), first.pid):
-            assert set(sockets_of(pid)) == {"0100007F"}  # 127.0.0.1 as /proc writes it
+            assert {socket.laddr.ip for socket in psutil.Process(pid).net_connections()} == {"127.0.0.1"}
         assert main(run_words(tmp_path / "b", "--passes", "1")) == 2
         errors = capsys.readouterr().err
         assert "already runs in this ROS domain" in errors and errors.count("\n") == 1

@@ -8,14 +8,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from foreign_cell import WALL
-from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
 
-import ros_messages as messages
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
-from ros_messages import from_msg
+from ros_messages import from_msg, ns_from_stamp, pose_msg, to_msg, wrench_msg
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -178,7 +176,7 @@ def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, ran,
     loop.start(cut=False)
     asked = world.listen(loop.ear, topics.TOOL_POSE)
     world.until(lambda: len(asked) >= 6)  # longer than a pass under way would be waited for
-    assert {messages.ns_from_stamp(msg.header.stamp) for msg in asked} == {loop.robot.protocol.start_ns}
+    assert {ns_from_stamp(msg.header.stamp) for msg in asked} == {loop.robot.protocol.start_ns}
     assert not loop.reports.reported(ROBOT, "", ERROR)
     loop.cut.trigger_activate()
     loop.revised(1)
@@ -266,7 +264,7 @@ class Machine:
         world.until(lambda: self.references)
 
     def play(self, result, rows, wrench: bool = True) -> None:
-        start = messages.ns_from_stamp(self.references[-1].header.stamp)
+        start = ns_from_stamp(self.references[-1].header.stamp)
         for i in rows:
             stamp = start + int(result.time_ns[i])
             self.pose.publish(pose_msg(stamp, result.tool[i], UPRIGHT))
@@ -334,7 +332,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     answered("start in 1 s", success=True)
     world.until(lambda: machine.joints)
     (sent,) = machine.joints
-    assert 0.9e9 < messages.ns_from_stamp(sent.header.stamp) - before < 10e9
+    assert 0.9e9 < ns_from_stamp(sent.header.stamp) - before < 10e9
     assert sent.joint_names == [f"joint_{i}" for i in range(1, 7)]
     assert sent.points[0].positions.tolist() == stands.tolist() and not any(sent.points[-1].velocities)
     positions = [point.positions.tolist() for point in sent.points[2:-1]]
@@ -358,7 +356,7 @@ def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, r
         paths = world.listen(latecomer, topic)
         world.until(lambda paths=paths: paths)
         (path,) = paths
-        stamps = [messages.ns_from_stamp(pose.header.stamp) for pose in path.poses]
+        stamps = [ns_from_stamp(pose.header.stamp) for pose in path.poses]
         places = [[pose.pose.position.x, pose.pose.position.y, pose.pose.position.z] for pose in path.poses]
         assert stamps[0] == 0 and stamps[-1] == run.duration_ns and set(run.time_ns.tolist()) <= set(stamps)
         assert np.array_equal(places, run.sample(stamps))
@@ -368,7 +366,7 @@ def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, r
 def raised(short_cell):
     """A target that no arm of this size can reach."""
     target = short_cell.target()
-    return messages.to_msg(target.with_position(target.position + [0.0, 0.0, 9.0]))
+    return to_msg(target.with_position(target.position + [0.0, 0.0, 9.0]))
 
 
 def reset(machine):
@@ -394,7 +392,7 @@ def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world,
     world.step(0.3)
     assert node.failure is None and not references
     longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
-    publisher.publish(messages.to_msg(longer))
+    publisher.publish(to_msg(longer))
     world.until(lambda: references)
     assert from_msg(references[0]).duration_ns == longer.duration_ns
 

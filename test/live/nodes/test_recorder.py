@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from ros_messages import pose_msg, wrench_msg
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
