@@ -22,8 +22,8 @@ LARGE, LARGE_COUNT = 1_000_000, 1000  # bytes; messages
 POSE, GRID = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/OccupancyGrid"
 
 
-def recorded(out: Path, rate: int, count: int, size: int) -> tuple[int, float, float, int]:
-    """Messages sent, seconds that took, seconds until they were written, messages in the recording."""
+def recorded(out: Path, rate: int, count: int, size: int) -> tuple[float, float, int]:
+    """Seconds to send the messages, seconds until they were written, messages that are lost."""
     node = [sys.executable, "-m", "kr270_milling.live.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
     source = [sys.executable, str(Path(__file__).with_name("source.py")), str(rate), str(count), str(size)]
     quiet = {"env": child_environment(), "stderr": subprocess.DEVNULL}
@@ -32,9 +32,10 @@ def recorded(out: Path, rate: int, count: int, size: int) -> tuple[int, float, f
             printed = subprocess.run(source, stdout=subprocess.PIPE, text=True, timeout=120, check=True, **quiet).stdout
         finally:
             recorder.send_signal(signal.SIGINT)
-    sent, seconds, written = printed.split()
+    begin, seconds = map(float, printed.split())
     with Recording(out) as recording:
-        return int(sent), float(seconds), float(written), recording.topics()["/bench"].count
+        written = recording.path.stat().st_mtime - begin
+        return seconds, written, count - recording.topics()["/bench"].count
 
 
 def plain_writer(file: Path, type_name: str, bodies: list[bytes]) -> float:
@@ -80,13 +81,12 @@ def bench_writer(small: int = 100_000, large: int = 200) -> dict[str, float]:
 
 
 def main() -> None:
-    rates = bench_writer()
+    rates, count = bench_writer(), round(SMALL_RATE * SMALL_SECONDS)
     with tempfile.TemporaryDirectory() as directory:
-        small, large = Path(directory, "small"), Path(directory, "large")
-        sent, seconds, _, received = recorded(small, SMALL_RATE, round(SMALL_RATE * SMALL_SECONDS), 0)
-        rates |= {"recorder_small_per_s": sent / seconds, "recorder_small_lost": sent - received}
-        sent, _, seconds, received = recorded(large, 0, LARGE_COUNT, LARGE)  # as fast as they are taken
-        rates |= {"recorder_large_mb_per_s": received * LARGE * 1e-6 / seconds, "recorder_large_lost": sent - received}
+        seconds, _, lost = recorded(Path(directory, "small"), SMALL_RATE, count, 0)
+        rates |= {"recorder_small_per_s": count / seconds, "recorder_small_lost": lost}
+        _, seconds, lost = recorded(Path(directory, "large"), 0, LARGE_COUNT, LARGE)  # as fast as they are taken
+        rates |= {"recorder_large_mb_per_s": (LARGE_COUNT - lost) * LARGE * 1e-6 / seconds, "recorder_large_lost": lost}
     rates["recorder_large_share_of_plain"] = rates["recorder_large_mb_per_s"] / rates["plain_large_mb_per_s"]
     for key, value in rates.items():
         print(f"{key:32} {value:.4g}")

@@ -57,7 +57,7 @@ def _faults(args, directory) -> int:
     if not faults:
         names = ", ".join(fault.name for fault in FAULTS)
         raise InputError("--only", f"no fault is named like {args.only!r}; there are {names}")
-    minutes = trials.expected_seconds(faults, args.repeats) / 60
+    minutes = trials.SECONDS * len(faults) * args.repeats / 60
     print(f"seed {args.seed}; this takes about {minutes:.0f} min", file=sys.stderr)
     with progress("faults") as report:
         rows = trials.run_faults(faults, args.repeats, args.seed, directory, report)

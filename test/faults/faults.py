@@ -98,15 +98,11 @@ class Disturbed(Graph):
         self.struck()
         self.child(process).signal(number)
 
-    def end_beside(self) -> None:
+    def stop(self) -> None:
+        self._script = None
         for process in self.beside:
             process.kill()
             process.wait()
-        self.beside.clear()
-
-    def stop(self) -> None:
-        self._script = None
-        self.end_beside()
         super().stop()
 
 

@@ -37,7 +37,7 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
     killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
     messages = [Message(11.0, "cutting_process: was ended by SIGKILL")]
     graph = SimpleNamespace(messages=messages, struck_at=10.0)
-    right, wrong = (Trial(killed.name, 0.5, reaction=ENDS) for _ in range(2))
+    right, wrong = (Trial(0.5, reaction=ENDS) for _ in range(2))
     judge_words(right, killed, graph)
     assert right.problems == [] and right.detected_s == 1.0
     judge_words(wrong, replace(killed, process="recorder", reaction=GOES_ON), graph)
@@ -51,7 +51,7 @@ def test_tail_that_a_recorder_lost_is_counted_and_a_tail_that_is_not_reported_fa
     monkeypatch.setattr(trials, "read_back", lambda *_: recorded)
     warned = [Message(11.0, f"recorder: {NOT_COMPLETE}")]
     for messages, problems in ((warned, 0), ([], 1)):
-        done = Trial(stopped.name, 0.5, reaction=GOES_ON)
+        done = Trial(0.5, reaction=GOES_ON)
         graph = SimpleNamespace(messages=messages, struck_wall_ns=0, recording=None)
         judge_recording(done, stopped, graph, None, False)
         assert len(done.problems) == problems

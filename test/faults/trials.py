@@ -15,7 +15,7 @@ from faults.faults import ENDS, GOES_ON, Disturbed, Fault, Message
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.live.graph.graph import NOT_COMPLETE
@@ -30,9 +30,8 @@ CELL = ("path.length_mm=120", "stock.max_mm=[120,12,0]", "stock.grid_step_um=50"
 COMPOSED = (*CELL[:3], "exchange.period_ms=0.0625")
 AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
 TRIES = 6  #: on a busy machine the pass may end before the fault
-SECONDS = {True: 11.0, False: 9.0}  # [s] that a trial takes, with and without a separate graph
+SECONDS = 11.0  # [s] that a trial takes
 NAMED_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
-TOO_LATE = "the fault came too late: the pass was over"
 BEHIND = 1.0  # [s] before the fault that a recording may miss
 COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "design", "orphans", "recording")
 
@@ -56,7 +55,6 @@ class Recorded:
 class Trial:
     """Result of a trial; ``problems`` is empty where the reaction is the designed one."""
 
-    fault: str
     after_s: float  #: from the start of the pass to the fault
     detected_s: float | None = None  #: from the fault to the sentence that names the node
     reaction: str = ""
@@ -93,25 +91,53 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int,
     return Recorded(cut_off, count, started, missing, short, behind, whole, same, verdict)
 
 
-def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: PassResult, again: bool) -> Trial:
-    """One pass with the fault in it; again: recompute the recording. The graph is stopped if the fault ends it."""
-    trial = Trial(fault.name, after)
-    graph.disturb(fault.strike(graph), after)
-    try:
-        graph.run_pass(name)
-        trial.reaction = GOES_ON
-    except MillingError as error:
-        graph.messages.append(Message(time.monotonic(), str(error)))
-        trial.reaction = ENDS
-        graph.stop()
-    finally:
-        graph.end_beside()
+def run_faults(
+    faults: Sequence[Fault], repeats: int, seed: int, out: Path, progress: Callable[[int, int], None]
+) -> list[Row]:
+    """Rows in the order of the faults; recordings and logs go to directories below ``out``."""
+    chance, rows = random.Random(seed), []
+    for number, fault in enumerate(faults):
+        cell, trials = fault_cell(fault.composed), []
+        plain = simulate(cell).result
+        for repeat in range(repeats):
+            place = out / f"fault_{number + 1:02d}" / f"graph_{repeat + 1}"
+            trials.append(run_trial(fault, cell, plain, place, chance.uniform(*AFTER), repeat == 0))
+            progress(number * repeats + repeat + 1, len(faults) * repeats)
+        rows.append(Row(fault, tuple(trials)))
+    return rows
+
+
+def run_trial(fault: Fault, cell: Cell, plain: PassResult, out: Path, after: float, again: bool) -> Trial:
+    """One pass of a graph with the fault in it, once more and earlier where the pass was over before the fault.
+
+    plain: the undisturbed pass; again: recompute the recording.
+    """
+    for number in range(1, TRIES + 1):
+        place = out if number == 1 else out.with_name(f"{out.name}_{number}")
+        place.mkdir(parents=True)
+        trial, graph = Trial(after), Disturbed(cell, place, fault.composed)
+        try:
+            graph.start()
+            graph.disturb(fault.strike(graph), after)
+            graph.run_pass("pass")
+            trial.reaction = GOES_ON
+        except MillingError as error:
+            graph.messages.append(Message(time.monotonic(), str(error)))
+            trial.reaction = ENDS
+        finally:
+            graph.stop()
+        if trial.reaction == ENDS or graph.struck_at is not None:
+            break
+        after /= 2
+    trial.orphans = sum(is_alive(pid) for pid in {child.pid for child in graph.children.values()})
+    if trial.orphans:
+        trial.problems.append(f"{trial.orphans} processes are left")
     if graph.struck_at is None:
-        ended = trial.reaction == ENDS
-        trial.problems.append(f"the run ended before the fault: {graph.messages[-1].sentence}" if ended else TOO_LATE)
-        return trial
-    judge_words(trial, fault, graph)
-    judge_recording(trial, fault, graph, plain, again)
+        sentence = graph.messages[-1].sentence if graph.messages else "the pass was over"
+        trial.problems.append(f"before the fault: {sentence}")
+    else:
+        judge_words(trial, fault, graph)
+        judge_recording(trial, fault, graph, plain, again)
     return trial
 
 
@@ -188,96 +214,8 @@ class Row:
         return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
 
 
-class Undisturbed:
-    """The passes of an undisturbed graph, computed in one process: each along the reference of the previous pass."""
-
-    def __init__(self, cell: Cell):
-        self.cell, self._passes = cell, [simulate(cell).result]
-        self._compensator = compensator(cell, cell.target())
-
-    def __getitem__(self, number: int) -> PassResult:
-        while len(self._passes) <= number:
-            reference = self._compensator.revise(record_of(self.cell, self._passes[-1]))
-            self._passes.append(simulate(self.cell, reference).result)
-        return self._passes[number]
-
-
 def fault_cell(composed: bool = False) -> Cell:
-    return read_cell(find_file("paper.yaml"), list(COMPOSED if composed else CELL))
-
-
-def expected_seconds(faults: Sequence[Fault], repeats: int) -> float:
-    return 5.0 + sum(SECONDS[fault.reaction == ENDS] * repeats for fault in faults)
-
-
-def run_faults(
-    faults: Sequence[Fault], repeats: int, seed: int, out: Path, progress: Callable[[int, int], None]
-) -> list[Row]:
-    """Rows in the order of the faults; recordings and logs go to directories below ``out``."""
-    chance, rows = random.Random(seed), []
-    plains = {composed: Undisturbed(fault_cell(composed)) for composed in {fault.composed for fault in faults}}
-    for number, fault in enumerate(faults):
-        times = [chance.uniform(*AFTER) for _ in range(repeats)]
-        directory = out / f"fault_{number + 1:02d}"
-        directory.mkdir()
-        done = _Trials(fault, directory, plains[fault.composed])
-        for repeat, after in enumerate(times):
-            done.run(repeat, after)
-            progress(number * repeats + repeat + 1, len(faults) * repeats)
-        done.end()
-        rows.append(Row(fault, tuple(done.trials)))
-    return rows
-
-
-class _Trials:
-    """All trials of a fault, in one graph while it runs."""
-
-    def __init__(self, fault: Fault, out: Path, plain: Undisturbed):
-        self.fault, self.out, self.plain = fault, out, plain
-        self.trials: list[Trial] = []
-        self._graph: Disturbed | None = None
-        self._passes = 0  # of this graph
-
-    def run(self, repeat: int, after: float) -> None:
-        try:
-            trial = self._try(self._graph or self._begin(repeat), repeat, after)
-        except MillingError as error:  # of a graph that did not come up
-            trial = Trial(self.fault.name, after, problems=[str(error)])
-        except BaseException:
-            self.end()
-            raise
-        self.trials.append(trial)
-        if trial.reaction != GOES_ON or trial.problems:
-            self.end()
-
-    def _try(self, graph: Disturbed, repeat: int, after: float) -> Trial:
-        """Once more, and earlier, where the pass was over before the fault."""
-        for number in range(1, TRIES + 1):
-            name = f"pass_{repeat + 1}" if number == 1 else f"pass_{repeat + 1}_{number}"
-            trial = run_trial(graph, self.fault, name, after, self.plain[self._passes], repeat == 0)
-            self._passes += 1
-            if trial.problems != [TOO_LATE]:
-                break
-            after /= 2
-        return trial
-
-    def _begin(self, repeat: int) -> Disturbed:
-        directory = self.out / f"graph_{repeat + 1}"
-        directory.mkdir()
-        self._passes = 0
-        self._graph = Disturbed(self.plain.cell, directory, self.fault.composed)
-        return self._graph.__enter__()
-
-    def end(self) -> None:
-        """Close the graph and count the processes that are left."""
-        graph, self._graph = self._graph, None
-        if graph is None:
-            return
-        pids = {child.pid for child in graph.children.values()}
-        graph.stop()
-        if self.trials and (orphans := sum(map(is_alive, pids))):
-            self.trials[-1].orphans = orphans
-            self.trials[-1].problems.append(f"{orphans} processes are left")
+    return read_cell(find_file("paper.yaml"), COMPOSED if composed else CELL)
 
 
 def is_alive(pid: int) -> bool:
