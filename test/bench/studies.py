@@ -1,9 +1,8 @@
 """How near studies come to as many plain loops as there are cores: ``python -m bench.studies sweep|tasks|rows [N]``.
 
-``sweep``: a sweep of 451 passes beside the same chunks in a plain loop, in one process and in as many at once as there
-are cores, in turns. ``tasks``: chunks that sleep instead of computing, through the same engine: what a task takes of
-the one process that holds driver and scheduler, and how busy so many workers are. ``rows``: a map of N million rows
-and the memory of its processes while they come.
+``sweep``: a sweep of 451 passes beside the same chunks in a plain loop, in turns. ``tasks``: chunks that sleep instead
+of computing, through the same engine: what a task takes of the one process that holds driver and scheduler, and how
+busy so many workers are. ``rows``: a map of N million rows and the memory of its processes while they come.
 """
 
 from __future__ import annotations
@@ -31,53 +30,23 @@ SLEEPS = 0.0, 0.1, 0.5, 2.0  # [s]
 SIZE = 4096  # bytes of a chunk's answer, as a file of a sweep has
 
 
-def study() -> Sweep:
-    return Sweep(str(find_file("paper.yaml").resolve()), (), tuple(map(parse_axis, VARY)))
-
-
-def plain() -> None:
-    """Seconds a row of a plain loop, after a first chunk that loads what is compiled."""
-    sweep = study()
-    sweep(0)
-    numbers = range(0, sweep.chunks - 1, SHARE)
-    begun = time.monotonic()
-    for number in numbers:
-        sweep(number)
-    print((time.monotonic() - begun) / (len(numbers) * sweep.chunk))
-
-
-def plain_loops(count: int) -> float:
-    """Median seconds a row of ``count`` plain loops at once."""
-    line = [sys.executable, "-m", "bench.studies", "plain"]
-    loops = [subprocess.Popen(line, stdout=subprocess.PIPE, text=True) for _ in range(count)]
-    return statistics.median(float(loop.communicate()[0]) for loop in loops)
-
-
-def swept() -> tuple[float, float, float]:
-    """Rows a second of the whole command, of the study, and between its first and its last file from the workers."""
-    with tempfile.TemporaryDirectory() as place:
-        words = [part for text in VARY for part in ("--vary", text)]
-        line = [sys.executable, "-m", "kr270_milling.cli", "sweep", "paper.yaml", *words, "--json", "--out", place]
-        begun = time.monotonic()
-        done = subprocess.run(line, check=True, capture_output=True, text=True)
-        whole = time.monotonic() - begun
-        found = json.loads(done.stdout)
-        times = sorted(path.stat().st_mtime for path in Path(place).glob("rows-*"))
-    first, last = len(times) // 4, len(times) - 3
-    rate = (last - first) * study().chunk / (times[last] - times[first])
-    return found["rows"] / whole, found["rows"] / found["wall_s"], rate
-
-
 def bench_sweep(rounds: int) -> None:
+    sweep = Sweep(str(find_file("paper.yaml").resolve()), (), tuple(map(parse_axis, VARY)))
     cores, shares = os.cpu_count() or 1, []
+    words = [part for text in VARY for part in ("--vary", text)]
+    line = [sys.executable, "-m", "kr270_milling.cli", "sweep", "paper.yaml", *words, "--json", "--out"]
+    sweep(0)  # loads what is compiled
     for _ in range(rounds):
-        one, rates = plain_loops(1), swept()
-        shares.append([one / plain_loops(cores), *(rate * one / cores for rate in rates)])
-        print(f"plain loop {1e3 * one:.1f} ms a pass; shares", *(f"{share:.3f}" for share in shares[-1]), flush=True)
-    print(f"share of {cores} x the plain loop, min / median / max:")
-    for k, name in enumerate(("plain loops at once", "command", "study", "at work")):
-        values = [share[k] for share in shares]
-        print(f"{name:20} {min(values):.2f} / {statistics.median(values):.2f} / {max(values):.2f}")
+        numbers = range(0, sweep.chunks - 1, SHARE)
+        begun = time.monotonic()
+        for number in numbers:
+            sweep(number)
+        one = (time.monotonic() - begun) / (len(numbers) * sweep.chunk)
+        with tempfile.TemporaryDirectory() as place:
+            result = json.loads(subprocess.run([*line, place], check=True, capture_output=True, text=True).stdout)
+        shares.append(result["rows"] / result["wall_s"] * one / cores)
+        print(f"plain loop {1e3 * one:.1f} ms a pass; share of {cores} plain loops {shares[-1]:.3f}", flush=True)
+    print(f"min / median / max: {min(shares):.2f} / {statistics.median(shares):.2f} / {max(shares):.2f}")
 
 
 def asleep(seconds: float, number: int) -> bytes:
@@ -143,4 +112,4 @@ def memory(driver) -> list[float]:
 
 if __name__ == "__main__":
     number = int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    {"plain": lambda _: plain(), "sweep": bench_sweep, "tasks": bench_tasks, "rows": bench_rows}[sys.argv[1]](number)
+    {"sweep": bench_sweep, "tasks": bench_tasks, "rows": bench_rows}[sys.argv[1]](number)
