@@ -334,6 +334,20 @@ def test_silent_node_is_reported_once_and_then_ends_the_run(tmp_path, monkeypatc
         wait(LOST)
 
 
+def test_silence_counts_in_mid_pass_alone(tmp_path):
+    graph, in_pass = Graph(None, tmp_path), {}
+    graph.begin_recording = graph.end_recording = lambda *_: None
+    values = {"wall_s": 1.5, "remaining_error_um": [2.0, 1.0], "finished": True}
+    graph.driver = SimpleNamespace(
+        until=lambda condition, what, *_: in_pass.update({what: graph._in_pass}),
+        transition=lambda *_, deadline: None,
+        value=lambda node, key: values.get(key),
+    )
+    ran = graph.run_pass("original")
+    assert in_pass == {"the pass": True, "revising": False}
+    assert ran == RunValues(tmp_path / "original", 1.5, (2e-6, 1e-6), True)
+
+
 @pytest.mark.parametrize(("latest", "missing", "sentence"), [
     (10, 0, ""), (10, 3, "3 messages of the pass were lost; "), (5, 0, "has not received the end of the pass; "),
 ])  # fmt: skip

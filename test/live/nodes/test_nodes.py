@@ -5,6 +5,8 @@ The protocols (test/exchange) prove which samples are refused; these tests prove
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from foreign_cell import WALL
@@ -30,6 +32,7 @@ from kr270_milling.recordings.bag.reader import Recording
 
 OK, WARN, ERROR = 0, 1, 2
 ROBOT, CUT, COMPENSATOR = "/compliant_robot", "/cutting_process", "/trajectory_compensator"
+SERIES = {"tool_pose": "position", "wrench": "wrench", "deflection": "twist"}  # topic -> field that is compared
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -42,31 +45,23 @@ class Loop:
         self.cut = world.add(CuttingProcess, cell=cell, directory=directory)
         self.robot = world.add(CompliantRobot, *arguments, cell=cell, directory=directory)
         self.ear = world.partner("ear")
-        self.series: dict[str, dict] = {"tool_pose": {}, "wrench": {}, "deflection": {}}
-        world.listen(self.ear, topics.TOOL_POSE, lambda m: self.keep("tool_pose", m, "position"))
-        world.listen(self.ear, topics.WRENCH, lambda m: self.keep("wrench", m, "wrench"))
-        world.listen(self.ear, topics.DEFLECTION, lambda m: self.keep("deflection", m, "twist"))
+        self.series: dict[str, dict] = {name: {} for name in SERIES}
+        for name in SERIES:
+            world.listen(self.ear, topics.BY_NAME[name], functools.partial(self.keep, name))
         self.references = world.listen(self.ear, topics.REFERENCE_TRAJECTORY)
         self.reports = world.diagnostics(self.ear)
 
-    def keep(self, topic, msg, field) -> None:
+    def keep(self, name, msg) -> None:
         sample = from_msg(msg)
-        self.series[topic][sample.stamp - self.robot.protocol.start_ns] = getattr(sample, field)
+        self.series[name][sample.stamp - self.robot.protocol.start_ns] = getattr(sample, SERIES[name])
 
     def start(self, cut: bool = True) -> None:
         self.cut.trigger_configure()
         self.robot.trigger_configure()
-        expected = {"tool_pose": 3, "wrench": 3, "deflection": 1, "reference_trajectory": 3}
-        self.world.until(
-            lambda: (
-                all(self.ear.count_subscribers(t) == n for t, n in expected.items())
-                and self.robot.outlets["tool_pose"].get_subscription_count() == 3
-                and self.cut.outlets["wrench"].get_subscription_count() == 3
-                and self.references
-                and self.robot.protocol.reference is not None
-                and self.cut.protocol.planned
-            )
-        )
+        outlets = (self.robot.outlets["tool_pose"], self.cut.outlets["wrench"])
+        self.world.until(lambda: all(outlet.get_subscription_count() == 3 for outlet in outlets))
+        self.world.until(self.robot.outlets["deflection"].get_subscription_count)
+        self.world.until(lambda: self.references and self.robot.protocol.reference and self.cut.protocol.planned)
         if cut:
             self.cut.trigger_activate()
         self.robot.trigger_activate()
@@ -81,9 +76,8 @@ class Loop:
         for node in (self.robot, self.cut):
             node.trigger_deactivate()
             node.trigger_cleanup()
-        self.series = {topic: {} for topic in self.series}
+        self.series = {name: {} for name in SERIES}
         self.start()
-        self.revised(1)
         self.matches(result)
 
     def revised(self, count: int):
@@ -91,12 +85,13 @@ class Loop:
         return from_msg(self.references[count])
 
     def matches(self, result) -> None:
-        expectations = {"tool_pose": result.tool, "wrench": result.wrench, "deflection": result.deflection}
-        for topic, expected in expectations.items():
-            self.world.until(lambda t=topic: len(self.series[t]) == result.time_ns.size)
-            assert sorted(self.series[topic]) == result.time_ns.tolist()
-            got = np.array([self.series[topic][stamp] for stamp in result.time_ns.tolist()])
-            assert np.array_equal(got, expected), topic  # bit for bit, more than the 1e-12 that is asked for
+        """Wait for the end of the pass, and compare bit for bit, more than the 1e-12 that is asked for."""
+        self.revised(1)
+        for name, expected in zip(SERIES, (result.tool, result.wrench, result.deflection), strict=True):
+            self.world.until(lambda name=name: len(self.series[name]) == result.time_ns.size)
+            samples = dict(sorted(self.series[name].items()))
+            assert list(samples) == result.time_ns.tolist()
+            assert np.array_equal(list(samples.values()), expected), name
 
 
 def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_matched(world, short_cell, tmp_path):
@@ -137,13 +132,12 @@ def test_a_paced_pass_gives_the_plain_loop_bit_for_bit_and_is_not_quicker(world,
     cell = short_cell.replace(exchange=short_cell.exchange.replace(iterations=2))
     loop = Loop(world, cell, tmp_path, "-p", "pace:=0.1")
     loop.start()
-    plain = simulate(cell)
-    revised = loop.revised(1)
-    loop.matches(plain.result)
-    expected = compensator(cell, cell.target()).revise(record_of(cell, plain.result))
-    assert np.array_equal(revised.position, expected.position)
+    plain = simulate(cell).result
+    loop.matches(plain)
+    expected = compensator(cell, cell.target()).revise(record_of(cell, plain))
+    assert np.array_equal(loop.revised(1).position, expected.position)
     world.until(lambda: "wall_s" in loop.reports.last.get(ROBOT, {}))
-    assert float(loop.reports.last[ROBOT]["wall_s"]) >= 10 * plain.result.time[-1] - 0.02
+    assert float(loop.reports.last[ROBOT]["wall_s"]) >= 10 * plain.time[-1] - 0.02
     world.remove(loop.robot)  # after the pass this is no fault
     world.step(0.5)
     assert not any(level == ERROR for _, level, _ in loop.reports.all)
@@ -179,7 +173,6 @@ def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, ran,
     assert {ns_from_stamp(msg.header.stamp) for msg in asked} == {loop.robot.protocol.start_ns}
     assert not loop.reports.reported(ROBOT, "", ERROR)
     loop.cut.trigger_activate()
-    loop.revised(1)
     loop.matches(ran)
 
 
@@ -208,7 +201,6 @@ def test_silent_and_second_robots_are_reported_and_the_pass_continues_with_the_s
     world.executor.add_node(loop.robot)
     loop.reports.until(CUT, "cutting again", OK)
     loop.reports.until(COMPENSATOR, "the pass continues", OK)
-    loop.revised(1)
     loop.matches(ran)
 
 
