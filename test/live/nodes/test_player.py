@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import os
@@ -11,10 +10,10 @@ from pathlib import Path
 
 import pass_recording as made
 import pytest
+from player_options import options
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cli import main
-from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.recordings.bag.play_options import PlayOptions
 from kr270_milling.recordings.bag.playback import PlayClock, opening, passage, span
 from kr270_milling.recordings.bag.reader import Recording
@@ -23,14 +22,6 @@ from kr270_milling.recordings.bag.writer import BagWriter
 pytestmark = made.needs_messages
 END = 60_000_000  # [ns] of the pass
 FIRST = ("/compensator_state", "/reference_trajectory")
-
-
-def options(*words: str) -> PlayOptions:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("file")
-    for names, keywords in PLAY:
-        parser.add_argument(*names, **keywords)
-    return play_options(parser.parse_args(list(words)))
 
 
 @pytest.fixture(scope="module")
