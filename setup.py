@@ -47,6 +47,7 @@ setup(
             "dask[distributed]>=2024.1",
             "pyarrow>=14",
             "pandas>=2.0",
+            "psutil>=5.9",
             "pyuff>=2.4",
             "nbclient>=0.10",
             "ipykernel>=6.29",

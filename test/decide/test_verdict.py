@@ -153,7 +153,7 @@ def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
     assert verdict.as_dict()["note"] == "8 of 20 plants ran: more would take longer than 0.001 s"
     assert len(verdict.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
     seen.clear()
-    assert monte_carlo(cell, reference, 20, budget=1e-3, give_up=True, estimate=lambda *a: seen.append(a)) is None
+    assert monte_carlo(cell, reference, 20, budget=1e-3, longest=1e-3, estimate=lambda *a: seen.append(a)) is None
     assert seen == []
     with pytest.raises(ParameterError, match="samples"):
         monte_carlo(cell, reference, 0, 1)

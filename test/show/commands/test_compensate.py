@@ -179,7 +179,7 @@ def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(judged, m
 
 
 def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence_but_a_typed_number_runs(judged, monkeypatch):
-    monkeypatch.setattr("kr270_milling.decide.compensation.USUAL_BUDGET", 1e-3)
+    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_VERDICT", 1e-3)
     monkeypatch.setattr("kr270_milling.decide.verdict.FEWEST", 1)
     monkeypatch.setattr("time.perf_counter", itertools.count(0.0, 100.0).__next__)  # 100 s from look to look
     result, text, _ = judged("--method", "spline")
