@@ -297,7 +297,7 @@ def test_what_does_not_fit_the_start_message_is_reported(world, short_cell, tmp_
 
 
 def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_not_in_a_pass(
-    world, machine, ran, short_cell
+    world, node, machine, ran, short_cell
 ):
     """Names and order as a driver publishes them, best effort; a controller that comes late receives nothing."""
     target, stands = short_cell.target(), short_cell.posture + 0.1
@@ -336,6 +336,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     assert not late
     answered("s old")
     machine.play(ran, range(20))
+    world.until(lambda: node.protocol.under_way)
     states.publish(JointState(name=names, position=[9.0, *stands[::-1]]))
     answered("a pass is under way")
     assert len(machine.joints) == 1
