@@ -99,17 +99,37 @@ def weights(
 
 
 def _verdict_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
-    """Seconds of a verdict from those of a pass; 0 where it was not asked for and would take too long."""
+    """Seconds of a verdict from those of a pass; 0 where none is made."""
+    made = _affordable(cell, order, each)
+    if made is None:
+        return 0.0
+    straight, plant = cell.programmed.straight, _plant_seconds(cell, made, each)
+    whole = made.samples * plant
+    if straight and made.compare:
+        whole += each * FEWEST * 2 * REPEATS / cores()  # plants that learn
+    return whole if made.asked_for else min(whole, max(USUAL_BUDGET, FEWEST * plant))
+
+
+def _plant_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
+    """Seconds of a simulated robot from those of a pass."""
     straight = cell.programmed.straight
     coarse = 1.0 if straight or cell.by_engagement else COARSE
-    others = (len(METHODS) if straight else 3) if order.compare else 2
-    plant = each * coarse * others / cores()
-    learning = each * FEWEST * 2 * REPEATS / cores() if straight and order.compare else 0.0
+    runs = (len(METHODS) if straight else 3) if order.compare else 2
+    return each * coarse * runs / cores()
+
+
+def _affordable(cell: Cell, order: VerdictOrder, each: float) -> VerdictOrder | None:
+    """The part of an order for which there is time; each [s]: of a pass.
+
+    What was asked for is made. Else 8 plants compare no other methods where this would take longer than USUAL_BUDGET,
+    and none run where they would take longer than LONGEST_VERDICT even so.
+    """
     if order.asked_for:
-        return order.samples * plant + learning
-    if FEWEST * plant > LONGEST_VERDICT or each > LONGEST_PASS:
-        return 0.0
-    return min(order.samples * plant + learning, max(USUAL_BUDGET, FEWEST * plant))
+        return order
+    if FEWEST * _plant_seconds(cell, order, each) > USUAL_BUDGET:
+        order = replace(order, compare=False)
+    too_long = FEWEST * _plant_seconds(cell, order, each) > LONGEST_VERDICT or each > LONGEST_PASS
+    return None if too_long else order
 
 
 def compensate(
@@ -151,11 +171,11 @@ def compensate(
         each = time.perf_counter() - begin
     if method == NO_METHOD:
         planned = revised = replace(programmed, name=NO_METHOD)
-    if verdict is not None and not verdict.asked_for and _verdict_seconds(cell, verdict, each) == 0.0:
-        verdict = None
-    plan, first = planned.scores, original if verdict else None  # the series of a pass of an hour fill 180 MB
+    order = verdict and _affordable(cell, verdict, each)
+    compared = original if order and order.compare and comparison is None else None
+    plan = planned.scores
     by.first = None
-    del original, planned
+    del original, planned  # the series of a pass of an hour fill 180 MB
     with progress("surfaces"):
         parts = () if cell.programmed.straight else assess_all(cell, (programmed, revised))
     limited = [
@@ -168,8 +188,8 @@ def compensate(
     )  # fmt: skip
     judged: Verdict | None = None
     with progress("verdict") as report:
-        if verdict is not None and first is not None:
-            judged = _verdict(cell, first, revised, verdict, report, comparison is None, motion)
+        if order is not None:
+            judged = _verdict(cell, compared, revised, order, report, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
@@ -177,13 +197,14 @@ def compensate(
 
 
 def _verdict(
-    cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report, compares: bool, motion: str
+    cell: Cell, original: ScoredPass | None, revised: ScoredPass, order: VerdictOrder, report, motion: str
 ) -> Verdict | None:
     """The verdict of plants drawn from the uncertainties; None where it was not asked for and would take too long.
 
-    compares: whether no comparison was made yet; motion: of the written programs, which the plants run.
+    original: the pass on which other methods are planned for comparison; None: no comparison; motion: of the written
+    programs, which the plants run.
     """
-    others = alternatives(cell, original, revised.name) if order.compare and compares else {}
+    others = alternatives(cell, original, revised.name) if original else {}
     programs = {}
     for name, run in others.items():
         with contextlib.suppress(MillingError):

@@ -38,7 +38,6 @@ TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are m
 NO_METHOD = "none"  #: run the path as it was programmed
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
-MOST_ROWS = 2**18  #: of the series of a plant's pass, so that the plants of a long program fit into memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,9 +314,7 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
             course = imperfect_course(plant, reference, k, target)
             silent = plant.programmed.drilling_at
             cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
-            ran = run_pass(
-                arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent, most_rows=MOST_ROWS
-            )
+            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
             if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
                 continue
             heights = None if gauge.ideal is None else cut.map_heights()[2]
