@@ -82,6 +82,11 @@ class Trajectory:
         """Return the knot times [s], (n,)."""
         return self.time_ns * 1e-9
 
+    @property
+    def turns(self) -> bool:
+        """Return whether the orientation changes; one orientation of all knots is stored once."""
+        return self.quaternion.strides[0] != 0
+
     def sample(self, time_ns) -> np.ndarray:
         """Return the position [m], (..., 3), at times [ns] of any shape."""
         k, u, step = self.locate(time_ns)

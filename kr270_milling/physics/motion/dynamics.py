@@ -210,7 +210,7 @@ def _rates(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarray:
 
 def _turns(reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
     """Rotation vectors (n, 3) [rad] of the reference over the periods, workpiece axes."""
-    if np.ptp(reference.quaternion, axis=0).max() == 0.0:
+    if not reference.turns:
         return np.zeros((stamps.size - 1, 3))
     turned = Rotation.from_quat(reference.sample_orientation(stamps))
     return (turned[1:] * turned[:-1].inv()).as_rotvec()
@@ -218,7 +218,7 @@ def _turns(reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
 
 def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarray:
     """Angular velocity (n, 3) [rad/s] of the reference at the stamps, workpiece axes: constant between its knots."""
-    if np.ptp(reference.quaternion, axis=0).max() == 0.0:
+    if not reference.turns:
         return np.zeros((stamps.size, 3))
     segment, _, _ = reference.locate(stamps, side)
     first = int(segment.min())

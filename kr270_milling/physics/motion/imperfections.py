@@ -14,7 +14,8 @@ __all__ = ["Imperfections"]
 
 #: of a Maxwell-distributed distance with standard deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
 SERVO_DAMPING = 0.7  #: assumed: ratio of the second order of the servo lag, the usual tuning without overshoot
-SERVO_STEP = 1e-3  #: [s], of the lagged correction
+SERVO_STEP = 1_000_000  #: [ns], of the lagged correction
+MOST_SERVO_STEPS = 2**20  #: of a long path, 3.4 ms in an hour
 SENSOR_LEVER = 0.1  #: [m], assumed: noise of a measured moment over that of a force
 REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
 
@@ -92,12 +93,14 @@ class Imperfections(Record):
         """
         if not (self.servo_frequency or self.servo_delay) or reference is target:
             return reference
-        grid = np.append(np.arange(0, target.duration_ns, round(1e9 * SERVO_STEP)), target.duration_ns)
+        step = max(SERVO_STEP, target.duration_ns // MOST_SERVO_STEPS)
+        grid = np.append(np.arange(0, target.duration_ns, step), target.duration_ns)
         late = np.maximum(grid - round(1e9 * self.servo_delay), 0)
         correction = reference.sample(late) - target.sample(late)
         if self.servo_frequency:
-            correction = _second_order(correction, 2.0 * np.pi * self.servo_frequency)
-        time_ns = np.union1d(grid, target.time_ns)
+            correction = _second_order(correction, 2.0 * np.pi * self.servo_frequency, 1e-9 * step)
+        both = np.sort(np.concatenate([grid, target.time_ns]), kind="stable")  # two sorted rows: a merge
+        time_ns = both[np.diff(both, prepend=-1) > 0]
         rates = np.gradient(correction, grid * 1e-9, axis=0)
         shift, rate = (np.column_stack([np.interp(time_ns, grid, v) for v in rows.T]) for rows in (correction, rates))
         smooth = reference.velocity is not None
@@ -107,9 +110,9 @@ class Imperfections(Record):
         )  # fmt: skip
 
 
-def _second_order(rows: np.ndarray, w: float) -> np.ndarray:
-    """Rows (n, 3) through w^2 / (s^2 + 2 zeta w s + w^2), linear between samples ``SERVO_STEP`` apart, from rest."""
+def _second_order(rows: np.ndarray, w: float, step: float) -> np.ndarray:
+    """Rows (n, 3) through w^2 / (s^2 + 2 zeta w s + w^2), linear between samples ``step`` [s] apart, from rest."""
     plant = signal.TransferFunction([w * w], [1.0, 2.0 * SERVO_DAMPING * w, w * w])
-    discrete = signal.cont2discrete((plant.num, plant.den), SERVO_STEP, "foh")
+    discrete = signal.cont2discrete((plant.num, plant.den), step, "foh")
     start = signal.lfilter_zi(discrete[0].ravel(), discrete[1])[:, None] * rows[0]
     return signal.lfilter(discrete[0].ravel(), discrete[1], rows, axis=0, zi=start)[0]

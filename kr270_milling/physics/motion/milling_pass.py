@@ -26,6 +26,11 @@ __all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass", "sil
 
 WINDOW = 65_536  # exchange periods whose reference is sampled at once, some 600 bytes each
 CHUNK = 200  # exchange periods between two reports of progress
+#: shape of a row of each series of a pass
+SERIES: dict[str, tuple[int, ...]] = {
+    "time_ns": (), "target": (3,), "reference": (3,), "tool": (3,), "deflection": (6,), "wrench": (6,),
+    "correction": (), "torque": (), "volume": (),
+}  # fmt: skip
 NO_PUSH = np.zeros(0)  # of a reference that does not move
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
 
@@ -213,7 +218,10 @@ def run_pass(
     window = WINDOW // every * every
     state, wrench = np.zeros(model.states), np.zeros(6)
     tool = reference.sample(np.zeros(1, np.int64))
-    rows: list[tuple[np.ndarray, ...]] = []
+    count = math.ceil(n / every) + 1
+    series = {name: np.zeros((count, *shape)) for name, shape in SERIES.items()}
+    series["time_ns"] = np.zeros(count, np.int64)
+    filled = 0
     cut_state = cut.state if iterations > 1 else cut.state_of_pass
     area, volume, wall = cut.removed_area, cut.removed_volume, 0.0
     for begin in range(0, max(n, 1), window):
@@ -244,12 +252,12 @@ def run_pass(
                 progress(last, n)
         wall += time.perf_counter() - start
         tool = out[0]
-        first_row = int(begin > 0)
-        rows.append(_combined(every, first_row, (stamps, target.sample(stamps), course, *out)))
-    fields = ("time_ns", "target", "reference", "tool", "deflection", "wrench", "correction", "torque", "volume")
-    series = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        rows = _combined(every, int(begin > 0), (stamps, target.sample(stamps), course, *out))
+        for values, new in zip(series.values(), rows, strict=True):
+            values[filled : filled + len(new)] = new
+        filled += len(rows[0])
     return PassResult(
-        **dict(zip(fields, series, strict=True)),
+        **series,
         micro_steps=n * clock.micro_steps,
         removed_area=cut.removed_area - area,
         removed_volume=cut.removed_volume - volume,
