@@ -16,7 +16,7 @@ from kr270_milling.base.column import CONVERGED
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
-from kr270_milling.decide.part.course import course
+from kr270_milling.decide.part.course import Course, course
 from kr270_milling.decide.part.surface import IdealPart, ideal_part
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
@@ -85,6 +85,7 @@ class Gauge:
 
     cell: Cell
     ideal: IdealPart | None  #: the part of a rigid arm; None: a straight cut
+    path: Course | None = None  #: of a pass of the target; None: a straight cut
 
     @classmethod
     def of(cls, cell: Cell) -> Gauge:
@@ -93,13 +94,14 @@ class Gauge:
             return cls(cell, None)
         target = cell.target()
         stamps = cell.clock.stamp(np.arange(cell.clock.steps(target.duration_ns) + 1))
-        return cls(cell, ideal_part(cell, course(cell, stamps), target.sample(stamps)))
+        path = course(cell, stamps)
+        return cls(cell, ideal_part(cell, path, target.sample(stamps)), path)
 
     def measure(self, result: PassResult) -> Judgement:
         """Judge one pass along the target; ``result.heights`` spares a sweep of the workpiece."""
         if self.ideal is None:
             return _judge_straight_cut(self.cell, result, _largest_deviation(self.cell, result))
-        return judge_part(self.cell, assess_result(self.cell, "", result, self.ideal))
+        return judge_part(self.cell, assess_result(self.cell, "", result, self.ideal, self.path))
 
 
 def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:

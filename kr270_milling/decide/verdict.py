@@ -20,6 +20,7 @@ from kr270_milling.cell.plant import Plant, imperfect_arm, imperfect_course, per
 from kr270_milling.decide.tolerance import PATH_DEVIATION, SURFACE_ERROR, Gauge
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
+from kr270_milling.physics.motion.dynamics import ArmModel
 from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
@@ -308,21 +309,26 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
     corrections of one target: the arm's model along the target holds for all.
     """
     rows = np.full((len(references), 2), np.nan)
-    try:
+    with contextlib.suppress(MillingError):
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
-            course = imperfect_course(plant, reference, k, target)
-            silent = plant.programmed.drilling_at
-            cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
-            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
-            if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
-                continue
-            heights = None if gauge.ideal is None else cut.map_heights()[2]
-            judged = gauge.measure(dataclasses.replace(ran, heights=heights))
-            rows[k] = judged.error, judged.share
-    except MillingError:
-        pass
+            rows[k] = _errors(plant, model, target, reference, k, gauge)
     return rows
+
+
+def _errors(
+    plant: Cell, model: ArmModel, target: Trajectory, reference: Trajectory, number: int, gauge: Gauge
+) -> tuple[float, float]:
+    """The error [m] of a pass, by its number, and its share of the tolerance; NaN where the plant is unstable."""
+    course = imperfect_course(plant, reference, number, target)
+    silent = plant.programmed.drilling_at
+    cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
+    ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
+    if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
+        return math.nan, math.nan
+    heights = None if gauge.ideal is None else cut.map_heights()[2]
+    judged = gauge.measure(dataclasses.replace(ran, heights=heights))
+    return judged.error, judged.share
 
 
 def coarser(cell: Cell) -> Cell:

@@ -130,6 +130,8 @@ class Trajectory:
 
     def sample_orientation(self, time_ns) -> np.ndarray:
         """Return quaternions x, y, z, w, (..., 4), at times [ns] of any shape."""
+        if not self.turns:
+            return np.broadcast_to(self.quaternion[0], (*np.shape(time_ns), 4))
         k, u, _ = self.locate(time_ns)
         return slerp(self.quaternion[k], self.quaternion[k + 1], u)
 
