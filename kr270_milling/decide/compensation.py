@@ -29,6 +29,7 @@ from kr270_milling.decide.verdict import (
     compare_methods,
     cores,
     monte_carlo,
+    plants_at_once,
 )
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import Limited
@@ -43,10 +44,10 @@ __all__ = [
 
 
 USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for, where more than 8 plants run
-LONGEST_VERDICT = 100.0  #: [s], of 8 plants that are not asked for; where 8 take longer no verdict is made
+LONGEST_VERDICT = 150.0  #: [s], of 8 plants that are not asked for; where 8 take longer no verdict is made
 COMPARISON, PLANNING, SURFACES, COARSE = 1.0, 0.3, 0.1, 0.25  #: time as multiples of that of a pass, on the test piece
 REPEATS = 3  #: passes that a method that repeats usually takes
-LONGEST_PASS = LONGEST_VERDICT / 4  #: [s]; after a longer one not even a first plant is tried
+LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def _plant_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
     straight = cell.programmed.straight
     coarse = 1.0 if straight or cell.by_engagement else COARSE
     runs = (len(METHODS) if straight else 3) if order.compare else 2
-    return each * coarse * runs / cores()
+    return each * coarse * runs / plants_at_once(cell)
 
 
 def _affordable(cell: Cell, order: VerdictOrder, each: float) -> VerdictOrder | None:

@@ -26,7 +26,7 @@ from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "MethodComparison",
            "Verdict", "alternatives", "coarser", "compare_methods", "cores", "judge_plants", "monte_carlo",
-           "run_sample"]  # fmt: skip
+           "plants_at_once", "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -39,6 +39,7 @@ TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are m
 NO_METHOD = "none"  #: run the path as it was programmed
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
+LONG_PASS = 500_000  #: exchange periods; of a longer pass a plant needs 0.5 GB an hour, so that plants run one by one
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +190,11 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+def plants_at_once(cell: Cell) -> int:
+    """Number of plants that run at the same time: as many as there are cores, one where a pass is long."""
+    return 1 if cell.clock.steps(cell.target().duration_ns) > LONG_PASS else cores()
+
+
 def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
     """The error [m] of a plant whose own passes are measured and learned from; NaN where that fails."""
     try:
@@ -224,8 +230,9 @@ def monte_carlo(
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     progress = progress or (lambda *_: None)
-    target, straight, threads = cell.target(), cell.programmed.straight, cores()
+    target, straight = cell.target(), cell.programmed.straight
     nominal = cell if straight else coarser(cell)
+    threads = plants_at_once(nominal)
     gauge = Gauge.of(nominal)
     references = {method: revised, **(others or {})}
     rng = np.random.default_rng(seed)
