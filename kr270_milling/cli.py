@@ -96,17 +96,20 @@ def _main(argv: list[str], own_process: bool = False) -> int:
         return _refuse(argv, f"there is not enough memory for this; {advice}")
     except KeyboardInterrupt:
         return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
-    except SystemError as error:  # compiled code that received Ctrl-C
-        if not _is_interrupted(error):
+    except SystemError as error:  # compiled code that received Ctrl-C or SIGTERM
+        end = _end_behind(error)
+        if end is None:
             raise
+        if isinstance(end, SystemExit):
+            raise end from None
         return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
 
 
-def _is_interrupted(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused the error: each compiled function that it passes adds a SystemError."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+def _end_behind(error: BaseException | None) -> BaseException | None:
+    """Return the Ctrl-C or SIGTERM that caused the error: each compiled function that it passes adds a SystemError."""
+    while error is not None and not isinstance(error, (KeyboardInterrupt, SystemExit)):
         error = error.__cause__
-    return error is not None
+    return error
 
 
 def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tuple[str, ...] = ()) -> int:
@@ -123,7 +126,7 @@ def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tup
 
 
 def _handle_interrupts(own_process: bool = False) -> None:
-    """Let Ctrl-C wait for the end of a compilation or an import, some seconds at most; a second Ctrl-C does not wait.
+    """Let Ctrl-C and SIGTERM wait for the end of a compilation or an import, some seconds; a second one does not wait.
 
     SIGTERM ends the command as an error does, so that no unfinished file stays. Handlers of a caller stay unchanged;
     own_process: there is no caller, and the handler of the start (``__main__``) is replaced.
@@ -131,28 +134,26 @@ def _handle_interrupts(own_process: bool = False) -> None:
     An interrupted compiler stays incomplete, and compiled libraries report an interrupted import as a broken
     installation.
     """
-    pressed: list[int] = []
+    received: list[int] = []
 
-    def interrupt(number, frame):
-        pressed.extend([number] * (number == signal.SIGINT))
+    def end(number, frame):
+        received.extend([number] * (number != signal.SIGALRM))
         compiler = sys.modules.get("numba.core.compiler_lock")
         busy = _is_importing(frame) or (compiler is not None and compiler.global_compiler_lock.is_locked())
-        if busy and len(pressed) < 2:
-            signal.signal(signal.SIGALRM, interrupt)
+        if busy and len(received) < 2:
+            signal.signal(signal.SIGALRM, end)
             signal.setitimer(signal.ITIMER_REAL, 0.02)  # look again
             return
+        if signal.SIGTERM in received:
+            raise SystemExit(128 + signal.SIGTERM)
         raise KeyboardInterrupt
 
     with contextlib.suppress(ValueError):  # only the main thread may
         present = signal.getsignal(signal.SIGINT)
         if present is signal.default_int_handler or (own_process and present is not signal.SIG_IGN):
-            signal.signal(signal.SIGINT, interrupt)
+            signal.signal(signal.SIGINT, end)
         if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-            signal.signal(signal.SIGTERM, _terminate)
-
-
-def _terminate(number, frame) -> None:
-    raise SystemExit(128 + number)
+            signal.signal(signal.SIGTERM, end)
 
 
 def _complete() -> None:

@@ -121,19 +121,19 @@ from numba.core.compiler_lock import global_compiler_lock as lock
 from kr270_milling.cli import _handle_interrupts
 _handle_interrupts()
 with lock:
-    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.{number})
     sum(range(10**6))
     print("still here")
 try:
     while True:
         signal.pause()
-except KeyboardInterrupt:
+except {error}:
     print("now")
 with lock:
     try:
-        os.kill(os.getpid(), signal.SIGINT)
-    except KeyboardInterrupt:
-        print("at once when pressed again")
+        os.kill(os.getpid(), signal.{number})
+    except {error}:
+        print("at once when sent again")
 """
 
 
@@ -142,9 +142,10 @@ def ran(code: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=30)
 
 
-def test_ctrl_c_waits_for_a_compilation_unless_it_comes_twice():
-    done = ran(COMPILING)
-    assert done.stdout.split("\n") == ["still here", "now", "at once when pressed again", ""], done.stderr
+@pytest.mark.parametrize("number, error", [("SIGINT", "KeyboardInterrupt"), ("SIGTERM", "SystemExit")])
+def test_a_signal_waits_for_a_compilation_unless_it_comes_twice(number, error):
+    done = ran(COMPILING.format(number=number, error=error))
+    assert done.stdout.split("\n") == ["still here", "now", "at once when sent again", ""], done.stderr
 
 
 STARTING = """

@@ -313,9 +313,12 @@ def test_paths_are_shown_from_the_working_directory(tmp_path, monkeypatch):
     assert [shown_path(path) for path in paths] == ["out/linear", "/elsewhere/out", "out"]
 
 
-@pytest.mark.parametrize("cause", [KeyboardInterrupt(), ValueError("a fault of compiled code")])
-def test_ctrl_c_below_several_compiled_functions_is_one_sentence(cause, monkeypatch, capsys):
-    """Each compiled function adds a SystemError; without Ctrl-C the error stays."""
+@pytest.mark.parametrize(
+    "cause, raised",
+    [(KeyboardInterrupt(), None), (SystemExit(143), SystemExit), (ValueError("of compiled code"), SystemError)],
+)
+def test_a_signal_below_several_compiled_functions_ends_the_command(cause, raised, monkeypatch, capsys):
+    """Each compiled function adds a SystemError; without a signal the error stays."""
 
     def fail(args):
         outer, inner = SystemError("outer"), SystemError("inner")
@@ -323,7 +326,6 @@ def test_ctrl_c_below_several_compiled_functions_is_one_sentence(cause, monkeypa
         raise outer
 
     monkeypatch.setattr("kr270_milling.show.commands.bench.run_bench", fail)
-    expected = contextlib.nullcontext() if isinstance(cause, KeyboardInterrupt) else pytest.raises(SystemError)
-    with expected:
+    with pytest.raises(raised) if raised else contextlib.nullcontext():
         assert main(["bench"]) == 130
         assert capsys.readouterr().err == "kr270_milling: interrupted\n"
