@@ -43,7 +43,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for, where more than 8 plants run
+USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for: within this time more than 8 plants run
 LONGEST_VERDICT = 150.0  #: [s], of 8 plants that are not asked for; where 8 take longer no verdict is made
 COMPARISON, PLANNING, SURFACES, COARSE = 1.0, 0.3, 0.1, 0.25  #: time as multiples of that of a pass, on the test piece
 REPEATS = 3  #: passes that a method that repeats usually takes
@@ -55,7 +55,7 @@ class VerdictOrder:
     """How a verdict is wanted."""
 
     samples: int = SAMPLES  #: plants
-    asked_for: bool = False  #: whether all plants run, else as many as USUAL_BUDGET allows, or none
+    asked_for: bool = False  #: whether all plants run; else as many as there is time for, see ``_affordable``
     compare: bool = True  #: whether other methods are looked at
     seed: int = 1
     estimate: Callable[[int, float], None] = lambda *_: None  #: receives the plants and the seconds that are to come

@@ -123,7 +123,7 @@ def make_engagement_params(
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
-    bins: K, of a whole turn.
+    bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS.
     """
     ahead = bins // 2
     nx, ny = stock.nodes
