@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.interpolate import CubicSpline
 
 from kr270_milling.base.blocks import blocks
 
@@ -96,8 +97,11 @@ class Segments:
         """Samples (n, d) in the middle of each part, (m, parts, d), with as little noise as their mean has.
 
         Taylor: mean = v + v' <t> + v'' <t^2> / 2 over the times t of the samples from the middle; v' and v'' come from
-        the means of the neighbouring parts.
+        the means of the neighbouring parts. Of fewer than two samples a part there is no mean to correct: a spline
+        through the samples.
         """
+        if time_ns.size < 2 * self.middle_ns.size:
+            return CubicSpline(time_ns * 1e-9, values)(self.middle_ns * 1e-9)
         mean = self.mean(time_ns, values).reshape(-1, values.shape[1])
         off = (time_ns - self.middle_ns.ravel()[self.part_of(time_ns)])[:, None] * 1e-9
         first, second = self.mean(time_ns, np.hstack([off, off**2 / 2.0])).reshape(-1, 2).T

@@ -35,7 +35,6 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import inlined
-from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.physics.cutting.laws import Cutting
@@ -60,9 +59,13 @@ END_NODES = 0.4  # nodes across the feed in the outermost bins
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
-BLOCK = 32  # nodes
+BLOCK = 16  # nodes, a power of two
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
-FLOOR_LEVEL = 5  # place in ints: the whole footprint is cut at least to this level (-1: not known)
+FLOORS = 64  # places that a state remembers
+# Places in EngagementState.ints
+FLOOR_LEVEL = 5  # the whole footprint is cut at least to this level (-1: not known)
+FLOORS_KNOWN = 6  # rows in use of ``floors``
+FLOORS_KEPT = 8  # of these rows, the first ones that the last step has not changed
 
 
 class EngagementParams(NamedTuple):
@@ -99,7 +102,7 @@ class EngagementParams(NamedTuple):
 class EngagementState(NamedTuple):
     """The height map and the last step. Names and layout of the map are those of ``state.State``."""
 
-    pool: np.ndarray  # uint16, (tiles * TILE * TILE,): mean of the cell of a node
+    pool: np.ndarray  # uint16, (tiles * TILE * TILE + BLOCK,): mean of the cell of a node
     rest: np.ndarray  # uint16, same shape: level of that part of the cell which the tool has not covered
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
@@ -113,6 +116,7 @@ class EngagementState(NamedTuple):
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
     log_rest: np.ndarray  # uint16
+    floors: np.ndarray  # (FLOORS, 3): x and y of former tips [m], level to which that footprint is cut; deepest first
     spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
     ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
     sunk: np.ndarray  # (sectors, 2): removed below the former footprint: levels and nodes
@@ -131,7 +135,7 @@ def make_engagement_params(
     reach = int((1.0 + 0.5 * LONGEST) * radius / stock.grid_step) + 3
     offset = np.arange(-reach, reach + 1)
     angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
-    sector = 2.0 * np.pi / SECTORS
+    sectors = np.clip(np.floor((angle + np.pi) * SECTORS / (2.0 * np.pi)), 0, SECTORS - 1)
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
     last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
     inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
@@ -139,7 +143,7 @@ def make_engagement_params(
     middles = 0.5 * (edges[1:] + edges[:-1])
     sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
     node = 0.5 * SINES * stock.grid_step / radius * FINE
-    whole = (np.arange(SECTORS) + 0.5) * sector - np.pi
+    whole = (np.arange(SECTORS) + 0.5) * (2.0 * np.pi / SECTORS) - np.pi
     return EngagementParams(
         radius=radius,
         teeth=tool.teeth,
@@ -160,7 +164,7 @@ def make_engagement_params(
         end_factor=cutting.end_ratio,
         moments=cutting.moments,
         front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16),
-        around=np.clip(np.floor((angle + np.pi) / sector), 0, SECTORS - 1).astype(np.int16),
+        around=sectors.astype(np.int16),
         reach=reach,
         shift=np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
         widths=np.diff(edges),
@@ -173,12 +177,13 @@ def make_engagement_params(
 def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementState:
     """An untouched stock."""
     tiles = tile_count(stock)
+    nodes = min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + BLOCK  # of which a last block may look beyond its tile
     footprint = (2 * params.reach + 3) ** 2
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
     return EngagementState(
-        pool=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
-        rest=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
+        pool=np.zeros(nodes, np.uint16),
+        rest=np.zeros(nodes, np.uint16),
         table=np.full(tiles, -1, np.int32),
         ints=ints,
         floats=np.zeros(FLOATS),
@@ -191,6 +196,7 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
+        floors=np.zeros((FLOORS, 3)),
         spans=np.zeros((4, 2 * params.reach + 3), np.int32),
         ahead=np.zeros((params.widths.size, 2)),
         sunk=np.zeros((SECTORS, 2)),
@@ -213,8 +219,10 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     for j in range(7):
         s.saved_load[j] = s.load[j]
     s.ints[LOGGED] = 0
+    s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
     if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
         s.ints[FLOOR_LEVEL] = -1  # the tool did not come from its last place: what its footprint has cut is not known
+        s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
     for j in range(6):
         wrench[j] = 0.0
     dx, dy, dz = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], pose_to[2] - pose_from[2]
@@ -253,7 +261,7 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     """
     level = _level(p, min(z1, 0.5 * (z0 + z1)))
     if level == 0 or _outside(p, x1, y1):
-        s.ints[FLOOR_LEVEL] = level
+        _remember(s, x1, y1, level)
         return 0.0, 0.0
     for k in range(s.ahead.shape[0]):
         s.ahead[k, 0] = s.ahead[k, 1] = 0.0
@@ -264,13 +272,35 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     if sinking:
         for k in range(SECTORS):
             s.sunk[k, 0] = s.sunk[k, 1] = 0.0
-        _clear(s, p, x0, y0, x0, y0, level, True, ahead_x, ahead_y)
+        cut_x, cut_y = _cut_before(s, level)
+        _clear(s, p, cut_x, cut_y, x0, y0, level, True, ahead_x, ahead_y)
     if m > 0.0:
         _clear(s, p, x0, y0, x1, y1, level, False, ahead_x, ahead_y)
-    s.ints[FLOOR_LEVEL] = level
+    _remember(s, x1, y1, level)
     if passes <= 0.0:
         return 0.0, 0.0
     return _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench)
+
+
+@inlined
+def _remember(s, x, y, level):
+    """Note that the whole footprint at (x, y) is cut to ``level``. A later sinking tool need not visit it again.
+
+    Only places matter that are deeper than all later ones.
+    """
+    s.ints[FLOOR_LEVEL] = level
+    known = s.ints[FLOORS_KNOWN]
+    while known > 0 and s.floors[known - 1, 2] <= level:
+        known -= 1
+    if known == FLOORS:  # the older half is forgotten
+        known = FLOORS // 2
+        s.ints[FLOORS_KEPT] = 0
+        for k in range(known):
+            for j in range(3):
+                s.floors[k, j] = s.floors[k + FLOORS - known, j]
+    s.ints[FLOORS_KEPT] = min(s.ints[FLOORS_KEPT], known)
+    s.floors[known, 0], s.floors[known, 1], s.floors[known, 2] = x, y, level
+    s.ints[FLOORS_KNOWN] = known + 1
 
 
 @inlined
@@ -290,8 +320,20 @@ def _outside(p, x, y):
 
 
 @inlined
+def _cut_before(s, level):
+    """The last tip (x, y) whose whole footprint is cut at least to ``level``; FAR away: none is known."""
+    known = s.ints[FLOORS_KNOWN]
+    while known > 0 and s.floors[known - 1, 2] < level:
+        known -= 1
+    return (s.floors[known - 1, 0], s.floors[known - 1, 1]) if known > 0 else (FAR, FAR)
+
+
+@inlined
 def _clear(s, p, x0, y0, x1, y1, level, sinking, ahead_x, ahead_y):
-    """Lower the footprint at (x1, y1) to ``level``: all of a sinking tool, else what is ahead of (x0, y0)."""
+    """Lower the footprint at (x1, y1) to ``level``, without the inside of that at (x0, y0), which is cut.
+
+    A moving tool lowers only what is ahead, a sinking tool all.
+    """
     scale = 1.0 / p.spacing
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
     u1, v1 = (x1 - p.origin_x) * scale, (y1 - p.origin_y) * scale
@@ -301,21 +343,22 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, ahead_x, ahead_y):
     middle_u, middle_v = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
     zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - (middle_u * side_x + middle_v * side_y)
     about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    frame = (side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r * r)
+    frame = (side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
     start = max(int(math.ceil(u1 - r - RIM)), 0)
     count = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1 - start
     _spans(s.spans[0], s.spans[1], start, count, u1, v1, (r + RIM) ** 2)
-    _spans(s.spans[2], s.spans[3], start, count, u0, v0, -1.0 if sinking else (r - RIM) ** 2)
+    _spans(s.spans[2], s.spans[3], start, count, u0, v0, (r - RIM) ** 2)
     for n in range(count):
+        i = start + n
         low, high = max(s.spans[0, n], 0), min(s.spans[1, n], p.ny - 1)
         before, behind = min(s.spans[2, n] - 1, high), max(s.spans[3, n] + 1, low)  # ends beside the former footprint
-        along = middle_v * ahead_y - (start + n - middle_u) * ahead_x  # nodes ahead have j ahead_y above this
+        along = middle_v * ahead_y - (i - middle_u) * ahead_x  # nodes ahead have j ahead_y above this
         if behind <= low or before >= high:  # the column misses the former footprint
             before, behind = high, high + 1
         if low <= before and (sinking or max(low * ahead_y, before * ahead_y) > along):
-            _column(s, p, start + n, low, before, level, sinking, frame)
+            _column(s, p, i, low, before, level, sinking, frame)
         if behind <= high and (sinking or max(behind * ahead_y, high * ahead_y) > along):
-            _column(s, p, start + n, behind, high, level, sinking, frame)
+            _column(s, p, i, behind, high, level, sinking, frame)
 
 
 @inlined
@@ -333,15 +376,21 @@ def _spans(low, high, start, count, u, v, square):
 def _column(s, p, i, low, high, level, sinking, frame):
     """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
     pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
-    side_x, side_y, zero, about_i, about_j, u, v, r2 = frame
+    side_x, side_y, zero, about_i, about_j, u, v, r = frame
     du = i - u
-    inside, beside = r2 - du * du, abs(du)
+    inside, beside = r * r - du * du, abs(du)
     across = np.int64(zero + i * side_x)
-    j, logged, new, total = np.int64(low), s.ints[LOGGED], 0, 0
+    j, logged = np.int64(low), s.ints[LOGGED]
     ahead, sunk, shift = s.ahead, s.sunk, p.shift[i & 63]
+    new = total = 0
     room = logged + high - low < log_place.size
     if not room:
         logged = LOG_LOST
+    covered = np.int64(high)  # from there to ``covered_end`` the tool covers whole cells
+    covered_end = covered
+    if sinking and beside < r - RIM:
+        half = math.sqrt((r - RIM) ** 2 - du * du)
+        covered, covered_end = np.int64(math.ceil(v - half)), np.int64(math.floor(v + half)) + 1
     while j <= high:
         stop = min(high, j | 255) + 1
         slot = s.table[i >> 8, j >> 8]
@@ -354,43 +403,67 @@ def _column(s, p, i, low, high, level, sinking, frame):
             s.ints[TILES] += 1
         base = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
         while j < stop:
-            end = stop
-            if sinking:  # most nodes below the tool are cut already: they are compared many at once
-                end = min(j + BLOCK, stop)
-                if not any_above(pool, np.uint64(base + j), np.uint64(end - j), np.uint16(level)):
-                    j = end
-            while j < end:
-                place = np.uint64(base + j)
-                before = np.int64(pool[place])
-                if before < level:
-                    dv = j - v
-                    rest = np.int64(rests[place])
-                    full = 4.0 * (beside + abs(dv))
-                    cover = 2.0 * (inside - dv * dv) + 0.5 * full  # ``full`` times the covered share
-                    after = level
-                    if cover < full:
-                        after = rest + np.int64(cover * (level - rest) / full + 0.5)
-                    if after > before:
-                        if room:
-                            log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
-                            log_rest[np.uint64(logged)] = rest
+            if sinking and covered <= j < covered_end:  # a block of nodes at once, in the sector of its middle
+                begin = about_j + p.reach + ((j - about_j - p.reach) & ~(BLOCK - 1))  # blocks begin at the axis
+                end = min(stop, covered_end, begin + BLOCK)
+                a, b = i - about_i, min(max(begin + BLOCK // 2 - about_j, 0), 2 * p.reach)
+                k = np.uint64(p.around[np.uint64(a), np.uint64(b)])
+                first, count, deep = np.uint64(base + j), np.uint16(end - j), np.uint16(level)
+                if room:
+                    for n in range(end - j):
+                        place = first + np.uint64(n)
+                        if pool[place] < deep:
+                            log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, pool[place]
+                            log_rest[np.uint64(logged)] = rests[place]
                             logged += 1
-                        pool[place] = after
-                        if cover >= full:
-                            rests[place] = level
-                        lost = after - before
-                        total += lost
-                        new += before == 0
-                        if sinking:
-                            k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
-                            sunk[k, 0] += lost
-                            sunk[k, 1] += 1.0
-                        else:
-                            sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
-                            k = np.uint64(p.front[sine])
-                            ahead[k, 0] += lost
-                            ahead[k, 1] += lost * (level - rest)
-                j += 1
+                levels, lowered, untouched = np.uint32(0), np.uint16(0), np.uint16(0)
+                for n in range(BLOCK):  # vector instructions: no branch, sums as narrow as they may be
+                    place, lane = first + np.uint64(n), np.uint16(n)
+                    mean = pool[place]
+                    goal = deep if lane < count else np.uint16(0)
+                    left = np.uint16(max(mean, goal) - mean)
+                    levels = np.uint32(levels + np.uint32(left))
+                    lowered = np.uint16(lowered + np.uint16(left > 0))
+                    untouched = np.uint16(untouched + np.uint16(left == deep))
+                    pool[place] = np.uint16(mean + left)
+                    rests[place] = deep if left > 0 else rests[place]
+                sunk[k, 0] += levels
+                sunk[k, 1] += lowered
+                total += np.int64(levels)
+                new += np.int64(untouched)
+                j = end
+                continue
+            place = np.uint64(base + j)
+            before = np.int64(pool[place])
+            if before < level:
+                dv = j - v
+                rest = np.int64(rests[place])
+                full = 4.0 * (beside + abs(dv))
+                cover = 2.0 * (inside - dv * dv) + 0.5 * full  # ``full`` times the covered share
+                after = level
+                if cover < full:
+                    after = rest + np.int64(cover * (level - rest) / full + 0.5)
+                if after > before:
+                    if room:
+                        log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
+                        log_rest[np.uint64(logged)] = rest
+                        logged += 1
+                    pool[place] = after
+                    if cover >= full:
+                        rests[place] = level
+                    lost = after - before
+                    total += lost
+                    new += before == 0
+                    if sinking:
+                        k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
+                        sunk[k, 0] += lost
+                        sunk[k, 1] += 1.0
+                    else:
+                        sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
+                        k = np.uint64(p.front[sine])
+                        ahead[k, 0] += lost
+                        ahead[k, 1] += lost * (level - rest)
+            j += 1
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
     s.floats[LEVEL_SUM] += total * p.level_step
@@ -453,7 +526,7 @@ def undo_engagement(s):
     for k in range(logged - 1, -1, -1):
         s.pool[s.log_place[k]] = s.log_level[k]
         s.rest[s.log_place[k]] = s.log_rest[k]
-    tiles = s.ints[TILES]
+    tiles, floors = s.ints[TILES], s.ints[FLOORS_KEPT]
     for j in range(s.ints.size):
         s.ints[j] = s.saved_ints[j]
     for j in range(s.floats.size):
@@ -463,5 +536,6 @@ def undo_engagement(s):
     for j in range(7):
         s.load[j] = s.saved_load[j]
     s.ints[TILES] = tiles  # an untouched tile equals none
+    s.ints[FLOORS_KNOWN] = floors
     s.ints[LOGGED] = 0
     return True

@@ -187,16 +187,26 @@ def reference_motion(
     programmed trajectory: a straight cut enters at its feed rate. None: that of the reference itself. first: number of
     the period that begins at the first stamp; the pass begins with period 0.
     """
-    period = np.diff(stamps)[:, None] * 1e-9
     moved = np.hstack([np.diff(reference.sample(stamps), axis=0), _turns(reference, stamps)])
     after, before = _rates(reference, stamps, "right"), _rates(reference, stamps, "left")
     if first == 0:
         before[0] = after[0] if approach is None else approach
     after[stamps >= reference.duration_ns] = 0.0  # then it rests
-    v, w = after[:-1], before[1:]
-    start = (6 * moved / period - 4 * v - 2 * w) / period
-    end = (-6 * moved / period + 2 * v + 4 * w) / period
-    return np.hstack([(after - before)[:-1], start, end])
+    motion = np.empty((stamps.size - 1, 18))
+    _accelerations(np.diff(stamps) * 1e-9, moved, before, after, motion)
+    return motion
+
+
+@njit(cache=True, error_model="numpy")
+def _accelerations(period, moved, before, after, motion):
+    """Fill ``motion`` (n, 18), see ``reference_motion``, from r' before and after each stamp, (n + 1, 6)."""
+    for n in range(period.size):
+        h = period[n]
+        for j in range(6):
+            p, v, w = moved[n, j], after[n, j], before[n + 1, j]
+            motion[n, j] = v - before[n, j]
+            motion[n, 6 + j] = (6.0 * p / h - 4.0 * v - 2.0 * w) / h
+            motion[n, 12 + j] = (-6.0 * p / h + 2.0 * v + 4.0 * w) / h
 
 
 def approach(programmed: Trajectory) -> np.ndarray:
