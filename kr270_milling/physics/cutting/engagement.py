@@ -59,6 +59,7 @@ END_NODES = 0.4  # nodes across the feed in the outermost bins
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
+SLIGHT = 0.1  # of the move: what a tool sinks below that, its rim ahead removes with the crescent
 BLOCK = 16  # nodes, a power of two
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
@@ -273,9 +274,11 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
         for k in range(SECTORS):
             s.sunk[k, 0] = s.sunk[k, 1] = 0.0
         cut_x, cut_y = _cut_before(s, level)
-        _clear(s, p, cut_x, cut_y, x0, y0, level, True, ahead_x, ahead_y)
+        slight = m > 0.5 * p.spacing and (level - s.ints[FLOOR_LEVEL]) * p.level_step < SLIGHT * m
+        to_middle = 0.5 * m if slight else FAR
+        _clear(s, p, cut_x, cut_y, x0, y0, level, True, to_middle, ahead_x, ahead_y)
     if m > 0.0:
-        _clear(s, p, x0, y0, x1, y1, level, False, ahead_x, ahead_y)
+        _clear(s, p, x0, y0, x1, y1, level, False, -0.5 * m, ahead_x, ahead_y)
     _remember(s, x1, y1, level)
     if passes <= 0.0:
         return 0.0, 0.0
@@ -329,10 +332,11 @@ def _cut_before(s, level):
 
 
 @inlined
-def _clear(s, p, x0, y0, x1, y1, level, sinking, ahead_x, ahead_y):
+def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
     """Lower the footprint at (x1, y1) to ``level``, without the inside of that at (x0, y0), which is cut.
 
-    A moving tool lowers only what is ahead, a sinking tool all.
+    to_middle: along the feed from (x1, y1) to the place from which nodes count as ahead. A moving tool lowers only what
+    is ahead. A sinking tool lowers all but the rim ahead, which the move that follows lowers further.
     """
     scale = 1.0 / p.spacing
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
@@ -340,10 +344,10 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, ahead_x, ahead_y):
     r = p.radius * scale
     across = 0.5 * SINES * FINE / r
     side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in parts of the table, a node
-    middle_u, middle_v = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
+    middle_u, middle_v = u1 + to_middle * scale * ahead_x, v1 + to_middle * scale * ahead_y
     zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - (middle_u * side_x + middle_v * side_y)
     about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    frame = (side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
+    frame = (ahead_y, side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
     start = max(int(math.ceil(u1 - r - RIM)), 0)
     count = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1 - start
     _spans(s.spans[0], s.spans[1], start, count, u1, v1, (r + RIM) ** 2)
@@ -356,9 +360,9 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, ahead_x, ahead_y):
         if behind <= low or before >= high:  # the column misses the former footprint
             before, behind = high, high + 1
         if low <= before and (sinking or max(low * ahead_y, before * ahead_y) > along):
-            _column(s, p, i, low, before, level, sinking, frame)
+            _column(s, p, i, low, before, level, sinking, along, frame)
         if behind <= high and (sinking or max(behind * ahead_y, high * ahead_y) > along):
-            _column(s, p, i, behind, high, level, sinking, frame)
+            _column(s, p, i, behind, high, level, sinking, along, frame)
 
 
 @inlined
@@ -373,10 +377,10 @@ def _spans(low, high, start, count, u, v, square):
 
 
 @inlined
-def _column(s, p, i, low, high, level, sinking, frame):
+def _column(s, p, i, low, high, level, sinking, along, frame):
     """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
     pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
-    side_x, side_y, zero, about_i, about_j, u, v, r = frame
+    ahead_y, side_x, side_y, zero, about_i, about_j, u, v, r = frame
     du = i - u
     inside, beside = r * r - du * du, abs(du)
     across = np.int64(zero + i * side_x)
@@ -432,6 +436,9 @@ def _column(s, p, i, low, high, level, sinking, frame):
                 total += np.int64(levels)
                 new += np.int64(untouched)
                 j = end
+                continue
+            if sinking and j * ahead_y > along:
+                j += 1
                 continue
             place = np.uint64(base + j)
             before = np.int64(pool[place])

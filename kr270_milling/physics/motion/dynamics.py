@@ -188,7 +188,10 @@ def reference_motion(
     the period that begins at the first stamp; the pass begins with period 0.
     """
     moved = np.hstack([np.diff(reference.sample(stamps), axis=0), _turns(reference, stamps)])
-    after, before = _rates(reference, stamps, "right"), _rates(reference, stamps, "left")
+    after = _rates(reference, stamps, "right")
+    before = after.copy()
+    corner = reference.locate(stamps, "left")[0] != reference.locate(stamps, "right")[0]  # possible at knots alone
+    before[corner] = _rates(reference, stamps[corner], "left")
     if first == 0:
         before[0] = after[0] if approach is None else approach
     after[stamps >= reference.duration_ns] = 0.0  # then it rests

@@ -309,3 +309,17 @@ def test_a_long_path_costs_in_proportion_to_its_length():
 
     cost(50)
     assert cost(3000) < 40 * cost(300)
+
+
+@pytest.mark.parametrize("period_ms", [0.5, 4.0, 5.0])
+def test_samples_of_a_vibration_give_its_values_in_the_middle_of_the_parts(period_ms):
+    """A mode at 20 Hz, parts of 3 ms: with poses every 4 and 5 ms most parts hold one or none, beside their middle."""
+    segments = Segments(np.arange(101) * 12_000_000, 4)
+    time_ns = np.arange(0, 1_200_000_001, round(period_ms * 1e6))
+
+    def vibration(time_ns):
+        return np.stack([1e-4 * np.sin(40.0 * np.pi * 1e-9 * time_ns + phase) for phase in (0.0, 1.0, 2.0)], axis=-1)
+
+    obtained = segments.middle(time_ns, vibration(time_ns))
+    error = np.abs(obtained - vibration(segments.middle_ns))[1:-1]
+    assert error.max() < 1e-6

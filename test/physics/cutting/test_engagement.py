@@ -18,7 +18,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
-from kr270_milling.physics.cutting.engagement import BINS
+from kr270_milling.physics.cutting.engagement import BINS, FLOORS_KNOWN
 from kr270_milling.physics.motion.milling_pass import run_pass
 
 RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
@@ -185,6 +185,26 @@ def test_a_step_taken_back_leaves_every_bit_of_the_state(sinking):
     assert np.array_equal(cut.sweep(path[-1], end, int(steps[-1]), n), first)
 
 
+@pytest.mark.parametrize("iterated", [False, True])
+def test_a_sinking_tool_need_not_visit_again_what_it_has_cut(iterated):
+    """A tool that swings up and down along a turning path, beside one that knows nothing of its former places."""
+    path, steps = straight(4e-3, 20e-3)
+    turn = np.arange(len(path))
+    path[:, 1] = 2e-3 * np.sin(turn / 20.0)
+    path[:, 2] += 3e-5 * np.sin(turn / 3.0) * np.exp(-(((turn - 40.0) / 60.0) ** 2))
+    cuts = [EngagementCut(tool(), AXIAL, block(-1.1, 1.1), MICRO_STEP) for _ in range(2)]
+    n = int(steps[1])
+    for k in turn[:-1]:
+        cuts[1].state.ints[FLOORS_KNOWN] = 0
+        if iterated:
+            cuts[0].sweep(path[k], path[k + 1] - [0.0, 0.0, 4e-5], int(steps[k]), n)
+            cuts[0].restore()
+        wrenches = [cut.sweep(path[k], path[k + 1], int(steps[k]), n) for cut in cuts]
+        np.testing.assert_array_equal(wrenches[0], wrenches[1])
+    for name in ("pool", "rest", "load"):
+        np.testing.assert_array_equal(getattr(cuts[0].state, name), getattr(cuts[1].state, name))
+
+
 def test_the_error_falls_with_the_step_of_the_map():
     """Scatter of the force over the steps: cells that are cut in part alias with the step of the path."""
     steps = [8e-4, 4e-4, 2e-4, 1e-4, 5e-5]
@@ -275,7 +295,7 @@ def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_p
     words = [f"path.file={program}"]
     cell = read_cell(find_file("test_piece.yaml"), words)
     assert cell.by_engagement
-    assert cell.clock.period == pytest.approx(4e-3) and cell.clock.micro_steps == 192
+    assert cell.clock.period == pytest.approx(5e-3) and cell.clock.micro_steps == 240
     assert cell.stock.grid_step == pytest.approx(2e-4)
     assert "engagement" in cell.cut_text
     assert not read_cell(find_file("test_piece.yaml"), [*words, "cutting.detail=teeth"]).by_engagement

@@ -327,9 +327,9 @@ def test_combined_rows_keep_extremes_sums_means_and_the_scores(long_cell, whole,
 
 def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatch):
     """A tenth of the feed takes six times the periods, with rapid moves; windows and rows stay as many as before."""
-    monkeypatch.setattr(milling_pass, "WINDOW", 256)
+    monkeypatch.setattr(milling_pass, "WINDOW", 100)
     peaks, periods = [], []
-    for feed in ("F4000", "F400"):
+    for feed in ("F4000", "F4000", "F400"):  # the first pass loads compiled code
         cell = small_part(tmp_path, GCODE.replace("F4000", feed), "cutting.detail=engagement")
         target, cut = cell.target(), cell.cut()
         arm = cell.arm_model(target)
@@ -340,4 +340,4 @@ def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatc
         tracemalloc.stop()
         periods.append(ran.micro_steps)
         assert len(ran.time) <= 51
-    assert periods[1] > 5 * periods[0] and peaks[1] < 1.5 * peaks[0]
+    assert periods[2] > 5 * periods[1] and peaks[2] < 1.5 * peaks[1]
