@@ -26,8 +26,8 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
-__all__ = ["ArmModel", "ModalModel", "advance", "approach", "discretise", "discretise_reference", "modes", "push",
-           "reference_motion"]  # fmt: skip
+__all__ = ["ArmModel", "ModalModel", "advance", "approach", "discretise", "discretise_reference", "drive", "modes",
+           "push", "reference_motion", "swing_freely"]  # fmt: skip
 
 Side = Literal["left", "right"]
 
@@ -78,15 +78,18 @@ class ArmModel:
         gaps = self.gaps.arrays
         return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot, gaps
 
-    def push(self, reference: Trajectory, stamps: np.ndarray, first: int = 0) -> np.ndarray:
+    def push(
+        self, reference: Trajectory, stamps: np.ndarray, first: int = 0, course: np.ndarray | None = None
+    ) -> np.ndarray:
         """R m over each period between the stamps [ns], (periods, 2r); none, (0, 2r), for (1) as printed.
 
-        first: number of the period that begins at the first stamp.
+        first: number of the period that begins at the first stamp; course: positions of the reference at the stamps
+        [m], (periods + 1, 3), where they are known already.
         """
         if not self.reference.size:
             return np.zeros((0, self.order))
         out = np.zeros((stamps.size - 1, self.order))
-        motion = reference_motion(reference, stamps, self.approach, first)
+        motion = reference_motion(reference, stamps, self.approach, first, course)
         push(motion, self.reference, self.steps_per_knot, first, out)
         return out
 
@@ -178,16 +181,18 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
 
 
 def reference_motion(
-    reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None, first: int = 0
-) -> np.ndarray:
+    reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None, first: int = 0,
+    course: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """(n, 18) over the n periods between the stamps [ns]: jump of r', r'' at the start, r'' at the end, six each.
 
     A cubic over H from rate v to w that moves by p has r'' = (6 p / H - 4 v - 2 w) / H at its start and
     (-6 p / H + 2 v + 4 w) / H where the period ends. approach: r' before the pass, (6,), for example that of the
     programmed trajectory: a straight cut enters at its feed rate. None: that of the reference itself. first: number of
-    the period that begins at the first stamp; the pass begins with period 0.
+    the period that begins at the first stamp; the pass begins with period 0. course: see ``ArmModel.push``.
     """
-    moved = np.hstack([np.diff(reference.sample(stamps), axis=0), _turns(reference, stamps)])
+    course = reference.sample(stamps) if course is None else course
+    moved = np.hstack([np.diff(course, axis=0), _turns(reference, stamps)])
     after = _rates(reference, stamps, "right")
     before = after.copy()
     corner = reference.locate(stamps, "left")[0] != reference.locate(stamps, "right")[0]  # possible at knots alone
@@ -270,18 +275,41 @@ def advance(step, state, wrench, push, arrays, new_state, deflection):
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
     interpolated linearly. push (2r,): of the reference in this period, a row of ``ArmModel.push``; (0,): none.
     """
-    transition, driven, output, feedthrough, steps_per_knot, gaps = arrays
-    n = transition.shape[0]
+    free = np.empty(arrays[0].shape[1])
+    swing_freely(step, state, arrays, free)
+    drive(step, free, state, wrench, push, arrays, new_state, deflection)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _between(step, steps_per_knot, n):
+    """Postures k and m about a step, and the share of m."""
     place = step / steps_per_knot
     k = min(int(place), n - 1)
     m = min(k + 1, n - 1)
-    f = min(place - k, 1.0) if m > k else 0.0
-    order = transition.shape[1]
-    for i in range(order):
+    return k, m, min(place - k, 1.0) if m > k else 0.0
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def swing_freely(step, state, arrays, free):
+    """Fill ``free`` (2r,): A x, the part of ``advance`` that is the same under every wrench."""
+    transition = arrays[0]
+    k, m, f = _between(step, arrays[4], transition.shape[0])
+    for i in range(free.size):
         total = 0.0
-        for j in range(order):
+        for j in range(free.size):
             a = transition[k, i, j]
             total += (a + f * (transition[m, i, j] - a)) * state[j]
+        free[i] = total
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def drive(step, free, state, wrench, push, arrays, new_state, deflection):
+    """The part of ``advance`` that follows ``swing_freely``."""
+    _, driven, output, feedthrough, steps_per_knot, gaps = arrays
+    k, m, f = _between(step, steps_per_knot, driven.shape[0])
+    order = free.size
+    for i in range(order):
+        total = free[i]
         for j in range(6):
             b = driven[k, i, j]
             total += (b + f * (driven[m, i, j] - b)) * wrench[j]

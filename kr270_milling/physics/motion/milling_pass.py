@@ -19,7 +19,7 @@ from kr270_milling.physics.cutting import CutModel, GridError, UndoError
 from kr270_milling.physics.cutting.cut_step import cut_step, cut_undo
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.cutting.state import FAILED, LEVEL_SUM
-from kr270_milling.physics.motion.dynamics import ArmModel, advance
+from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
 from kr270_milling.physics.motion.exchange import Clock
 
 __all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
@@ -152,14 +152,16 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
     pushes, arrays = arm
     cut_state, cut_params = cut
     per_node = cut_params.spacing * cut_params.spacing
-    scratch, deflection, answer = np.zeros(state.size), np.zeros(6), wrench.copy()
+    scratch, free = np.zeros(state.size), np.zeros(arrays[0].shape[1])
+    deflection, answer = np.zeros(6), wrench.copy()
     no_forces, no_push = np.empty((0, 3)), np.zeros(0)
     for n in range(first, last):
         row = n - window
         push = pushes[row] if len(pushes) else no_push
         before, torque = cut_state.floats[LEVEL_SUM], 0.0
+        swing_freely(n, state, arrays, free)
         for k in range(iterations):
-            advance(n, state, answer, push, arrays, scratch, deflection)  # the robot predicts
+            drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot predicts
             for j in range(3):
                 tool[row + 1, j] = reference[row + 1, j] + deflection[j]
             if k > 0 and not cut_undo(cut_state):
@@ -169,7 +171,7 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
             )
             if silent[row + 1]:
                 answer[:], torque = 0.0, 0.0
-        advance(n, state, answer, push, arrays, scratch, deflection)  # the robot corrects
+        drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot corrects
         state[:] = scratch
         away = 0.0
         for j in range(3):
@@ -233,7 +235,7 @@ def run_pass(
         out[0][0] = tool[-1]
         ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
-        arm = (model.push(reference, stamps, begin), model.arrays)
+        arm = (model.push(reference, stamps, begin, course), model.arrays)
         carried = (
             iterations, course, without[-size:], arm, state, wrench, (cut_state, cut.params), clock.micro_steps, out
         )  # fmt: skip
