@@ -80,7 +80,7 @@ MUTATIONS = [
     ("(10) F", BALANCE, "wrench[going] <<+=|-=>> change"),
     ("(10) theta", BALANCE, "theta[going] <<+=|-=>> change"),
     ("(14) force", LOADS, "cross(cross(axes, arms), <<force|-force>>) + weight"),
-    ("(14) moment", LOADS, "out[k, i] <<+=|-=>> twisted[k, 0]"),
+    ("(14) moment", LOADS, "out[p, k, i] <<+=|-=>> m[k, 0]"),
     ("(15) weights", LOADS, "force) <<+|->> weight"),
     ("(15) weights", LOADS, "weight = <<cross|2 * cross>>(cross(axes, masses"),
     ("(16)", BALANCE, "load_hessian(frames, wrench, loads) <<-|+>> np.diag"),

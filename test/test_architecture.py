@@ -45,6 +45,12 @@ def test_mutations_fit_the_code_that_they_change(file):
     assert all(list(ROOT.glob(f"test/**/test_{name}.py")) for name in mutations.TESTS[file])
 
 
+def test_no_gufunc_is_compiled():
+    """Two processes that compile a gufunc of numba at a time leave a cache with which all later processes crash."""
+    names = [path.name for path in (ROOT / "kr270_milling").rglob("*.py") if "import guvec" in path.read_text("utf-8")]
+    assert not names
+
+
 # --- files ---
 def texts():
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)

@@ -196,7 +196,8 @@ def reference_motion(
     after = _rates(reference, stamps, "right")
     before = after.copy()
     corner = reference.locate(stamps, "left")[0] != reference.locate(stamps, "right")[0]  # possible at knots alone
-    before[corner] = _rates(reference, stamps[corner], "left")
+    if corner.any():
+        before[corner] = _rates(reference, stamps[corner], "left")
     if first == 0:
         before[0] = after[0] if approach is None else approach
     after[stamps >= reference.duration_ns] = 0.0  # then it rests

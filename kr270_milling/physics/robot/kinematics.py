@@ -13,14 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import guvectorize, njit
+from numba import njit
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.errors import SingularityError
 
 __all__ = ["LinkFrames", "check_regular", "cross", "elbow_and_reach", "forward", "jacobian", "jacobian_at",
-           "jacobian_column", "pose", "rotate_matrix", "singularity_measures", "status_turn"]  # fmt: skip
+           "jacobian_column", "pose", "rotate_matrix", "rows_of", "singularity_measures", "status_turn"]  # fmt: skip
 
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
 TURNS, SIGNS = np.argmax(np.abs(AXES), axis=1), AXES.sum(axis=1)
@@ -52,10 +52,30 @@ def jacobian_column(ax, ay, az, rx, ry, rz):
     return ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
 
 
-@guvectorize(["(float64[:], float64[:], float64[:])"], "(n),(n)->(n)", cache=True)
-def cross(a, b, out):
+def rows_of(array: np.ndarray, batch: tuple[int, ...], ends: int) -> np.ndarray:
+    """(n, ...) of an array that is broadcast to ``batch`` before its last ``ends`` axes: what compiled loops take.
+
+    Loops and not numba's gufuncs: two processes that compile one at a time leave a cache on disk with which every later
+    process ends in a segmentation fault.
+    """
+    shape = batch + array.shape[array.ndim - ends :]
+    if array.shape != shape or not array.flags.writeable:
+        array = np.array(np.broadcast_to(array, shape))
+    return np.ascontiguousarray(array).reshape(-1, *shape[len(batch) :])
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a x b over the last axis; in batches three times as fast as array operations, with the same bits."""
-    out[0], out[1], out[2] = jacobian_column(a[0], a[1], a[2], b[0], b[1], b[2])
+    batch = np.broadcast_shapes(a.shape, b.shape)[:-1]
+    out = np.empty((*batch, 3))
+    _cross(rows_of(a, batch, 1), rows_of(b, batch, 1), out.reshape(-1, 3))
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _cross(a, b, out):
+    for n in range(len(out)):
+        out[n, 0], out[n, 1], out[n, 2] = jacobian_column(a[n, 0], a[n, 1], a[n, 2], b[n, 0], b[n, 1], b[n, 2])
 
 
 def rotate_matrix(matrix: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -73,38 +93,42 @@ def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
     """All frames of the chain in ``arm.py`` for postures q [rad], (..., 6) or (..., k + 6)."""
     q = np.asarray(q, float)
     base = arm.base_axes[: q.shape[-1] - 6]  # none for postures of the joints alone
-    nodes = np.zeros(q.shape[:-1] + (7, 3))
-    rotations, axes, _ = _chain(
-        np.cos(q), np.sin(q), np.append(base, TURNS), np.append(np.ones(base.size), SIGNS), arm.link_vectors,
-        np.empty(q.shape[:-1] + (6, 3, 3)), np.empty(q.shape + (3,)), nodes[..., 1:, :],
+    batch, turns = q.shape[:-1], q.shape[-1]
+    angles = q.reshape(-1, turns)
+    rotations, axes, nodes = np.empty((*batch, 6, 3, 3)), np.empty((*q.shape, 3)), np.zeros((*batch, 7, 3))
+    _chain(
+        np.cos(angles), np.sin(angles), np.append(base, TURNS), np.append(np.ones(base.size), SIGNS),
+        np.array(arm.link_vectors), rotations.reshape(-1, 6, 3, 3), axes.reshape(-1, turns, 3), nodes.reshape(-1, 7, 3),
     )  # fmt: skip
     flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 
 
-@guvectorize(
-    ["(float64[:], float64[:], int64[:], float64[:], float64[:, :], float64[:, :, :], float64[:, :], float64[:, :])"],
-    "(t),(t),(t),(t),(n,c)->(n,c,c),(t,c),(n,c)",
-    cache=True,
-)
+@njit(cache=True, nogil=True)
 def _chain(cosines, sines, turns, signs, links, rotations, axes, nodes):
-    """Turn about one coordinate axis after the other: rotations and ends of the links, and the axes of the turns."""
-    turned, base = np.eye(3), len(turns) - len(links)
-    for j in range(len(turns)):
-        k = turns[j]
-        ahead, beside = (k + 1) % 3, (k + 2) % 3
-        cosine, sine = cosines[j], signs[j] * sines[j]
-        for row in range(3):
-            a, b = turned[row, ahead], turned[row, beside]
-            turned[row, ahead], turned[row, beside] = cosine * a + sine * b, cosine * b - sine * a
-            axes[j, row] = signs[j] * turned[row, k]
-            if j >= base:
-                n = j - base
-                start = nodes[n - 1, row] if n > 0 else 0.0
-                link = turned[row, 0] * links[n, 0] + turned[row, 1] * links[n, 1] + turned[row, 2] * links[n, 2]
-                nodes[n, row] = start + link
-                for column in range(3):
-                    rotations[n, row, column] = turned[row, column]
+    """Turn about one coordinate axis after the other: rotations and ends of the links, and the axes of the turns.
+
+    cosines, sines (n, t): of n postures; turns, signs (t,); links (6, 3). Filled: rotations (n, 6, 3, 3),
+    axes (n, t, 3), nodes (n, 7, 3), whose first stays 0.
+    """
+    base = len(turns) - len(links)
+    turned = np.empty((3, 3))
+    for p in range(len(cosines)):
+        turned[:] = np.eye(3)
+        for j in range(len(turns)):
+            k = turns[j]
+            ahead, beside = (k + 1) % 3, (k + 2) % 3
+            cosine, sine = cosines[p, j], signs[j] * sines[p, j]
+            for row in range(3):
+                a, b = turned[row, ahead], turned[row, beside]
+                turned[row, ahead], turned[row, beside] = cosine * a + sine * b, cosine * b - sine * a
+                axes[p, j, row] = signs[j] * turned[row, k]
+                if j >= base:
+                    n = j - base
+                    link = turned[row, 0] * links[n, 0] + turned[row, 1] * links[n, 1] + turned[row, 2] * links[n, 2]
+                    nodes[p, n + 1, row] = nodes[p, n, row] + link
+                    for column in range(3):
+                        rotations[p, n, row, column] = turned[row, column]
 
 
 def pose(arm: Arm, mount: Mount, q) -> Pose:

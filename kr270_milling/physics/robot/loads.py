@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import guvectorize
+from numba import njit
 
 from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Arm, GravityCompensator, Mount
-from kr270_milling.physics.robot.kinematics import LinkFrames, cross
+from kr270_milling.physics.robot.kinematics import LinkFrames, cross, rows_of
 
 __all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "moment_arms"]
 
@@ -60,7 +60,13 @@ def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
 
     With k axes of the base before the joints, (..., k + 6, 3): these have the moment of joint 1, about O_0 as well.
     """
-    moments = _first_moments(frames.nodes, frames.mass_centre, loads.mass)[..., :6, :]
+    batch = frames.nodes.shape[:-2]
+    moments = np.empty((*batch, 7, 3))
+    _first_moments(
+        rows_of(frames.nodes, batch, 2), rows_of(frames.mass_centre, batch, 1), np.array(loads.mass),
+        moments.reshape(-1, 7, 3),
+    )  # fmt: skip
+    moments = moments[..., :6, :]
     base = frames.axes.shape[-2] - 6
     return moments[..., [0] * base + list(range(6)), :] if base else moments
 
@@ -100,28 +106,36 @@ def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masse
     force, moment = wrench[..., None, :3], wrench[..., None, 3:]
     arms = frames.tool.position[..., None, :] - frames.origins
     weight = cross(cross(axes, masses), loads.gravity)
-    bent = _bend(axes, cross(cross(axes, arms), force) + weight, cross(axes, moment))
+    pulled, twisted = cross(cross(axes, arms), force) + weight, cross(axes, moment)
+    batch, count = pulled.shape[:-2], pulled.shape[-2]
+    bent = np.empty((*batch, count, count))
+    _bend(
+        rows_of(axes, batch, 2), rows_of(pulled, batch, 2), rows_of(twisted, batch, 2), bent.reshape(-1, count, count)
+    )
     if loads.compensator.present:
         bent[..., -5, -5] += loads.share * loads.compensator.moment_slope(*_joint_2(frames))
     return bent
 
 
-@guvectorize(["(float64[:, :], float64[:], float64[:], float64[:, :])"], "(n,c),(c),(m)->(n,c)", cache=True)
+@njit(cache=True, nogil=True)
 def _first_moments(nodes, mount, mass, out):
-    """Of the masses in the nodes beyond each node, and in the mount, about that node."""
-    for axis in range(3):
-        beyond, moment = mass[-1], mass[-1] * mount[axis]
-        for i in range(len(nodes) - 1, -1, -1):
-            out[i, axis] = moment - beyond * nodes[i, axis]
-            beyond += mass[i]
-            moment += mass[i] * nodes[i, axis]
+    """Of the masses in the nodes (n, 7, 3) beyond each node, and in the mount (n, 3), about that node."""
+    for p in range(len(out)):
+        for axis in range(3):
+            beyond, moment = mass[-1], mass[-1] * mount[p, axis]
+            for i in range(nodes.shape[1] - 1, -1, -1):
+                out[p, i, axis] = moment - beyond * nodes[p, i, axis]
+                beyond += mass[i]
+                moment += mass[i] * nodes[p, i, axis]
 
 
-@guvectorize(["(float64[:, :], float64[:, :], float64[:, :], float64[:, :])"], "(n,c),(n,c),(n,c)->(n,n)", cache=True)
+@njit(cache=True, nogil=True)
 def _bend(axes, pulled, twisted, out):
-    """a_i . pulled_k at (i, k) and (k, i), i <= k, and twisted_k . a_i more at (k, i), i < k."""
-    for k in range(len(axes)):
-        for i in range(k + 1):
-            out[i, k] = out[k, i] = axes[i, 0] * pulled[k, 0] + axes[i, 1] * pulled[k, 1] + axes[i, 2] * pulled[k, 2]
-            if i < k:
-                out[k, i] += twisted[k, 0] * axes[i, 0] + twisted[k, 1] * axes[i, 1] + twisted[k, 2] * axes[i, 2]
+    """a_i . pulled_k at (i, k) and (k, i), i <= k, and twisted_k . a_i more at (k, i), i < k; each (n, k, 3)."""
+    for p in range(len(out)):
+        a, f, m = axes[p], pulled[p], twisted[p]
+        for k in range(len(a)):
+            for i in range(k + 1):
+                out[p, i, k] = out[p, k, i] = a[i, 0] * f[k, 0] + a[i, 1] * f[k, 1] + a[i, 2] * f[k, 2]
+                if i < k:
+                    out[p, k, i] += m[k, 0] * a[i, 0] + m[k, 1] * a[i, 1] + m[k, 2] * a[i, 2]
