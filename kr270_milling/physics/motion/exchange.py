@@ -19,7 +19,7 @@ class Exchange(Record):
     period: float = parameter(0.5e-3, unit="ms", above=0.0, high=20.0, text="exchange period H")
     micro_step: float = parameter(np.radians(1.0), unit="deg", low=0.01, high=15.0, text="spindle angle a micro-step")
     engagement_period: float = parameter(
-        4.5 * 1e-3, unit="ms", above=0.0, high=20.0,
+        4e-3, unit="ms", above=0.0, high=20.0,
         text="exchange period where cutting.detail is engagement, rounded to whole micro-steps",
     )  # fmt: skip
     iterations: int = parameter(1, low=1, high=20, text="exchanges a period; above 1 the correction is fed back")

@@ -295,7 +295,7 @@ def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_p
     words = [f"path.file={program}"]
     cell = read_cell(find_file("test_piece.yaml"), words)
     assert cell.by_engagement
-    assert cell.clock.period == pytest.approx(4.5e-3) and cell.clock.micro_steps == 216
+    assert cell.clock.period == pytest.approx(4e-3) and cell.clock.micro_steps == 192
     assert cell.stock.grid_step == pytest.approx(2e-4)
     assert "engagement" in cell.cut_text
     assert not read_cell(find_file("test_piece.yaml"), [*words, "cutting.detail=teeth"]).by_engagement
