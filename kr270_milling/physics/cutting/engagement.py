@@ -35,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.physics.cutting.laws import Cutting
@@ -347,7 +348,8 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
     middle_u, middle_v = u1 + to_middle * scale * ahead_x, v1 + to_middle * scale * ahead_y
     zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - (middle_u * side_x + middle_v * side_y)
     about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    frame = (ahead_y, side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
+    whole = sinking and x0 == FAR  # then most nodes may be cut already
+    frame = (whole, ahead_y, side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
     start = max(int(math.ceil(u1 - r - RIM)), 0)
     count = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1 - start
     _spans(s.spans[0], s.spans[1], start, count, u1, v1, (r + RIM) ** 2)
@@ -380,7 +382,7 @@ def _spans(low, high, start, count, u, v, square):
 def _column(s, p, i, low, high, level, sinking, along, frame):
     """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
     pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
-    ahead_y, side_x, side_y, zero, about_i, about_j, u, v, r = frame
+    whole, ahead_y, side_x, side_y, zero, about_i, about_j, u, v, r = frame
     du = i - u
     inside, beside = r * r - du * du, abs(du)
     across = np.int64(zero + i * side_x)
@@ -413,6 +415,9 @@ def _column(s, p, i, low, high, level, sinking, along, frame):
                 a, b = i - about_i, min(max(begin + BLOCK // 2 - about_j, 0), 2 * p.reach)
                 k = np.uint64(p.around[np.uint64(a), np.uint64(b)])
                 first, count, deep = np.uint64(base + j), np.uint16(end - j), np.uint16(level)
+                if whole and not any_above(pool, first, np.uint64(end - j), deep):
+                    j = end
+                    continue
                 if room:
                     for n in range(end - j):
                         place = first + np.uint64(n)
