@@ -207,7 +207,7 @@ def test_dynamic_programming_finds_the_dense_least_squares(smooth):
 @check("lifted model: deviation left of one that knots can make", "least squares reach 0, however slowly the arm rings",
        "m")  # fmt: skip
 def test_lifted_inverse():
-    """d0 = -H c for a c of its own kind; without noise and smoothness nothing is left."""
+    """d0 = -H c for a c of the same kind; without noise and smoothness nothing is left."""
     arm = one_mode(damping=0.005)
     cubic = np.zeros((M, 4, 3))
     cubic[:, :, 1] = spline_numbers(np.random.default_rng(1).normal(0, 1e-5, M + 3) * ([1] * (M + 1) + [10, 10]))
@@ -230,7 +230,7 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_
     for knot in (5, 8, 9):
         assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
     assert not obtained.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
-    assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a bend of its own after a stop
+    assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a separate bend after a stop
 
 
 def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():

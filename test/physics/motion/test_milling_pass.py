@@ -126,7 +126,7 @@ def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
     width = high - low + cell.stock.grid_step
     np.testing.assert_allclose(width[x < 0.065], 0.020, atol=1.1 * cell.stock.grid_step)
     area = width.sum() * cell.stock.grid_step
-    assert area == pytest.approx(0.070 * 0.020 + np.pi * 0.010**2 / 2, rel=2e-3)  # the front stands where no tooth was
+    assert area == pytest.approx(0.070 * 0.020 + np.pi * 0.010**2 / 2, rel=2e-3)  # the front is where no tooth was
     assert area <= result.removed_area < 1.005 * area  # the tool sinks by a micrometre, some nodes are cut again
     assert result.removed_volume == pytest.approx(area * cell.path.depth_of_cut, rel=4e-3)
 
@@ -206,7 +206,7 @@ def test_the_periods_cover_the_duration(duration_ns, steps):
     assert Clock(5e-4, 24).steps(duration_ns) == steps
 
 
-# --- Scores of Table 2 and the ringing found in a pass ---
+# --- Scores of Table 2 and the ringing of a pass ---
 TIME = np.arange(0, 1.05, 5e-4)
 X, Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
