@@ -75,8 +75,8 @@ def test_one_tooth():
 
 @check("radial over tangential force", "k_r of [Klimchik2014], section 6")
 def test_radial():
-    tangential, found = PAPER_LAW.force_per_depth(40e-6)
-    return 0.3, found / tangential, 1e-12
+    tangential, obtained = PAPER_LAW.force_per_depth(40e-6)
+    return 0.3, obtained / tangential, 1e-12
 
 
 @check(
@@ -146,7 +146,7 @@ def test_runout_and_unequal_pitch_agree_with_the_quadrature():
     """A / (R dphi): the line of tooth i turns about its centre and drifts with it; dphi as seen from where it was."""
     pitches, radii = np.radians([80.0, 97.0, 88.0, 95.0]), 10e-3 + 1e-6 * np.array([12.0, -20.0, 5.0, 0.0])
     cut, here, first = engaged(PAPER.replace(pitch=pitches, runout=radii - 10e-3))
-    found = cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)[:2]
+    obtained = cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)[:2]
     phi, total = np.radians(np.arange(-91.75, 92.0, 0.5)), np.zeros(2)
     drift = 4 * FEED / (2 * np.pi) * np.sin(phi)
     for i, radius in enumerate(radii):
@@ -156,7 +156,7 @@ def test_runout_and_unequal_pitch_agree_with_the_quadrature():
         assert cut.state.chips[i] == pytest.approx(chips.max(), abs=10e-6)  # a node
         total += components(by_26, phi, chips).sum(axis=1)
     exact = total * np.radians(0.5) / (2 * np.pi)
-    assert found == pytest.approx(exact, abs=3e-3 * np.linalg.norm(exact))
+    assert obtained == pytest.approx(exact, abs=3e-3 * np.linalg.norm(exact))
     assert np.ptp(cut.state.chips) > 20e-6
 
 
@@ -192,12 +192,12 @@ def test_counterclockwise_rotation_mirrors_the_cut():
 
 
 def test_force_is_proportional_to_depth_and_stops_at_the_stock_s_bottom():
-    found = []
+    obtained = []
     for depth in (1e-3, 2e-3, 5e-3, 8e-3):
         cut = Cut(PAPER, PAPER_LAW, block(-12e-3, 12e-3), np.radians(1.0))
-        found.append(cut.sweep([-10e-3, 0, -depth], [-5e-3, 0, -depth], 0, 3600)[:2])
-    assert found[1] == pytest.approx(2 * found[0], rel=1e-9)
-    assert found[3] == pytest.approx(found[2], rel=1e-12)
+        obtained.append(cut.sweep([-10e-3, 0, -depth], [-5e-3, 0, -depth], 0, 3600)[:2])
+    assert obtained[1] == pytest.approx(2 * obtained[0], rel=1e-9)
+    assert obtained[3] == pytest.approx(obtained[2], rel=1e-12)
 
 
 # --- six components, a helix; [m], feed per tooth ---
@@ -260,9 +260,9 @@ def test_altintas(helix, name, component):
     _, _, entry, leave = IMMERSIONS[name]
     expected = TEETH * DEEP / (2 * np.pi) * (altintas(leave) - altintas(entry))
     which = ("F_x", "F_y", "F_z", "M_z").index(component)
-    found = immersed(name, helix)[0][[0, 1, 2, 5]]
+    obtained = immersed(name, helix)[0][[0, 1, 2, 5]]
     scale = np.hypot(*expected[:2]) if which < 2 else abs(expected[which])
-    return expected[which], found[which], 0.01 * scale
+    return expected[which], obtained[which], 0.01 * scale
 
 
 @pytest.mark.parametrize("rotation, sign", [("clockwise", 1.0), ("counterclockwise", -1.0)])
@@ -289,14 +289,14 @@ def edge_integral(cutter, law, phi):
 def test_force_and_moment_of_each_micro_step_are_integrals_along_the_lagging_edges(helix):
     cutter = helical(helix)
     cut, here, first = deep(SHARP, cutter)
-    found = np.zeros((TURN // 2, 6))
-    for k in range(len(found)):
+    obtained = np.zeros((TURN // 2, 6))
+    for k in range(len(obtained)):
         ahead = here + [TEETH * SMALL_FEED / TURN, 0.0, 0.0]
-        found[k] = cut.sweep(here, ahead, first + k, 1)
+        obtained[k] = cut.sweep(here, ahead, first + k, 1)
         here = ahead
-    phi = cutter.start_angle + (first + np.arange(len(found)) + 0.5) * np.radians(1.0)
+    phi = cutter.start_angle + (first + np.arange(len(obtained)) + 0.5) * np.radians(1.0)
     expected = edge_integral(cutter, SHARP, phi)
-    rms = np.sqrt(((found - expected) ** 2).mean(axis=0)) / np.abs(expected).max(axis=0)
+    rms = np.sqrt(((obtained - expected) ** 2).mean(axis=0)) / np.abs(expected).max(axis=0)
     assert rms.max() < 0.015, rms
 
 

@@ -226,32 +226,32 @@ def test_the_deviation_is_positive_to_the_left_of_the_feed_whatever_its_speed_an
     for offset, feed, expected in ((Y, X, 1.0), (Y, -X, -1.0), (X, Y, -1.0), (Y, 0 * X, 0.0)):  # at rest there is none
         np.testing.assert_array_equal(path_deviation(along(offset * 1e-6), zero, along(feed)), expected * 1e-6)
     for speed in (1e-3, 1.0, 70.0):
-        found = path_deviation(along([3.0, 4.0, 5.0]), zero, along(speed * (X + Y)))
-        np.testing.assert_allclose(found, (-3.0 + 4.0) / np.sqrt(2), rtol=1e-15)
+        obtained = path_deviation(along([3.0, 4.0, 5.0]), zero, along(speed * (X + Y)))
+        np.testing.assert_allclose(obtained, (-3.0 + 4.0) / np.sqrt(2), rtol=1e-15)
 
 
 def test_the_static_deviation_is_the_mean_over_the_last_quarter():
     """Samples 9, 10 and 11 of 12."""
     y = np.array([100.0, 90, 80, 70, 60, 50, 40, 30, 20, 4, 3, 2]) * 1e-6
-    found = score(np.arange(12.0), np.outer(y, Y), np.zeros((12, 3)), along(X, 12), 0.0, 6.7, y)
-    assert found.static_deviation == pytest.approx(3e-6, rel=1e-12) and found.low_frequency == 6.7
+    obtained = score(np.arange(12.0), np.outer(y, Y), np.zeros((12, 3)), along(X, 12), 0.0, 6.7, y)
+    assert obtained.static_deviation == pytest.approx(3e-6, rel=1e-12) and obtained.low_frequency == 6.7
 
 
 def test_the_largest_deviation_counts_from_full_engagement_on_on_both_sides_and_not_along_the_feed():
     y = np.array([9.0, 9, -5, 1, 4, 1, 1, 1]) * 1e-6
     for engaged, largest in ((0.0, 9e-6), (1.0, 9e-6), (1.5, 5e-6), (2.0, 5e-6), (2.5, 4e-6), (99.0, 1e-6)):
-        found = score(np.arange(8.0), np.outer(y, Y), np.zeros((8, 3)), along(X, 8), engaged, 6.7, y)
-        assert found.max_deviation == pytest.approx(largest, rel=1e-12)
+        obtained = score(np.arange(8.0), np.outer(y, Y), np.zeros((8, 3)), along(X, 8), engaged, 6.7, y)
+        assert obtained.max_deviation == pytest.approx(largest, rel=1e-12)
     run = np.outer(np.arange(8.0), X)
-    found = score(np.arange(8.0), run + 5e-6 * X, run, along(X, 8), 0.0, 6.7, np.zeros(8))
-    assert found.max_deviation == found.static_deviation == 0.0 and np.isnan(found.ringing_frequency)
+    obtained = score(np.arange(8.0), run + 5e-6 * X, run, along(X, 8), 0.0, 6.7, np.zeros(8))
+    assert obtained.max_deviation == obtained.static_deviation == 0.0 and np.isnan(obtained.ringing_frequency)
 
 
 @settings(max_examples=budget(60), deadline=None)
 @given(st.floats(3.0, 40.0), st.floats(0.01, 0.3), st.floats(0.0, 6.28), st.floats(-1e-4, 1e-4))
 def test_the_ringing_of_a_damped_vibration_is_found(frequency, damping, phase, mean):
-    found = ringing_frequency(TIME, ringing(frequency, damping, 5e-6, phase, mean))
-    assert found == (pytest.approx(frequency, rel=2e-3), pytest.approx(damping, abs=2e-3))
+    obtained = ringing_frequency(TIME, ringing(frequency, damping, 5e-6, phase, mean))
+    assert obtained == (pytest.approx(frequency, rel=2e-3), pytest.approx(damping, abs=2e-3))
 
 
 def test_noise_of_a_tenth_and_the_hum_of_the_teeth_hardly_move_it():
@@ -276,9 +276,9 @@ def test_where_nothing_rings_no_frequency_is_made_up(displacement):
 def test_a_path_without_one_feed_direction_has_no_static_deviation_and_does_not_ring():
     course = np.column_stack([np.cos(TIME), np.sin(TIME), 0 * TIME])
     feed = np.column_stack([-np.sin(TIME), np.cos(TIME), 0 * TIME])
-    found = score(TIME, course * 1.001, course, feed, 0.0, 6.7, course[:, 1], straight=False)
-    assert np.isnan([found.static_deviation, found.ringing_frequency, found.ringing_damping]).all()
-    assert found.max_deviation == pytest.approx(1e-3, rel=1e-9)  # the circle is 1 mm too large all the way
+    obtained = score(TIME, course * 1.001, course, feed, 0.0, 6.7, course[:, 1], straight=False)
+    assert np.isnan([obtained.static_deviation, obtained.ringing_frequency, obtained.ringing_damping]).all()
+    assert obtained.max_deviation == pytest.approx(1e-3, rel=1e-9)  # the circle is 1 mm too large all the way
 
 
 # --- A long pass: windows do not change it, and combined rows keep its extremes, sums and means ---
