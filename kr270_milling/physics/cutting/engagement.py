@@ -29,6 +29,7 @@ theta the spindle angle of the step. Without the lag the model damps vibrations 
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -119,7 +120,7 @@ class EngagementState(NamedTuple):
     log_level: np.ndarray  # uint16: their levels before
     log_rest: np.ndarray  # uint16
     floors: np.ndarray  # (FLOORS, 3): x and y of former tips [m], level to which that footprint is cut; deepest first
-    spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
+    spans: np.ndarray  # int32, (6, columns): scratch: first and last nodes of each column in ``_clear``
     ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
     sunk: np.ndarray  # (sectors, 2): removed below the former footprint: levels and nodes
 
@@ -131,21 +132,8 @@ def make_engagement_params(
 
     bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS.
     """
-    ahead = bins // 2
     nx, ny = stock.nodes
     radius = float(tool.radii.max())
-    reach = int((1.0 + 0.5 * LONGEST) * radius / stock.grid_step) + 3
-    offset = np.arange(-reach, reach + 1)
-    angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
-    sectors = np.clip(np.floor((angle + np.pi) * SECTORS / (2.0 * np.pi)), 0, SECTORS - 1)
-    # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
-    last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
-    inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
-    edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
-    middles = 0.5 * (edges[1:] + edges[:-1])
-    sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
-    node = 0.5 * SINES * stock.grid_step / radius * FINE
-    whole = (np.arange(SECTORS) + 0.5) * (2.0 * np.pi / SECTORS) - np.pi
     return EngagementParams(
         radius=radius,
         teeth=tool.teeth,
@@ -165,15 +153,36 @@ def make_engagement_params(
         coefficients=cutting.coefficients,
         end_factor=cutting.end_ratio,
         moments=cutting.moments,
-        front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16),
-        around=sectors.astype(np.int16),
-        reach=reach,
-        shift=np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
-        widths=np.diff(edges),
-        cosines=np.diff(np.sin(edges)),
-        directions=np.stack([np.cos(middles), np.sin(middles)], -1),
-        turns=np.stack([np.cos(whole), np.sin(whole)], -1),
+        **_tables(radius, stock.grid_step, bins),
     )
+
+
+@functools.lru_cache(maxsize=8)
+def _tables(radius: float, spacing: float, bins: int) -> dict:
+    """The fields of EngagementParams that hang on the radius of the tool and the spacing of the nodes alone."""
+    ahead = bins // 2
+    reach = int((1.0 + 0.5 * LONGEST) * radius / spacing) + 3
+    offset = np.arange(-reach, reach + 1)
+    angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
+    sectors = np.clip(np.floor((angle + np.pi) * SECTORS / (2.0 * np.pi)), 0, SECTORS - 1)
+    # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
+    last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * spacing / radius)))
+    inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
+    edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
+    node = 0.5 * SINES * spacing / radius * FINE
+    whole = (np.arange(SECTORS) + 0.5) * (2.0 * np.pi / SECTORS) - np.pi
+    return {
+        "front": np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16),
+        "around": sectors.astype(np.int16),
+        "reach": reach,
+        "shift": np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
+        "widths": np.diff(edges),
+        "cosines": np.diff(np.sin(edges)),
+        "directions": np.stack([np.cos(middles), np.sin(middles)], -1),
+        "turns": np.stack([np.cos(whole), np.sin(whole)], -1),
+    }
 
 
 def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementState:
@@ -199,7 +208,7 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
         floors=np.zeros((FLOORS, 3)),
-        spans=np.zeros((4, 2 * params.reach + 3), np.int32),
+        spans=np.zeros((6, 2 * params.reach + 3), np.int32),
         ahead=np.zeros((params.widths.size, 2)),
         sunk=np.zeros((SECTORS, 2)),
     )
@@ -348,23 +357,51 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
     middle_u, middle_v = u1 + to_middle * scale * ahead_x, v1 + to_middle * scale * ahead_y
     zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - (middle_u * side_x + middle_v * side_y)
     about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    whole = sinking and x0 == FAR  # then most nodes may be cut already
-    frame = (whole, ahead_y, side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
+    frame = (ahead_y, side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
     start = max(int(math.ceil(u1 - r - RIM)), 0)
     count = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1 - start
-    _spans(s.spans[0], s.spans[1], start, count, u1, v1, (r + RIM) ** 2)
-    _spans(s.spans[2], s.spans[3], start, count, u0, v0, (r - RIM) ** 2)
+    low, high, before, behind = s.spans[0], s.spans[1], s.spans[2], s.spans[3]
+    _spans(low, high, start, count, u1, v1, (r + RIM) ** 2)
+    _spans(before, behind, start, count, u0, v0, (r - RIM) ** 2)
+    for n in range(count):
+        low[n], high[n] = max(low[n], 0), min(high[n], p.ny - 1)
+        before[n], behind[n] = min(before[n] - 1, high[n]), max(behind[n] + 1, low[n])
+        if behind[n] <= low[n] or before[n] >= high[n]:  # the column misses the former footprint
+            before[n], behind[n] = high[n], high[n] + 1
+    if sinking:
+        _lower_inside(s, p, start, count, u1, v1, r, level, x0 == FAR, about_i, about_j)
     for n in range(count):
         i = start + n
-        low, high = max(s.spans[0, n], 0), min(s.spans[1, n], p.ny - 1)
-        before, behind = min(s.spans[2, n] - 1, high), max(s.spans[3, n] + 1, low)  # ends beside the former footprint
         along = middle_v * ahead_y - (i - middle_u) * ahead_x  # nodes ahead have j ahead_y above this
-        if behind <= low or before >= high:  # the column misses the former footprint
-            before, behind = high, high + 1
-        if low <= before and (sinking or max(low * ahead_y, before * ahead_y) > along):
-            _column(s, p, i, low, before, level, sinking, along, frame)
-        if behind <= high and (sinking or max(behind * ahead_y, high * ahead_y) > along):
-            _column(s, p, i, behind, high, level, sinking, along, frame)
+        if low[n] <= before[n] and _any_wanted(low[n], before[n], ahead_y, along, sinking):
+            _column(s, p, i, low[n], before[n], level, sinking, along, frame)
+        if behind[n] <= high[n] and _any_wanted(behind[n], high[n], ahead_y, along, sinking):
+            _column(s, p, i, behind[n], high[n], level, sinking, along, frame)
+
+
+@inlined
+def _any_wanted(low, high, ahead_y, along, sinking):
+    """Whether a node j of low..high is ahead; for a sinking tool, whether one is not."""
+    a, b = low * ahead_y, high * ahead_y
+    return min(a, b) <= along if sinking else max(a, b) > along
+
+
+@inlined
+def _lower_inside(s, p, start, count, u, v, r, level, sparse, about_i, about_j):
+    """Lower the whole cells below a sinking tool at (u, v) to ``level``; ``spans`` then has the nodes of the rim."""
+    low, high, before, behind, first, last = s.spans[0], s.spans[1], s.spans[2], s.spans[3], s.spans[4], s.spans[5]
+    _spans(first, last, start, count, u, v, (r - RIM) ** 2)
+    for n in range(count):
+        i, begin, end = start + n, max(low[n], first[n]), min(high[n], last[n])
+        if begin > end:
+            continue
+        missed = before[n] > end or behind[n] < begin  # or nearly so
+        upper, lower = (end, high[n] + 1) if missed else (before[n], behind[n])
+        if begin <= upper:
+            _lower_blocks(s, p, i, begin, upper, level, sparse, about_i, about_j)
+        if lower <= end:
+            _lower_blocks(s, p, i, lower, end, level, sparse, about_i, about_j)
+        before[n], behind[n] = min(upper, begin - 1), end + 1 if missed else max(lower, end + 1)
 
 
 @inlined
@@ -379,10 +416,80 @@ def _spans(low, high, start, count, u, v, square):
 
 
 @inlined
-def _column(s, p, i, low, high, level, sinking, along, frame):
-    """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
+def _tile(s, i, j):
+    """Place in the pool of the tile of a node, which is taken where there is none; -1 and FAILED: no tile is left."""
+    slot = s.table[i >> 8, j >> 8]
+    if slot < 0:
+        slot = np.int32(s.ints[TILES])
+        if (np.int64(slot) + 1) << 16 > s.pool.size:
+            s.ints[FAILED] = 1
+            return np.int32(-1)
+        s.table[i >> 8, j >> 8] = slot
+        s.ints[TILES] += 1
+    return slot
+
+
+@inlined
+def _lower_blocks(s, p, i, low, high, level, sparse, about_i, about_j):
+    """Lower the nodes (i, low..high), whose cells a sinking tool covers, to ``level`` and add what they lose.
+
+    A block of nodes at once, in the sector of its middle. sparse: most nodes may be cut already.
+    """
     pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
-    whole, ahead_y, side_x, side_y, zero, about_i, about_j, u, v, r = frame
+    j, logged, sunk = np.int64(low), s.ints[LOGGED], s.sunk
+    new = total = 0
+    room = logged + high - low < log_place.size
+    if not room:
+        logged = LOG_LOST
+    deep, axis = np.uint16(level), about_j + p.reach
+    while j <= high:
+        slot = _tile(s, i, j)
+        if slot < 0:
+            return
+        stop = min(high, j | 255) + 1
+        base = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
+        while j < stop:
+            begin = axis + ((j - axis) & ~(BLOCK - 1))  # blocks begin at the axis
+            end = min(stop, begin + BLOCK)
+            first, count = np.uint64(base + j), np.uint16(end - j)
+            if sparse and not any_above(pool, first, np.uint64(end - j), deep):
+                j = end
+                continue
+            if room:
+                for n in range(end - j):
+                    place = first + np.uint64(n)
+                    if pool[place] < deep:
+                        log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, pool[place]
+                        log_rest[np.uint64(logged)] = rests[place]
+                        logged += 1
+            levels, lowered, untouched = np.uint32(0), np.uint16(0), np.uint16(0)
+            for n in range(BLOCK):  # vector instructions: no branch, sums as narrow as they may be
+                place, lane = first + np.uint64(n), np.uint16(n)
+                mean = pool[place]
+                goal = deep if lane < count else np.uint16(0)
+                left = np.uint16(max(mean, goal) - mean)
+                levels = np.uint32(levels + np.uint32(left))
+                lowered = np.uint16(lowered + np.uint16(left > 0))
+                untouched = np.uint16(untouched + np.uint16(left == deep))
+                pool[place] = np.uint16(mean + left)
+                rests[place] = deep if left > 0 else rests[place]
+            middle = min(max(begin + BLOCK // 2 - about_j, 0), 2 * p.reach)
+            k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(middle)])
+            sunk[k, 0] += levels
+            sunk[k, 1] += lowered
+            total += np.int64(levels)
+            new += np.int64(untouched)
+            j = end
+    s.ints[LOGGED] = logged
+    s.ints[NODES_CUT] += new
+    s.floats[LEVEL_SUM] += total * p.level_step
+
+
+@inlined
+def _column(s, p, i, low, high, level, sinking, along, frame):
+    """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins; a sinking tool: the rim."""
+    pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
+    ahead_y, side_x, side_y, zero, about_i, about_j, u, v, r = frame
     du = i - u
     inside, beside = r * r - du * du, abs(du)
     across = np.int64(zero + i * side_x)
@@ -392,62 +499,16 @@ def _column(s, p, i, low, high, level, sinking, along, frame):
     room = logged + high - low < log_place.size
     if not room:
         logged = LOG_LOST
-    covered = np.int64(high)  # from there to ``covered_end`` the tool covers whole cells
-    covered_end = covered
-    if sinking and beside < r - RIM:
-        half = math.sqrt((r - RIM) ** 2 - du * du)
-        covered, covered_end = np.int64(math.ceil(v - half)), np.int64(math.floor(v + half)) + 1
     while j <= high:
-        stop = min(high, j | 255) + 1
-        slot = s.table[i >> 8, j >> 8]
+        slot = _tile(s, i, j)
         if slot < 0:
-            slot = np.int32(s.ints[TILES])
-            if (np.int64(slot) + 1) << 16 > pool.size:
-                s.ints[FAILED] = 1
-                return
-            s.table[i >> 8, j >> 8] = slot
-            s.ints[TILES] += 1
+            return
+        stop = min(high, j | 255) + 1
         base = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
         while j < stop:
-            if sinking and covered <= j < covered_end:  # a block of nodes at once, in the sector of its middle
-                begin = about_j + p.reach + ((j - about_j - p.reach) & ~(BLOCK - 1))  # blocks begin at the axis
-                end = min(stop, covered_end, begin + BLOCK)
-                a, b = i - about_i, min(max(begin + BLOCK // 2 - about_j, 0), 2 * p.reach)
-                k = np.uint64(p.around[np.uint64(a), np.uint64(b)])
-                first, count, deep = np.uint64(base + j), np.uint16(end - j), np.uint16(level)
-                if whole and not any_above(pool, first, np.uint64(end - j), deep):
-                    j = end
-                    continue
-                if room:
-                    for n in range(end - j):
-                        place = first + np.uint64(n)
-                        if pool[place] < deep:
-                            log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, pool[place]
-                            log_rest[np.uint64(logged)] = rests[place]
-                            logged += 1
-                levels, lowered, untouched = np.uint32(0), np.uint16(0), np.uint16(0)
-                for n in range(BLOCK):  # vector instructions: no branch, sums as narrow as they may be
-                    place, lane = first + np.uint64(n), np.uint16(n)
-                    mean = pool[place]
-                    goal = deep if lane < count else np.uint16(0)
-                    left = np.uint16(max(mean, goal) - mean)
-                    levels = np.uint32(levels + np.uint32(left))
-                    lowered = np.uint16(lowered + np.uint16(left > 0))
-                    untouched = np.uint16(untouched + np.uint16(left == deep))
-                    pool[place] = np.uint16(mean + left)
-                    rests[place] = deep if left > 0 else rests[place]
-                sunk[k, 0] += levels
-                sunk[k, 1] += lowered
-                total += np.int64(levels)
-                new += np.int64(untouched)
-                j = end
-                continue
-            if sinking and j * ahead_y > along:
-                j += 1
-                continue
             place = np.uint64(base + j)
             before = np.int64(pool[place])
-            if before < level:
+            if before < level and not (sinking and j * ahead_y > along):
                 dv = j - v
                 rest = np.int64(rests[place])
                 full = 4.0 * (beside + abs(dv))

@@ -195,9 +195,10 @@ def reference_motion(
     moved = np.hstack([np.diff(course, axis=0), _turns(reference, stamps)])
     after = _rates(reference, stamps, "right")
     before = after.copy()
-    corner = reference.locate(stamps, "left")[0] != reference.locate(stamps, "right")[0]  # possible at knots alone
-    if corner.any():
-        before[corner] = _rates(reference, stamps[corner], "left")
+    if reference.velocity is None or reference.turns:  # it may have corners, at knots alone
+        knot = reference.locate(stamps, "left")[0] != reference.locate(stamps, "right")[0]
+        if knot.any():
+            before[knot] = _rates(reference, stamps[knot], "left")
     if first == 0:
         before[0] = after[0] if approach is None else approach
     after[stamps >= reference.duration_ns] = 0.0  # then it rests
@@ -261,12 +262,12 @@ def push(motion, response, steps_per_knot, first, out):
         m = min(k + 1, knots - 1)
         f = min(place - k, 1.0) if m > k else 0.0
         for i in range(order):
-            total = 0.0
-            for j in range(motion.shape[1]):
-                if motion[step, j] != 0.0:  # most references do not turn, and have corners in few periods
+            out[step, i] = 0.0
+        for j in range(motion.shape[1]):
+            if motion[step, j] != 0.0:  # most references do not turn, and have corners in few periods
+                for i in range(order):
                     r = response[k, i, j]
-                    total += (r + f * (response[m, i, j] - r)) * motion[step, j]
-            out[step, i] = total
+                    out[step, i] += (r + f * (response[m, i, j] - r)) * motion[step, j]
 
 
 @njit(cache=True, error_model="numpy")

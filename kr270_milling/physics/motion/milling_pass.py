@@ -25,7 +25,7 @@ from kr270_milling.physics.motion.exchange import Clock
 __all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
 
 WINDOW = 65_536  # exchange periods whose reference is sampled at once, some 600 bytes each
-CHUNK = 1000  # exchange periods between two reports of progress
+CHUNK = 4000  # exchange periods between two reports of progress
 #: shape of a row of each series of a pass
 SERIES: dict[str, tuple[int, ...]] = {
     "time_ns": (), "target": (3,), "reference": (3,), "tool": (3,), "deflection": (6,), "wrench": (6,),
@@ -212,7 +212,7 @@ def run_pass(
     silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
     material without a force, and the period counts as one without a cut. most_rows: of the result; those of a longer
     pass combine several periods, see ``PassResult.every``.
-    progress(done, total) is called every 1000 exchange periods. Raises GridError if the grid has no tile left,
+    progress(done, total) is called every 4000 exchange periods. Raises GridError if the grid has no tile left,
     UndoError if the periods are too long to be iterated, and PassError where the arm would fly off.
     """
     n = clock.steps(reference.duration_ns)
