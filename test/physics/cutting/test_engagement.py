@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cuttings import LAWS
-from kienzle import KienzleLaw
 from milled_part import POCKET, small_cell
 from slot import fitted_order
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.record import find_file, parameter
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.cutting.engagement import BINS, FLOORS_KNOWN
+from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.motion.milling_pass import run_pass
 
 RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
@@ -26,7 +27,24 @@ SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
 VELOCITY = FEED * TEETH * SPEED / (2.0 * math.pi)
 MICRO_STEP = math.radians(1.0)
 AXIAL = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=2e3))
-THIRD = KienzleLaw(700e6, 0.25, 0.35)  # ordinary aluminium
+
+
+def kienzle(h, c):
+    """F_t / a_p = k_c1.1 h (h / 1 mm)^-m_c [Kienzle1952], F_r = k_r F_t, each per depth of cut [N/m]."""
+    tangential = c[0] * h * (h / 1e-3) ** -c[1] if h > 0.0 else 0.0
+    return tangential, c[2] * tangential, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class KienzleLaw(ForceLaw):
+    specific_force: float = parameter(700e6)  # ordinary aluminium
+    exponent: float = parameter(0.25)
+    radial_ratio: float = parameter(0.35)
+
+    force = staticmethod(kienzle)
+
+
+THIRD = KienzleLaw()
 THIRD_CUTTING = SimpleNamespace(active=THIRD, coefficients=THIRD.coefficients, moments=True, end_ratio=1.0)
 CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL, "kienzle": THIRD_CUTTING}
 #: y of the material as shares of R: the tool turns clockwise and feeds along +x
