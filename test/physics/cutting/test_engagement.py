@@ -11,6 +11,7 @@ import pytest
 from cuttings import LAWS
 from milled_part import POCKET, small_cell
 from slot import fitted_order
+from small_part import GCODE, small_part
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import find_file, parameter
@@ -125,8 +126,7 @@ def test_wrench_and_torque_are_the_means_of_the_swept_teeth(immersion, helix):
     for model, grid_step in ((Cut, 2e-5), (EngagementCut, 1e-4)):
         cut = model(tool(helix), AXIAL, block(low, high, grid_step, 20e-3), MICRO_STEP)
         wrench, torque, volume = cut.along(path, steps)
-        full = path[:, 0] > RADIUS / 5
-        full &= path[:, 0] < 9e-3
+        full = (path[:, 0] > RADIUS / 5) & (path[:, 0] < 9e-3)
         results.append((wrench[full].mean(axis=0), torque[full].mean(), volume[full].sum()))
     (teeth, teeth_torque, teeth_volume), (mean, torque, volume) = results
     assert mean[:3] == pytest.approx(teeth[:3], abs=0.015 * np.linalg.norm(teeth[:3]))
@@ -148,7 +148,7 @@ def test_the_removed_volume_is_that_of_the_geometry_and_none_is_lost_between_ste
     assert (volume[past] >= 0.0).all()
 
 
-def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth():
+def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth_times_the_end_ratio_which_no_level_cut_has():
     """Each tooth takes a layer of dz / passes over the radius: h = A / (R dphi) = R / 2 on average, a = dz / passes."""
     n = round(SPEED * 4e-3 / MICRO_STEP)
     depth = 0.05e-3 * np.arange(20)
@@ -164,9 +164,6 @@ def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth():
     assert np.abs(wrench[-1, :2]).max() < 0.02 * abs(wrench[-1, 2])
     assert torque[-1] > 0.0
     assert twice.along(path, n * np.arange(20))[0][-1, 2] == pytest.approx(2 * wrench[-1, 2], rel=1e-12)
-
-
-def test_the_end_ratio_leaves_a_level_cut_unchanged():
     assert np.array_equal(forces(AXIAL.replace(end_ratio=3.0), "half up"), forces(AXIAL, "half up"))
 
 
@@ -223,24 +220,19 @@ def test_a_sinking_tool_need_not_visit_again_what_it_has_cut(iterated):
         np.testing.assert_array_equal(getattr(cuts[0].state, name), getattr(cuts[1].state, name))
 
 
-def test_the_error_falls_with_the_step_of_the_map():
-    """Scatter of the force over the steps: cells that are cut in part alias with the step of the path."""
-    steps = [8e-4, 4e-4, 2e-4, 1e-4, 5e-5]
+def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and_has_no_order_in_the_length_of_a_step():
+    """Scatter of the force over the steps: cells that are cut in part alias with the step of the path.
+
+    The chip thickness belongs to the feed per tooth and not to the step.
+    """
+    steps, bins = [8e-4, 4e-4, 2e-4, 1e-4, 5e-5], [8, 12, 16, 24]
     scatter = [float(forces(AXIAL, "slot", grid_step=step).std(axis=0).max()) for step in steps]
     assert fitted_order(steps, scatter) > 0.8
     assert scatter[2] < 0.006 * np.linalg.norm(closed_form(AXIAL, tool(), -1.0, 1.0))
-
-
-def test_the_mean_force_does_not_depend_on_the_length_of_a_step():
-    """The chip thickness belongs to the feed per tooth and not to the step: the error has no order in dt to lose."""
-    assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
-
-
-def test_the_error_falls_with_the_square_of_the_number_of_bins():
-    bins = [8, 12, 16, 24]
     errors = [error(THIRD_CUTTING, "half down", bins=count) for count in bins]
     assert fitted_order(1.0 / np.array(bins), errors) > 1.7
     assert error(THIRD_CUTTING, "half down") < errors[-1] / 4
+    assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
 
 
 def test_the_deflection_converges_with_the_exchange_period(tmp_path):
@@ -263,16 +255,16 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
 
 @pytest.fixture(scope="module")
 def milled():
-    """The result of the pass, its assessment, the pass and the cell by each model."""
+    """The result of the pass and its assessment by each model."""
     results = {}
     for detail in ("teeth", "engagement"):
-        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}", "compensation.max_passes=2"])
+        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"])
         ran = simulate(cell)
-        results[detail] = ran.result, assess(cell, ran).whole, ran, cell
+        results[detail] = ran.result, assess(cell, ran).whole
     return results
 
 
-def test_the_test_piece_deflects_as_under_the_swept_teeth(milled):
+def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth(milled):
     teeth, mean = (milled[detail][0] for detail in ("teeth", "engagement"))
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
     swept, engaged = teeth.deflection[at, :3], mean.deflection[1:-1, :3]
@@ -284,26 +276,30 @@ def test_the_test_piece_deflects_as_under_the_swept_teeth(milled):
     assert difference.max() < 5e-6
     assert rms(difference) < 1e-6
     assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.002)
+    for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
+        swept, engaged = (getattr(milled[detail][1], name) for detail in ("teeth", "engagement"))
+        assert engaged == pytest.approx(swept, rel=0.02, abs=0.5e-6), name
 
 
-@pytest.mark.parametrize("name", ["max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"])
-def test_errors_of_the_test_piece_are_those_of_the_swept_teeth(milled, name):
-    teeth, mean = (getattr(milled[detail][1], name) for detail in ("teeth", "engagement"))
-    assert mean == pytest.approx(teeth, rel=0.02, abs=0.5e-6)
+def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under_the_swept_teeth(tmp_path):
+    words = ("compensation.max_passes=2", "dynamics.reference_inertia=true", "stock.grid_step_um=20")
+    teeth, mean = (small_part(tmp_path, GCODE, f"cutting.detail={name}", *words) for name in ("teeth", "engagement"))
+    original = simulate(teeth)
+    planned = compensated(mean, simulate(mean), "learned").reference
+    best = compensated(teeth, original, "learned").scores.max_deviation
+    assert simulate(teeth, planned).scores.max_deviation < 1.2 * best < 0.04 * original.scores.max_deviation
 
 
-def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under_the_swept_teeth(milled):
-    (*_, original, cell), (*_, engaged, engagement_cell) = milled["teeth"], milled["engagement"]
-    planned = compensated(engagement_cell, engaged, "learned").reference
-    left = simulate(cell, planned).scores.max_deviation
-    assert left < 1.2 * compensated(cell, original, "learned").scores.max_deviation < 4e-6
-
-
-@pytest.mark.parametrize("value, detail", [("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")])
-def test_the_detail_of_a_short_program_is_that_of_the_key(value, detail):
-    cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
-    assert cell.cutting.detail == detail
-    assert isinstance(cell.cut(), EngagementCut if detail == "engagement" else Cut)
+def test_the_detail_of_a_short_program_is_that_of_the_key_with_a_finer_map_for_a_small_cutter():
+    for value, detail in (("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")):
+        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
+        assert cell.cutting.detail == detail
+        assert isinstance(cell.cut(), EngagementCut if detail == "engagement" else Cut)
+    small = read_cell(find_file("test_piece.yaml"), ["cutting.detail=engagement", "tool.diameter_mm=2"])
+    assert small.stock.grid_step == pytest.approx(1e-3 / 50)
+    assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
+    with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
+        read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
 
 
 def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_path):
@@ -339,17 +335,6 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
     stated = "the force of thin chips is too low" in read_cell(find_file("paper.yaml"), words).cut_text
     assert stated == (share < 0.95)
     assert ratio < share if stated else ratio == pytest.approx(1.0, abs=0.05)
-
-
-def test_the_map_of_a_small_cutter_is_finer():
-    words = ["cutting.detail=engagement", "tool.diameter_mm=2"]
-    assert read_cell(find_file("test_piece.yaml"), words).stock.grid_step == pytest.approx(1e-3 / 50)
-
-
-def test_a_straight_cut_stays_with_the_teeth():
-    assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
-    with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
-        read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
