@@ -52,16 +52,13 @@ def same(first, second):
 
 
 # --- remaining error ---
-def test_the_remaining_error_is_across_the_feed_and_counts_where_it_is_scored():
+def test_the_remaining_error_is_across_the_feed_and_counts_where_it_is_scored_and_not_in_the_air():
     position = TARGET.sample(STAMPS)
     position += [5e-3, 0.0, 0.0]  # along the feed: no error
     position[100] += [0.0, 9e-3, 0.0]  # before it is scored
     position[1000] += [0.0, 30e-6, 40e-6]
     assert remaining_error(TARGET, PassRecord(STAMPS, position, 150_000_000)) == pytest.approx(50e-6, rel=1e-9)
     assert remaining_error(TARGET, PassRecord(STAMPS, position, 0)) == pytest.approx(9e-3, rel=1e-9)
-
-
-def test_a_pass_is_not_scored_in_the_air_and_one_that_ends_before_it_is_scored_is_scored_at_its_end():
     short = PassRecord(STAMPS[:100], TARGET.sample(STAMPS[:100]) + [0.0, 7e-6, 0.0], 10**12)
     assert remaining_error(TARGET, short) == pytest.approx(7e-6, rel=1e-9)
     position, wrench = TARGET.sample(STAMPS), np.ones((STAMPS.size, 6))
@@ -107,25 +104,23 @@ def test_repeating_ends_at_a_reference_no_worse_than_any_that_was_run(method):
     assert remaining_error(TARGET, pass_along(kept, 0.3)) == min(found.errors)
 
 
-def test_learning_keeps_the_target_where_every_revision_harms():
-    """An arm that gives way three times as much to a correction."""
+def test_learning_ends_where_revisions_harm_or_bring_less_than_a_percent_or_the_noise_or_are_as_many_as_allowed():
+    # an arm that gives way three times as much to a correction
     found = compensator("learned")
     assert found.improve(pass_along(TARGET, -3.0), lambda r: pass_along(r, -3.0)) is TARGET
     assert found.finished and found.errors[1] > found.errors[0]
     assert "no pass better than the one without compensation" in found.note
+    # an arm that takes all but 1 + share of each correction back
+    for share, passes in ((-0.995, 2), (-0.98, 4)):
+        found = compensator("learned", max_passes=3)
+        found.improve(pass_along(TARGET, share), lambda r, share=share: pass_along(r, share))
+        assert found.finished and len(found.errors) == passes
+    for most in (1, 3):  # converges slowly
+        found = compensator("learned", max_passes=most)
+        found.improve(pass_along(TARGET, 0.6), lambda r: pass_along(r, 0.6))
+        assert found.finished and len(found.errors) == most + 1
 
-
-@pytest.mark.parametrize(("share", "passes"), [(-0.995, 2), (-0.98, 4)])
-def test_learning_stops_at_a_pass_that_brings_less_than_a_percent(share, passes):
-    """An arm that takes all but 1 + share of each correction back."""
-    found = compensator("learned", max_passes=3)
-    found.improve(pass_along(TARGET, share), lambda r: pass_along(r, share))
-    assert found.finished and len(found.errors) == passes
-
-
-def test_learning_ends_after_two_passes_that_bring_less_than_the_noise():
-    """The noise of a least-squares fit: sigma times the root of 25 knots over 2401 samples."""
-
+    # the noise of a least-squares fit: sigma times the root of 25 knots over 2401 samples
     def noisy(reference):
         return dataclasses.replace(pass_along(reference, noise=1e-6), noise=1e-6)
 
@@ -137,37 +132,18 @@ def test_learning_ends_after_two_passes_that_bring_less_than_the_noise():
     assert not any(np.all(gains[k : k + 2] < floor) for k in range(len(gains) - 2))
 
 
-@pytest.mark.parametrize("most", [1, 3])
-def test_no_more_passes_are_taken_than_allowed(most):
-    runs = []
-
-    def run(reference):
-        runs.append(reference)
-        return pass_along(reference, 0.6)  # converges slowly
-
-    found = compensator("learned", max_passes=most)
-    found.improve(pass_along(TARGET, 0.6), run)
-    assert found.finished and len(runs) == most
-
-
-def test_after_the_end_a_pass_changes_nothing_and_reset_goes_back_to_the_target():
+def test_after_the_end_a_pass_changes_nothing_another_method_or_reset_begins_anew_and_the_limited_part_is_known():
     found = compensator("learned")
     kept = found.improve(pass_along(TARGET, 0.3), lambda r: pass_along(r, 0.3))
     assert found.revise(pass_along(kept, -5.0)) is kept and found.finished
     found.reset()
     assert found.reference is TARGET and found.errors == () and not found.finished and found.limited == ()
-
-
-def test_another_method_goes_on_from_the_pass_along_the_target():
     found = compensator("learned")
     found.improve(pass_along(TARGET, 0.2), lambda r: pass_along(r, 0.2))
     for method in ("linear", "spline"):
         alone = compensator(method)
         alone.revise(pass_along(TARGET, 0.2))
         assert same(found.choose(method), alone.reference) and found.method == method and not found.finished
-
-
-def test_what_the_limit_took_away_is_known_until_the_next_revision():
     found = compensator("linear", max_correction=20e-6)
     found.revise(pass_along(TARGET))
     size = np.linalg.norm(sway(TARGET.time), axis=1).max()
@@ -203,7 +179,7 @@ def test_a_method_object_runs_through_the_compensator_and_a_cell_without_being_i
 
 
 # --- mirror ---
-def test_mirror_hands_the_mean_wrench_at_the_knots_over_and_takes_the_modified_points():
+def test_mirror_takes_the_points_of_its_model_for_the_mean_wrench_at_the_knots_and_needs_both():
     asked = []
 
     def mirror(target, wrench):
@@ -218,9 +194,6 @@ def test_mirror_hands_the_mean_wrench_at_the_knots_over_and_takes_the_modified_p
     np.testing.assert_allclose(
         found.reference.position - TARGET.position, [[0, -30e-6, 10e-6]] * len(TARGET), atol=1e-15
     )
-
-
-def test_mirror_without_a_model_of_the_arm_or_a_wrench_is_refused():
     with pytest.raises(RevisionError, match="the method mirror needs the model of the arm"):
         compensator("mirror").revise(pass_along(TARGET, wrench=np.ones((STAMPS.size, 6))))
     with pytest.raises(RevisionError, match="needs the wrench"):
@@ -258,7 +231,7 @@ def learned(cell):
     return plant, original, by, compensated(cell, original, "learned", by=by, plant=plant)
 
 
-def test_frequency_damping_and_compliance_of_the_plant_are_identified(cell, learned):
+def test_learning_identifies_the_plant_leaves_less_than_a_hundredth_and_changes_no_copy_of_itself(cell, learned):
     plant, _, by, _ = learned
     true = plant.cell.modal_model.frequency / (2 * np.pi)
     found = by.identified
@@ -267,12 +240,15 @@ def test_frequency_damping_and_compliance_of_the_plant_are_identified(cell, lear
         assert frequency == pytest.approx(true[mode - 1], rel=0.01)
         assert damping == pytest.approx(plant.cell.dynamics.damping_ratio, rel=0.15)
     assert found.compliance_factor == pytest.approx(SOFT, rel=0.02) and found.gain == pytest.approx(1.0, abs=0.01)
-
-
-def test_learning_leaves_less_than_a_hundredth_though_the_model_is_wrong(learned):
     _, original, by, ran = learned
     assert by.finished and len(by.errors) <= 5
     assert original.scores.max_deviation > 70 * UM and ran.scores.max_deviation < 0.01 * original.scores.max_deviation
+    # the node tries a revision on a copy of its compensator
+    _, original, _, _ = learned
+    by = jobs.compensator(cell, cell.target(), "learned")
+    twin = copy.copy(by)
+    twin.revise(record_of(cell, original))
+    assert by.learner is None and by.errors == () and len(twin.learner.passes) == 1
 
 
 @check(
@@ -327,35 +303,20 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
     assert before.min() > 30 * UM and after.max() < 1 * UM
 
 
-def test_straight_lines_between_the_knots_do_nearly_as_well(cell):
+def test_lines_between_the_knots_a_missing_wrench_and_noise_of_the_pose_leave_little(cell):
     lines = cell.replace(compensation=cell.compensation.replace(interpolation="linear"))
     ran = compensated(lines, simulate(lines), "learned")
     assert ran.reference.velocity is None and ran.scores.max_deviation < 1 * UM
-
-
-def test_without_a_measured_wrench_that_of_the_model_is_taken(cell):
     plant = plant_of(cell)
     original = simulate(cell, plant=plant)
     blind = dataclasses.replace(record_of(cell, original), wrench=None)
     reference = jobs.compensator(cell, cell.target(), "inverse").revise(blind)
     ran = simulate(cell, reference, plant=plant)
     assert ran.scores.max_deviation < 0.1 * original.scores.max_deviation
-
-
-def test_noise_of_the_measured_pose_is_averaged_and_not_milled(cell):
     plant = plant_of(cell, pose_noise=20 * UM, seed=5)
     original = simulate(cell, plant=plant)
     assert original.record.noise == 20 * UM
     assert compensated(cell, original, "learned", plant=plant).scores.max_deviation < 6 * UM
-
-
-def test_a_learner_that_was_copied_does_not_change(cell, learned):
-    """The node tries a revision on a copy of its compensator."""
-    _, original, _, _ = learned
-    by = jobs.compensator(cell, cell.target(), "learned")
-    twin = copy.copy(by)
-    twin.revise(record_of(cell, original))
-    assert by.learner is None and by.errors == () and len(twin.learner.passes) == 1
 
 
 # --- The page of the folder ---

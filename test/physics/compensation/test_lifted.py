@@ -80,8 +80,8 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     assert stiff == pytest.approx(1.5 * force / OMEGA**2, rel=1e-3)  # softness alone changes it, not the frequency
 
 
-def test_two_postures_hand_the_displacement_over_whatever_their_modes_are_called():
-    """A posture whose mode has the other sign is the same arm."""
+def test_postures_hand_the_displacement_over_whatever_their_modes_are_called_and_share_the_row_of_their_segments():
+    # A posture whose mode has the other sign is the same arm
     arm, run = one_mode(), correction(True)
     cubic = cubic_coefficients(KNOTS, run.position, run.velocity)
     sign = np.where(np.arange(12) % 3 == 0, -1.0, 1.0)[:, None, None]
@@ -90,10 +90,7 @@ def test_two_postures_hand_the_displacement_over_whatever_their_modes_are_called
         np.concatenate([sign[1:] * sign[:-1], [[[1.0]]]]),
     )  # fmt: skip
     assert turned.follow(SEGMENTS, cubic) == pytest.approx(arm.follow(SEGMENTS, cubic), abs=1e-16)
-
-
-def test_segments_of_one_posture_share_its_row():
-    """Three postures of five, four and three segments, beside an arm with a row of each segment."""
+    # three postures of five, four and three segments, beside an arm with a row of each segment
     rng, m = np.random.default_rng(3), len(SEGMENTS)
     posture = np.repeat([0, 1, 2], [5, 4, 3])
     shared = ArmResponse(
@@ -262,8 +259,8 @@ LONG_ARM = one_mode().cut(np.zeros(MANY, int))
 LONG_PATH = np.zeros((MANY, 4, 3))
 
 
-def test_pieces_of_a_long_path_identify_the_arm():
-    """A hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments."""
+def test_pieces_of_a_long_path_identify_the_arm_and_it_costs_in_proportion_to_its_length():
+    # A hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments
     assert MANY > arm_fit.MOST_FITTED
     true = LONG_ARM.scaled(1.1, 0.8, 1.0, 1.15)
     wrench = np.random.default_rng(3).normal(0.0, 0.1, (MANY, 4, 6))
@@ -273,6 +270,18 @@ def test_pieces_of_a_long_path_identify_the_arm():
     assert obtained.frequency_hz[0] * 2 * np.pi == pytest.approx(true.frequency[0, 0], rel=1e-3)
     assert obtained.damping_ratio[0] == pytest.approx(true.damping[0, 0], rel=0.02)
     assert obtained.compliance_factor == pytest.approx(1.15, rel=1e-3)
+
+    # ten times the knots take about ten times as long; a dense lifted model would take a thousand times
+    def cost(count: int) -> float:
+        arm, segments = LONG_ARM.cut(slice(0, count)), LONG.cut(slice(0, count))
+        conditions = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
+        d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
+        start = time.process_time()
+        Lifted(arm, segments, conditions).least_squares(d0, np.broadcast_to(np.eye(3), (count, 4, 3, 3)), 1e-6)
+        return time.process_time() - start
+
+    cost(50)
+    assert cost(3000) < 40 * cost(300)
 
 
 def test_blocks_of_segments_are_one_path(monkeypatch):
@@ -294,21 +303,6 @@ def test_blocks_of_segments_are_one_path(monkeypatch):
     monkeypatch.setattr(response, "BLOCK", 7)
     for whole, in_blocks in zip(at_once, results(), strict=True):
         np.testing.assert_allclose(in_blocks, whole, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
-
-
-def test_a_long_path_costs_in_proportion_to_its_length():
-    """Ten times the knots take about ten times as long; a dense lifted model would take a thousand times."""
-
-    def cost(count: int) -> float:
-        arm, segments = LONG_ARM.cut(slice(0, count)), LONG.cut(slice(0, count))
-        conditions = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
-        d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
-        start = time.process_time()
-        Lifted(arm, segments, conditions).least_squares(d0, np.broadcast_to(np.eye(3), (count, 4, 3, 3)), 1e-6)
-        return time.process_time() - start
-
-    cost(50)
-    assert cost(3000) < 40 * cost(300)
 
 
 @pytest.mark.parametrize("period_ms", [0.5, 4.0, 5.0])

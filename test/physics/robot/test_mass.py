@@ -82,18 +82,6 @@ def test_an_arm_turned_by_axis_1_has_the_rigid_inertia_of_what_rides_on_it():
     assert joint_mass(arm, SPINDLE, q)[0, 0] == pytest.approx(pin.crba(model, data, q)[0, 0])
 
 
-def test_the_energy_consistent_mass_is_the_sum_over_the_links_with_the_loaded_springs():
-    """(25) in the form of facts.md."""
-    solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
-    springs = np.diag(ARM.spring_stiffness) - solved.hessian
-    follow = np.linalg.solve(springs, solved.jacobian.T) @ stiffness(solved, ARM)
-    whole = assembled_mass(ARM, SPINDLE, forward(ARM, SPINDLE, solved.posture))
-    phi = np.concatenate([jacobian(ARM, SPINDLE, solved.posture, j) @ follow for j in range(7)])
-    ours = cartesian_mass(ARM, SPINDLE, solved.posture, "consistent")
-    np.testing.assert_allclose(ours, phi.T @ whole @ phi, rtol=1e-9, atol=1e-7)
-    assert np.linalg.eigvalsh(ours)[0] > 0
-
-
 # --- rigid links ---
 @check("rigid links: M_theta at 100 postures, heavy spindle", "pinocchio's crba", "kg m^2")
 def test_rigid_joint_mass():
@@ -117,14 +105,23 @@ def test_the_urdf_has_the_same_joint_space_mass(mount):
         np.testing.assert_allclose(upper + np.triu(upper, 1).T, ours, rtol=1e-9, atol=1e-9)
 
 
-def test_the_cartesian_mass_holds_the_same_energy():
-    """qdot M_theta qdot = V M_C V for V = J qdot."""
+def test_cartesian_masses_have_the_energy_of_the_joints_and_of_the_links_on_loaded_springs():
+    # qdot M_theta qdot = V M_C V for V = J qdot
     solved = equilibrium(UNEVEN, TURNED, PAPER)
     speeds = np.random.default_rng(8).normal(size=(20, 6))
     at_tool = speeds @ solved.jacobian.T
     of_joints = np.einsum("ni,ij,nj->n", speeds, rigid_joint_mass(UNEVEN, TURNED, solved.posture), speeds)
     of_tool = np.einsum("ni,ij,nj->n", at_tool, cartesian_mass(UNEVEN, TURNED, solved.posture, "rigid"), at_tool)
     np.testing.assert_allclose(of_tool, of_joints, rtol=1e-9)
+    # (25) in the form of facts.md
+    solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
+    springs = np.diag(ARM.spring_stiffness) - solved.hessian
+    follow = np.linalg.solve(springs, solved.jacobian.T) @ stiffness(solved, ARM)
+    whole = assembled_mass(ARM, SPINDLE, forward(ARM, SPINDLE, solved.posture))
+    phi = np.concatenate([jacobian(ARM, SPINDLE, solved.posture, j) @ follow for j in range(7)])
+    ours = cartesian_mass(ARM, SPINDLE, solved.posture, "consistent")
+    np.testing.assert_allclose(ours, phi.T @ whole @ phi, rtol=1e-9, atol=1e-7)
+    assert np.linalg.eigvalsh(ours)[0] > 0
 
 
 # --- natural frequencies ---
@@ -161,14 +158,11 @@ def test_both_forms():
     return 0.0, np.abs(at_tool / at_joints - 1).max(), 1e-9
 
 
-def test_frequencies_of_two_masses_on_springs_follow_the_closed_form_and_a_massless_one_is_condensed():
+def test_frequencies_follow_a_closed_form_with_a_massless_mode_condensed_and_batches_are_stacks():
     soft = np.linalg.inv([[3.0, -1.0], [-1.0, 3.0]])  # eigenvalues of the stiffness: 2 and 4 with unit masses
     np.testing.assert_allclose(mode_frequencies(soft, np.eye(2)), np.sqrt([2, 4]) / (2 * np.pi))
     np.testing.assert_allclose(mode_frequencies(soft, np.diag([1.0, 0])), [np.sqrt(3 - 1 / 3) / (2 * np.pi)])
     assert mode_frequencies(soft, np.zeros((2, 2))).size == 0
-
-
-def test_batches_are_stacks_and_an_unknown_model_or_a_singular_posture_is_refused():
     batch = np.stack([PAPER, PAPER + 0.1])
     both = cartesian_mass(ARM, SPINDLE, batch, "consistent")
     np.testing.assert_allclose(both[1], cartesian_mass(ARM, SPINDLE, batch[1], "consistent"), rtol=1e-12)

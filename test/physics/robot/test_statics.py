@@ -121,7 +121,7 @@ def test_dead_load():
     return 0.15 * np.cos(theta), theta, 1e-8
 
 
-def test_a_column_falls_above_its_critical_load_and_a_spring_bent_beyond_belief_is_an_error():
+def test_loads_and_poses_without_an_equilibrium_are_errors_with_joint_base_and_share_of_the_load():
     arm, critical = _hinge()
     with pytest.raises(UnstableLoadError, match="unstable") as caught:
         equilibrium(arm, BARE, np.stack([np.zeros(6)] * 2), [[0.0] * 6, [-1.01 * critical, 0, 0, 0, 0, 0]], False)
@@ -131,9 +131,6 @@ def test_a_column_falls_above_its_critical_load_and_a_spring_bent_beyond_belief_
         equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.5 * critical, 0, 0, 0], gravity=False)
     theta, share = caught.value.deflection, caught.value.load_factor
     assert theta == pytest.approx(share * 0.5 * np.cos(theta)) and theta > 0.2
-
-
-def test_loads_and_poses_without_an_equilibrium_are_errors_that_say_so():
     impossible = (UnstableLoadError, EquilibriumError, DeflectionError)
     for load in [1e7, 1e12, 1e30]:
         for axis in [*np.eye(6), *-np.eye(6)]:
@@ -146,6 +143,9 @@ def test_loads_and_poses_without_an_equilibrium_are_errors_that_say_so():
     away = pose(ARM, SPINDLE, PAPER)
     with pytest.raises((EquilibriumError, SingularityError)):
         wrench_for_pose(ARM, SPINDLE, PAPER, Pose(away.position + [0, -3.0, 0], away.rotation))
+    column = ARM.replace(joint_compliance=np.full(6, 1e-18), base_compliance=np.array([0.0, 1e-5, 0.0]))
+    with pytest.raises(DeflectionError, match="the base bends"):
+        equilibrium(column, SPINDLE, np.radians([0.0, -10.0, 20.0, 0.0, 25.0, 0.0]), [0, 0, -1e4, 0, 0, 0])
 
 
 # --- stiffness and compliance ---
@@ -228,12 +228,6 @@ def test_base_equilibrium():
     return 0.0, np.abs(ON_BASE.spring_stiffness * bent - torque).max(), 1e-6
 
 
-def test_a_base_that_cannot_bear_the_arm_is_named():
-    column = ARM.replace(joint_compliance=np.full(6, 1e-18), base_compliance=np.array([0.0, 1e-5, 0.0]))
-    with pytest.raises(DeflectionError, match="the base bends"):
-        equilibrium(column, SPINDLE, np.radians([0.0, -10.0, 20.0, 0.0, 25.0, 0.0]), [0, 0, -1e4, 0, 0, 0])
-
-
 def test_maps_of_postures_have_the_same_base():
     place = pose(ARM, SPINDLE, PAPER)
     force = np.array([[300.0, -200.0, 100.0]])
@@ -273,15 +267,12 @@ def test_equivalent_spring(degrees):
     return SPRING.stiffness * product * eta, -float(SPRING.moment_slope(math.cos(angle), math.sin(angle))), 1e-5
 
 
-@pytest.mark.parametrize("angle", ANGLES)
-def test_the_moment_of_the_compensator_is_the_negative_slope_of_its_energy(angle):
-    slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
-    assert SPRING.moment(math.cos(angle), math.sin(angle)) == pytest.approx(-slope, rel=1e-7)
-    pull = SPRING.stiffness * (length(-math.pi / 2) - SPRING.free_length)  # with the upper arm upright
-    assert pull == pytest.approx(SPRING.preload)
-
-
-def test_only_joint_2_has_the_compensator_with_its_slope_in_the_hessian_and_without_weights_no_joint_has_it():
+def test_the_moment_of_the_compensator_is_the_slope_of_its_energy_acts_on_joint_2_alone_and_is_in_the_hessian():
+    for angle in ANGLES:
+        slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
+        assert SPRING.moment(math.cos(angle), math.sin(angle)) == pytest.approx(-slope, rel=1e-7)
+        pull = SPRING.stiffness * (length(-math.pi / 2) - SPRING.free_length)  # with the upper arm upright
+        assert pull == pytest.approx(SPRING.preload)
     sprung = ARM.replace(compensator=SPRING)
     q = np.radians([[20.0, -70.0, 100.0, 30.0, 40.0, 50.0]])
     none, loads = np.zeros((1, 6)), link_loads(sprung, BARE)
@@ -302,7 +293,7 @@ def test_only_joint_2_has_the_compensator_with_its_slope_in_the_hessian_and_with
 WRENCH = np.array([300.0, -150.0, 80.0, 20.0, -10.0, 5.0])
 
 
-def test_the_analysis_without_a_load_has_the_lumped_mode_and_the_condition_number():
+def test_the_analysis_has_lumped_mode_condition_number_and_warnings_and_reads_arm_and_mount_of_a_cell(tmp_path):
     found = json.loads(json.dumps(analyse(ARM, BARE, PAPER, np.zeros(6))))
     assert found["deflection"] == [0.0] * 6 and found["warnings"] == []
     assert found["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # facts.md
@@ -310,13 +301,16 @@ def test_the_analysis_without_a_load_has_the_lumped_mode_and_the_condition_numbe
     assert found["condition_number"] == pytest.approx(values[0] / values[-1])
     with pytest.raises(ParameterError, match="base, tool"):
         analyse(ARM, SPINDLE, PAPER, WRENCH, "world")
-
-
-def test_a_posture_outside_the_limits_or_below_the_floor_says_so():
     (limit,) = analyse(ARM, BARE, np.radians([190, -50, 120, 180, 25, 180]), np.zeros(6))["warnings"]
     assert limit == "axis 1 at 190 deg is outside its limits, -185 to 185 deg"
     low = analyse(ARM, BARE, np.radians([0, -10, 100, 0, 30, 0]), np.zeros(6))
     assert any("mm below the floor" in warning for warning in low["warnings"])
+    (tmp_path / "cell.yaml").write_text(
+        "/**:\n  ros__parameters:\n    includes: [kr270_2.yaml]\n    mount:\n      mass_kg: 12.0\n"
+        "    workpiece:\n      anything: 1\n"
+    )
+    arm, mount = read_arm(tmp_path / "cell.yaml")
+    assert arm.name == "KR 270-2" and mount.mass == 12.0
 
 
 def test_both_frames_tell_the_same_story():
@@ -330,12 +324,3 @@ def test_both_frames_tell_the_same_story():
         np.testing.assert_allclose(tool[key], both @ base[key] @ both.T, rtol=1e-9, atol=unit)
     modes = (found["mode_frequencies_hz"]["consistent"] for found in (tool, base))
     np.testing.assert_allclose(*modes, rtol=1e-9)
-
-
-def test_a_cell_file_gives_its_arm_and_mount(tmp_path):
-    (tmp_path / "cell.yaml").write_text(
-        "/**:\n  ros__parameters:\n    includes: [kr270_2.yaml]\n    mount:\n      mass_kg: 12.0\n"
-        "    workpiece:\n      anything: 1\n"
-    )
-    arm, mount = read_arm(tmp_path / "cell.yaml")
-    assert arm.name == "KR 270-2" and mount.mass == 12.0
