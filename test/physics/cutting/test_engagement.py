@@ -135,17 +135,27 @@ def test_wrench_and_torque_are_the_means_of_the_swept_teeth(immersion, helix):
     assert volume == pytest.approx(teeth_volume, rel=0.01)
 
 
-@pytest.mark.parametrize("immersion", IMMERSIONS)
-def test_the_removed_volume_is_that_of_the_geometry_and_none_is_lost_between_steps(immersion):
-    low, high = (min(max(side, -1.0), 1.0) for side in IMMERSIONS[immersion])
-    cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS[immersion]), MICRO_STEP)
-    path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)  # through the stock
-    volume = cut.along(path, steps)[2]
-    assert path[-1, 0] > 40e-3
-    assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-9)
-    past = path[:, 0] < 38e-3
-    assert cut.removed_volume == pytest.approx((high - low) * RADIUS * 40e-3 * DEPTH, rel=0.01)
-    assert (volume[past] >= 0.0).all()
+def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_below_the_path():
+    for immersion in IMMERSIONS:
+        low, high = (min(max(side, -1.0), 1.0) for side in IMMERSIONS[immersion])
+        cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS[immersion]), MICRO_STEP)
+        path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)  # through the stock
+        volume = cut.along(path, steps)[2]
+        assert path[-1, 0] > 40e-3
+        assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-9)
+        past = path[:, 0] < 38e-3
+        assert cut.removed_volume == pytest.approx((high - low) * RADIUS * 40e-3 * DEPTH, rel=0.01)
+        assert (volume[past] >= 0.0).all()
+    cut = EngagementCut(tool(), AXIAL, block(-1.5, 1.5), MICRO_STEP)
+    path, steps = straight(4e-3, 20e-3, start=12e-3)
+    path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
+    cut.along(path, steps)
+    way = path[-1, 0] - path[0, 0]
+    x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
+    lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
+    inside = x + RADIUS < path[-1, 0]
+    assert way > 19e-3
+    assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
 def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth_times_the_end_ratio_which_no_level_cut_has():
@@ -165,19 +175,6 @@ def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth_times_the_end_ra
     assert torque[-1] > 0.0
     assert twice.along(path, n * np.arange(20))[0][-1, 2] == pytest.approx(2 * wrench[-1, 2], rel=1e-12)
     assert np.array_equal(forces(AXIAL.replace(end_ratio=3.0), "half up"), forces(AXIAL, "half up"))
-
-
-def test_a_ramp_removes_the_wedge_below_the_path():
-    cut = EngagementCut(tool(), AXIAL, block(-1.5, 1.5), MICRO_STEP)
-    path, steps = straight(4e-3, 20e-3, start=12e-3)
-    path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
-    cut.along(path, steps)
-    way = path[-1, 0] - path[0, 0]
-    x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
-    lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
-    inside = x + RADIUS < path[-1, 0]
-    assert way > 19e-3
-    assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
 @pytest.mark.parametrize("sinking", [0.0, 2e-5])

@@ -184,15 +184,12 @@ def test_backing_off():
     return 0.0, np.abs(ways).max(), 0.0
 
 
-def test_counterclockwise_rotation_mirrors_the_cut():
+def test_counterclockwise_rotation_mirrors_the_cut_and_force_is_proportional_to_the_depth_down_to_the_bottom():
     right, left = np.zeros((720, 3)), np.zeros((720, 3))
     for rotation, forces in (("clockwise", right), ("counterclockwise", left)):
         cut, here, first = engaged(PAPER.replace(rotation=rotation))
         cut.sweep(here, here + [8 * FEED, 0.0, 0.0], first, 720, forces)
     assert left * [1, -1, 1] == pytest.approx(right, rel=1e-6, abs=1e-6) and np.abs(right[:, 1]).max() > 100.0
-
-
-def test_force_is_proportional_to_depth_and_stops_at_the_stock_s_bottom():
     obtained = []
     for depth in (1e-3, 2e-3, 5e-3, 8e-3):
         cut = Cut(PAPER, PAPER_LAW, block(-12e-3, 12e-3), np.radians(1.0))
@@ -301,10 +298,14 @@ def test_force_and_moment_of_each_micro_step_are_integrals_along_the_lagging_edg
     assert rms.max() < 0.015, rms
 
 
-def test_a_helix_that_lags_by_next_to_nothing_changes_next_to_nothing():
+def test_a_helix_that_lags_by_next_to_nothing_changes_next_to_nothing_and_without_moments_only_the_forces_are_left():
     loads = [immersed("slot", helix)[0] for helix in (0, 1e-9, 1e-3)]
     np.testing.assert_allclose(loads[1], loads[0], rtol=1e-9)
     np.testing.assert_allclose(loads[2], loads[0], rtol=1e-3, atol=1e-4)
+    with_moments, torque = immersed("slot", 0)
+    without, same = mean_wrench(Cutting("linear_edge", linear_edge=LAW, moments=False), helical())
+    np.testing.assert_array_equal(without, [*with_moments[:3], 0.0, 0.0, 0.0])
+    assert torque == same
 
 
 def test_a_sweep_is_taken_back_with_the_loads_that_it_left_to_later_micro_steps():
@@ -318,13 +319,6 @@ def test_a_sweep_is_taken_back_with_the_loads_that_it_left_to_later_micro_steps(
     cut.restore()
     parts = [cut.sweep(there + k * step / 2, there + (k + 1) * step / 2, first + 12 + 6 * k, 6) for k in range(2)]
     np.testing.assert_allclose(np.mean(parts, axis=0), whole, rtol=1e-9)
-
-
-def test_forces_only_are_what_the_paper_sums_up():
-    with_moments, torque = immersed("slot", 0)
-    without, same = mean_wrench(Cutting("linear_edge", linear_edge=LAW, moments=False), helical())
-    np.testing.assert_array_equal(without, [*with_moments[:3], 0.0, 0.0, 0.0])
-    assert torque == same
 
 
 # --- the oracle of chips between two trochoids, and orders of convergence ---
@@ -376,25 +370,24 @@ LINEAR_EDGE = {"tangential_cutting_n_per_mm2": 700.0, "tangential_edge_n_per_mm"
 FRACTIONAL = {"stiffness_n_per_m": 5e6, "specific_chip_thickness_um": 18.0, "ratio": 0.1, "radial_ratio": 0.3}
 
 
-def test_a_file_names_only_the_law_that_it_uses():
+def test_a_file_names_only_the_law_that_it_uses_and_all_coefficients_of_that_one():
     cutting = build(Cutting, {"law": "linear_edge", "linear_edge": LINEAR_EDGE})
     assert cutting.coefficients == pytest.approx([700e6, 17.9e3, 180.96e6, 20.42e3, 0.0, 0.0])
     assert build(Cutting, {"fractional": FRACTIONAL}).coefficients == pytest.approx([5e6, 18e-6, 0.1, 0.3, 0.0])
     axial = ("axial_cutting_n_per_mm2", "axial_edge_n_per_mm")
     assert {key for key in flatten(cutting) if "linear" in key} == {f"linear_edge.{k}" for k in (*LINEAR_EDGE, *axial)}
     assert {key for key in flatten(cutting) if "fractional" in key} == {"fractional.axial_ratio"}
-
-
-@pytest.mark.parametrize("law, coefficients", [("linear_edge", LINEAR_EDGE), ("fractional", FRACTIONAL)])
-def test_a_law_without_one_of_its_coefficients_is_refused_with_its_key(law, coefficients):
-    for missing in coefficients:
-        given = {key: value for key, value in coefficients.items() if key != missing}
-        with pytest.raises(ConfigError, match=f"{law}.{missing}: has no value, it must be given where cutting.law is"):
-            build(Cutting, {"law": law, law: given})
-    with pytest.raises(ConfigError, match="has no value"):
-        build(Cutting, {"law": law})
-    with pytest.raises(ParameterError, match="must be given"):
-        Cutting(law)
+    for law, coefficients in (("linear_edge", LINEAR_EDGE), ("fractional", FRACTIONAL)):
+        for missing in coefficients:
+            given = {key: value for key, value in coefficients.items() if key != missing}
+            with pytest.raises(
+                ConfigError, match=f"{law}.{missing}: has no value, it must be given where cutting.law is"
+            ):
+                build(Cutting, {"law": law, law: given})
+        with pytest.raises(ConfigError, match="has no value"):
+            build(Cutting, {"law": law})
+        with pytest.raises(ParameterError, match="must be given"):
+            Cutting(law)
 
 
 @pytest.mark.parametrize(("tree", "says"), [

@@ -93,17 +93,15 @@ def by_vectors(pool, start, log, place, count, level):
     lower_lanes(pool, start, log, place, count, level)
 
 
-@pytest.mark.parametrize("count", [0, 1, 7, LANES])
-def test_plain_loop_and_vector_instructions_lower_the_same_nodes(count):
-    expected, _ = lowered(lambda *_: None, count)
-    before = expected[5 : 5 + count].copy()
-    expected[5 : 5 + count] = np.maximum(before, 300)
-    for lower in (lower_one_by_one, by_vectors):
-        pool, log = lowered(lower, count)
-        assert np.array_equal(pool, expected) and np.array_equal(log[2 : 2 + count], before)
+def test_plain_loop_and_vector_instructions_lower_the_same_nodes_and_without_instructions_the_loop_is_taken():
+    for count in (0, 1, 7, LANES):
+        expected, _ = lowered(lambda *_: None, count)
+        before = expected[5 : 5 + count].copy()
+        expected[5 : 5 + count] = np.maximum(before, 300)
+        for lower in (lower_one_by_one, by_vectors):
+            pool, log = lowered(lower, count)
+            assert np.array_equal(pool, expected) and np.array_equal(log[2 : 2 + count], before)
 
-
-def test_an_llvmlite_that_cannot_build_the_instructions_gets_the_plain_loop():
     def build(builder, *values):  # as before 0.44
         builder.load(values[0], no_such_argument=NODE)
 
@@ -289,22 +287,19 @@ def test_every_node_has_the_level_that_brute_force_gives_it(case):
         assert np.all(levels(cut) <= oracle.may + 1), "a node that no tooth reached is gone"
 
 
-def test_a_node_beside_the_axis_is_not_left_standing_when_the_centre_passes_it():
-    """Seen from the centre it turns by half a turn, away from the teeth, while the whole sectors are swept."""
+def test_the_oracle_leaves_little_undecided_and_finds_a_node_beside_the_axis_that_the_centre_passes():
+    cut = small_cut()
+    oracle = Oracle(cut)
+    oracle.sweep(np.array([2e-3, 2e-3, -5e-4]), np.array([2.2e-3, 2e-3, -5e-4]), 0, 36)
+    assert np.mean(oracle.must != oracle.may) < 0.02
+    assert np.mean(oracle.must > 0) > 0.2
+    # seen from the centre it turns by half a turn, away from the teeth, while the whole sectors are swept
     cut = small_cut(radius=10.0, teeth=5, degrees=6.0, pitch=np.radians([90.0, 67.5, 67.5, 67.5, 67.5]))
     start, end = np.array([1.138e-3, 1.824e-3, -4e-4]), np.array([1.259e-3, 1.782e-3, -4e-4])
     oracle = Oracle(cut)
     cut.sweep(start, end, 0, 30)
     oracle.sweep(start, end, 0, 30)
     assert np.all(levels(cut) >= oracle.must)
-
-
-def test_the_oracle_leaves_little_undecided():
-    cut = small_cut()
-    oracle = Oracle(cut)
-    oracle.sweep(np.array([2e-3, 2e-3, -5e-4]), np.array([2.2e-3, 2e-3, -5e-4]), 0, 36)
-    assert np.mean(oracle.must != oracle.may) < 0.02
-    assert np.mean(oracle.must > 0) > 0.2
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.003, 0.02, 0.06, 0.3, 3.0])
@@ -337,16 +332,13 @@ def test_each_node_counts_once_whatever_teeth_touch_it_and_a_second_level_remove
     assert twice.removed_area == pytest.approx(nodes * STEP**2, rel=1e-12)  # not again when it is cut deeper
 
 
-def test_a_plunge_lowers_the_whole_footprint():
+def test_a_plunge_lowers_the_whole_footprint_and_the_floor_is_within_its_tolerance_of_the_tool():
     cut = small_cut(radius=9.0, degrees=5.0)
     here = np.array([2.013e-3, 2.007e-3, 0.0])
     cut.sweep(here, here + [0.0, 0.0, -3e-4], 0, 720)
     cut.sweep(here + [0.0, 0.0, -3e-4], here + [0.0, 0.0, -3e-4], 720, 72)
     floor = levels(cut)[below(here)] * cut.stock.level_step
     assert floor == pytest.approx(3e-4, abs=cut.stock.level_step)
-
-
-def test_the_floor_is_within_its_tolerance_of_the_tool():
     tool = Tool(diameter=18 * STEP, teeth=2, spindle_speed=100.0)
     stock = Stock(min=np.array([0, 0, -1e-3]), max=np.array([4e-3, 4e-3, 0]), grid_step=STEP, floor_tolerance=5e-6)
     cut = Cut(tool, PAPER_LAW, stock, np.radians(5.0))
@@ -359,8 +351,8 @@ def test_the_floor_is_within_its_tolerance_of_the_tool():
     assert np.all(floor > 1.2e-4)
 
 
-def test_result_does_not_depend_on_where_tile_borders_fall():
-    """The same way in a stock that reaches further to the left, so that the tiles' borders cross the cut elsewhere."""
+def test_result_depends_neither_on_where_tile_borders_fall_nor_on_the_number_of_calls():
+    # the same way in a stock that reaches further to the left, so that the tiles' borders cross the cut elsewhere
     found = []
     for shift in (0, 240, 251):
         cut = small_cut(radius=9.3, shift=shift)
@@ -372,9 +364,6 @@ def test_result_does_not_depend_on_where_tile_borders_fall():
         assert np.array_equal(other_levels, found[0][0])
         assert other_forces == pytest.approx(found[0][1], rel=1e-9, abs=1e-12)
     assert np.abs(found[0][1]).max() > 1.0
-
-
-def test_one_call_and_many_calls_do_the_same():
     a, b = small_cut(radius=9.0), small_cut(radius=9.0)
     start, end = np.array([-1e-3, 2e-3, -5e-4]), np.array([1e-3, 2e-3, -5e-4])
     mean = a.sweep(start, end, 0, 1200)
@@ -430,7 +419,7 @@ def test_restore_brings_back_the_very_same_grid_and_force_also_after_a_jump_to_a
     assert cut.removed_area > 0
 
 
-def test_with_a_short_log_a_sweep_cannot_be_taken_back_and_is_the_same():
+def test_a_sweep_without_room_in_the_log_cannot_be_taken_back_and_one_without_tiles_is_refused():
     a, b = new_cut(log_size=1024), new_cut()
     forces = [np.zeros((2880, 3)) for _ in range(2)]
     for cut, force in zip((a, b), forces, strict=True):
@@ -438,6 +427,10 @@ def test_with_a_short_log_a_sweep_cannot_be_taken_back_and_is_the_same():
     assert np.array_equal(*forces) and a.removed_volume == b.removed_volume > 0
     with pytest.raises(UndoError, match="1024"):
         a.restore()
+    cut = new_cut()
+    cut.state = cut.state._replace(pool=cut.state.pool[: 4 * TILE**2 + LANES].copy())
+    with pytest.raises(GridError, match="4 tiles"):
+        cut.sweep([-10e-3, 0.0, Z], [10e-3, 0.0, Z], 0, 14400)
 
 
 def test_a_course_is_swept_as_its_parts_are():
@@ -476,13 +469,6 @@ def test_memory_follows_the_area_cut():
     assert cut.tiles <= (30e-3 + 2 * side) * (20e-3 + 2 * side) / side**2
     scale = 1024 if sys.platform == "linux" else 1
     assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * scale < used + 40e6
-
-
-def test_running_out_of_tiles_says_so():
-    cut = new_cut()
-    cut.state = cut.state._replace(pool=cut.state.pool[: 4 * TILE**2 + LANES].copy())
-    with pytest.raises(GridError, match="4 tiles"):
-        cut.sweep([-10e-3, 0.0, Z], [10e-3, 0.0, Z], 0, 14400)
 
 
 def test_heights_show_the_slot_thinned_and_in_a_window_and_of_a_narrow_sheet_a_row():

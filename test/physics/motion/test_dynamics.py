@@ -145,7 +145,7 @@ def test_energy():
 
 
 # --- several postures ---
-def test_between_two_postures_the_matrices_are_interpolated_and_after_the_last_they_stay():
+def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_stay_after_the_last():
     models = [modes(COMPLIANCE * s, TRANSLATIONS) for s in (1.0, 1.3, 0.8)]
     arm = arm_model(models, ZETA, 5e-4, 4.0)
     state, out, deflection = RANDOM.normal(size=6) * 1e-4, np.zeros(6), np.zeros(6)
@@ -156,6 +156,11 @@ def test_between_two_postures_the_matrices_are_interpolated_and_after_the_last_t
         advance(step, state, WRENCH, STILL, arm.arrays, out, deflection)
         np.testing.assert_allclose(out, mixed[0] @ state + mixed[1] @ WRENCH, rtol=1e-12, atol=1e-18)
         np.testing.assert_allclose(deflection, mixed[2] @ out + mixed[3] @ WRENCH, rtol=1e-12, atol=1e-18)
+    rng = np.random.default_rng(4)
+    response, motion, found = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
+    push(motion, response, 4.0, 0, found)
+    between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
+    np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -322,15 +327,12 @@ def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     assert not deflections(modes(np.diag([1e-6] * 6), TRANSLATIONS), reference, 100)[0].any()
 
 
-def test_the_motion_of_a_reference_is_its_corners_and_its_acceleration():
+def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_a_correction_at_its_start():
     reference = knots([0.0, 0.002, 0.004], along_y([0.0, 0.002, 0.0]))
     motion = reference_motion(reference, Clock(1e-3, 1).stamp(np.arange(7)))
     expected = np.zeros((6, 18))
     expected[2, 1], expected[4, 1] = -2.0, 1.0  # from 1 to -1 m/s, and to rest at the end
     np.testing.assert_allclose(motion, expected, atol=1e-10)
-
-
-def test_a_correction_that_sets_out_at_once_is_a_corner_in_the_programmed_motion():
     target = knots([0.0, 0.4], np.array([[0.0, 0, 0], [0.04, 0, 0]]))
     corrected = target.with_position(target.position + along_y([0.0, 4e-4]))
     stamps = Clock(PERIOD, 1).stamp(np.arange(401))
@@ -344,14 +346,6 @@ def test_the_paper_has_eq_1_as_printed_and_every_other_cell_the_moving_reference
     assert not PAPER.dynamics.reference_inertia and not PAPER.arm_model(PAPER.target()).reference.size
     assert read_cell(find_file("test_piece.yaml")).dynamics.reference_inertia
     assert Dynamics("lumped", 0.1).reference_inertia
-
-
-def test_between_two_postures_the_response_goes_in_a_straight_line():
-    rng = np.random.default_rng(4)
-    response, motion, found = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
-    push(motion, response, 4.0, 0, found)
-    between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
-    np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 
 
 # --- compensated by (1) as printed, milled with the term ---
@@ -403,25 +397,22 @@ def flexibility(model):
     return model.output @ springs @ model.force + model.feedthrough
 
 
-@pytest.mark.parametrize("mass_model", ["lumped", "consistent"])
-@pytest.mark.parametrize("gravity", [True, False])
-def test_the_frequencies_are_those_of_the_arm_in_any_axes(mass_model, gravity):
-    joints = PAPER.joints(PAPER.target())[:1]
-    dynamics = Dynamics(mass_model, ZETA, gravity)
-    (model,) = modal_models(PAPER.arm, PAPER.mount, dynamics, PAPER.workpiece.pose, joints)
-    loaded = equilibrium(PAPER.arm, PAPER.mount, joints, None, gravity)
-    mass = cartesian_mass(PAPER.arm, PAPER.mount, joints, mass_model)
-    expected = mode_frequencies(compliance(loaded, PAPER.arm), mass)[0]
-    np.testing.assert_allclose(model.frequency / (2 * np.pi), expected, rtol=1e-7)
-
-
-@pytest.mark.parametrize("mass_model", ["lumped", "consistent"])
-def test_the_static_limit_is_the_compliance_of_the_loaded_arm_in_workpiece_axes(mass_model):
-    joints = PAPER.joints(PAPER.target())[:1]
-    (model,) = modal_models(PAPER.arm, PAPER.mount, Dynamics(mass_model, ZETA), PAPER.workpiece.pose, joints)
-    turn = np.kron(np.eye(2), PAPER.workpiece.pose.rotation)
-    expected = turn.T @ compliance(equilibrium(PAPER.arm, PAPER.mount, joints), PAPER.arm)[0] @ turn
-    np.testing.assert_allclose(flexibility(model), expected, rtol=1e-8, atol=1e-14)
+def test_frequencies_and_static_limit_are_those_of_the_loaded_arm_in_workpiece_axes():
+    for mass_model in ("lumped", "consistent"):
+        for gravity in (True, False):
+            joints = PAPER.joints(PAPER.target())[:1]
+            dynamics = Dynamics(mass_model, ZETA, gravity)
+            (model,) = modal_models(PAPER.arm, PAPER.mount, dynamics, PAPER.workpiece.pose, joints)
+            loaded = equilibrium(PAPER.arm, PAPER.mount, joints, None, gravity)
+            mass = cartesian_mass(PAPER.arm, PAPER.mount, joints, mass_model)
+            expected = mode_frequencies(compliance(loaded, PAPER.arm), mass)[0]
+            np.testing.assert_allclose(model.frequency / (2 * np.pi), expected, rtol=1e-7)
+    for mass_model in ("lumped", "consistent"):
+        joints = PAPER.joints(PAPER.target())[:1]
+        (model,) = modal_models(PAPER.arm, PAPER.mount, Dynamics(mass_model, ZETA), PAPER.workpiece.pose, joints)
+        turn = np.kron(np.eye(2), PAPER.workpiece.pose.rotation)
+        expected = turn.T @ compliance(equilibrium(PAPER.arm, PAPER.mount, joints), PAPER.arm)[0] @ turn
+        np.testing.assert_allclose(flexibility(model), expected, rtol=1e-8, atol=1e-14)
 
 
 # --- Measured modes against the arm whose modes they are, closed forms, and what a file may say of them ---
@@ -575,16 +566,13 @@ def test_the_tool_follows_the_mean_force_of_a_revolution():
         assert (bent - plain)[1] == pytest.approx(50e-6 * (1 - np.exp(-1)), rel=1e-6)
 
 
-@pytest.mark.parametrize("method", ["linear", "mirror", "inverse"])
-def test_the_methods_remove_the_displacement_of_the_tool_as_well(method):
-    """Without the tool in its model ``mirror`` would leave 0.5 um/N x 81 N = 40 um."""
-    tried = cell(SOFT)
-    original = simulate(tried)
-    left = compensated(tried, original, method).scores.static_deviation
-    assert abs(left) < 0.08 * original.scores.static_deviation
-
-
-def test_the_mirror_moves_the_target_by_the_compliance_in_the_plane_across_the_tool():
+def test_the_mirror_and_other_methods_remove_the_displacement_of_the_tool_as_well():
+    # without the tool in its model ``mirror`` would leave 0.5 um/N x 81 N = 40 um
+    for method in ("linear", "mirror", "inverse"):
+        tried = cell(SOFT)
+        original = simulate(tried)
+        left = compensated(tried, original, method).scores.static_deviation
+        assert abs(left) < 0.08 * original.scores.static_deviation
     wrench = np.tile([100.0, -80.0, 60.0, 0.0, 0.0, 0.0], (len(cell().target()), 1))
     bent, rigid = (mirrored(one, one.target(), wrench).position for one in (cell(SOFT), cell()))
     assert bent - rigid == pytest.approx(np.tile([-50e-6, 40e-6, 0.0], (len(bent), 1)), abs=1e-7)
