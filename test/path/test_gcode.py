@@ -29,7 +29,7 @@ def read(tmp_path):
     return read
 
 
-def test_the_length_of_an_arc_is_radius_times_angle(read):
+def test_the_length_of_an_arc_is_radius_times_angle_also_where_rounding_keeps_it_from_closing(read):
     quarter = read(START + "G3 X10 Y10 I0 J10 F100\n")
     assert quarter.length == pytest.approx(0.010 * math.pi / 2, rel=1e-9)
     three = read(START + "G2 X10 Y10 I0 J10 F100\n")
@@ -47,6 +47,7 @@ def test_the_length_of_an_arc_is_radius_times_angle(read):
     incremental = read(START + "G1 X4 Y3 F100\nG91 G2 X20 Y0 I10\n")
     assert incremental.length == pytest.approx(0.005 + 0.010 * math.pi, rel=1e-9)
     np.testing.assert_allclose(incremental.position[-1], [0.024, 0.003, 0.0], atol=1e-12)
+    assert read(START + "G2 X10.001 Y0 I5 J0 F100\n").length == pytest.approx(0.005 * math.pi, rel=1e-3)  # rounded
 
 
 @pytest.mark.parametrize(
@@ -63,19 +64,13 @@ def test_a_feed_per_revolution_inverse_time_or_inch_is_a_feed(read, text, feed):
     assert 1e3 * read(":1000\n" + START + text).feed[-1] == pytest.approx(feed, rel=1e-6)
 
 
-def test_a_comment_of_one_word_names_the_feature_that_follows(read):
+def test_a_comment_names_the_feature_that_follows_a_speed_counts_while_the_spindle_turns_and_axes_may_come_singly(read):
     path = read("(T1 D=20)\n" + START + "(square)\nG1 X1 F100 (not a feature)\nX2\n(circle)\nX3 ; (diamond)\n")
     assert path.features == ("", "square", "circle")
     assert [path.features[i] for i in path.feature] == ["", "square", "square", "circle"]
-
-
-def test_the_spindle_speed_counts_only_while_the_spindle_turns(read):
     path = read("G0 X0 Y0 Z0 S60\nG1 X1 F100\nM3\nX2\nM5\nX3\nM13 X4\nM30\n")
     np.testing.assert_allclose(path.spindle_speed / (2 * math.pi), [0, 0, 1, 0, 1])
     np.testing.assert_allclose(read(START + "M4 S60\nG1 X1 F100\n").spindle_speed / (2 * math.pi), [0, -1])
-
-
-def test_axes_may_be_given_one_after_the_other_before_the_first_cut(read):
     path = read("G0 Z5\nX1 Y2\nG1 Z0 F100\n")
     np.testing.assert_allclose(path.position * 1e3, [[1, 2, 5], [1, 2, 0]])
 
@@ -164,10 +159,6 @@ def test_a_feed_may_come_from_the_cell_where_the_program_has_none(read):
     np.testing.assert_allclose(read(START + "G1 X1\nX2 F600\n", feed=0.02).feed[1:], [0.02, 0.01])
 
 
-def test_an_arc_may_miss_closing_by_the_rounding_of_its_numbers(read):
-    assert read(START + "G2 X10.001 Y0 I5 J0 F100\n").length == pytest.approx(0.005 * math.pi, rel=1e-3)
-
-
 # --- Drilling cycles, retracts, planes, feeds and tools of G-code ---
 HIGH = "G0 X0 Y0 Z10\n"
 
@@ -192,66 +183,46 @@ def test_the_strokes_of_a_cycle_end_at_the_bottom_and_start_a_clearance_above_th
     np.testing.assert_allclose([z for z, rapid in strokes if rapid], rapids)
 
 
-def test_g98_returns_to_where_the_cycle_was_called_and_g99_to_r(read):
+def test_cycles_return_by_g98_and_g99_repeat_by_l_and_end_with_a_motion_word_or_g80(read):
     path = read(HIGH + "G98 G81 X5 Z-3 R2 F100\nG99 X10\nG80\nG0 Z10\n")
     assert millimetres(path) == [[0, 0, 10], [5, 0, 10], [5, 0, 2], [5, 0, -3], [5, 0, 2], [5, 0, 10], [10, 0, 10],
                                  [10, 0, 2], [10, 0, -3], [10, 0, 2], [10, 0, 10]]  # fmt: skip
     assert path.rapid.tolist() == [True, True, True, False, True, True, True, True, False, True, True]
-
-
-def test_l_with_g91_repeats_holes_in_a_row_and_l0_drills_nothing_until_the_next_place(read):
     path = read(HIGH + "G91 G99 G81 X5 Z-5 R-8 F100 L3\nG80 G90\n")
     assert [p for p in millimetres(path) if p[2] < 0] == [[5, 0, -3], [10, 0, -3], [15, 0, -3]]
     path = read(HIGH + "G81 X5 Z-3 R2 F100 L0\nX7\n")
     assert [p for p in millimetres(path) if p[2] < 0] == [[7, 0, -3]]
-
-
-def test_a_motion_word_ends_a_cycle_and_g80_leaves_the_motion_before_it(read):
     path = read(HIGH + "G81 X5 Z-3 R2 F100\nG1 X9\nG81 X5 Z-3 R2\nG80\nX1\n")
     assert millimetres(path)[-1] == [1, 0, 10] and not path.rapid[-1]
 
 
 # --- retracts ---
-@pytest.mark.parametrize(
-    "home", ["G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 Z5", "G74 Z1=0"]
-)
-def test_a_retract_goes_to_the_highest_level_and_comes_back_from_there(read, home):
-    path = read(f"G0 X0 Y0 Z20\nG0 Z1\nG1 Z-1 F100\n{home}\nG0 X9 Y9\nG0 Z1\nG1 Z-1\n")
-    assert millimetres(path)[2:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
-
-
-def test_a_tool_that_comes_back_from_home_travels_above(read):
+def test_a_retract_goes_to_the_highest_level_and_a_tool_that_comes_back_from_home_travels_above(read):
+    for home in ("G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 Z5", "G74 Z1=0"):
+        path = read(f"G0 X0 Y0 Z20\nG0 Z1\nG1 Z-1 F100\n{home}\nG0 X9 Y9\nG0 Z1\nG1 Z-1\n")
+        assert millimetres(path)[2:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
     path = read("G0 X0 Y0 Z20\nG1 Z-1 F100\nG28\nG0 X9 Y9 Z1\nG1 Z-1\n")
     assert millimetres(path)[1:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
-
-
-def test_a_change_of_the_tool_lifts_it_but_keeps_its_coordinates(read):
-    text = "T1 M6\nG0 X0 Y0 Z20\nG0 Z1\nG1 X5 F100\nT2 M6\nG1 X7\nG0 Z20\nT1 M6\nG0 X1 Z1\nG1 X2\n"
-    path = read(text, tool="T1")
-    assert millimetres(path) == [[0, 0, 20], [0, 0, 1], [5, 0, 1], [5, 0, 20], [1, 0, 20], [1, 0, 1], [2, 0, 1]]
-    assert read(text, tool="T2").length == pytest.approx(2e-3 + 19e-3)
-
-
-def test_a_preselected_tool_is_not_yet_in_the_spindle(read):
-    program = read("T1 M6\nT2\n" + HIGH + "G1 Z-1 F100\nM30\n").program
-    assert [tool.name for tool in program.tools] == ["T1"]
-
-
-def test_a_posts_feed_move_from_home_is_a_positioning_move(read):
     path = read("G53 G0 Z0\nG1 X5 Y5 F5000\nG0 Z2\nG1 Z-1 F100\n")
     assert millimetres(path) == [[5, 5, 2], [5, 5, -1]]
 
 
+def test_a_change_of_the_tool_lifts_it_but_keeps_its_coordinates_and_a_preselected_one_is_not_yet_in_the_spindle(read):
+    text = "T1 M6\nG0 X0 Y0 Z20\nG0 Z1\nG1 X5 F100\nT2 M6\nG1 X7\nG0 Z20\nT1 M6\nG0 X1 Z1\nG1 X2\n"
+    path = read(text, tool="T1")
+    assert millimetres(path) == [[0, 0, 20], [0, 0, 1], [5, 0, 1], [5, 0, 20], [1, 0, 20], [1, 0, 1], [2, 0, 1]]
+    assert read(text, tool="T2").length == pytest.approx(2e-3 + 19e-3)
+    program = read("T1 M6\nT2\n" + HIGH + "G1 Z-1 F100\nM30\n").program
+    assert [tool.name for tool in program.tools] == ["T1"]
+
+
 # --- planes, feeds, offsets ---
-@pytest.mark.parametrize(("plane", "end", "centre"), [(17, "X5 Y5", "I5"), (18, "Z15 X5", "K5"), (19, "Y5 Z15", "J5")])
-def test_clockwise_is_seen_against_the_axis_across_the_plane(read, plane, end, centre):
-    quarter = read(HIGH + f"G{plane} G2 {end} {centre} F100\n")
-    rest = read(HIGH + f"G{plane} G3 {end} {centre} F100\n")
-    assert 1e3 * quarter.length == pytest.approx(2.5 * math.pi, rel=1e-3)
-    assert 1e3 * rest.length == pytest.approx(7.5 * math.pi, rel=1e-3)
-
-
-def test_a_helix_of_sinumerik_turns_further_circles(read):
+def test_clockwise_is_seen_against_the_axis_across_the_plane_and_a_helix_of_sinumerik_turns_further_circles(read):
+    for plane, end, centre in ((17, "X5 Y5", "I5"), (18, "Z15 X5", "K5"), (19, "Y5 Z15", "J5")):
+        quarter = read(HIGH + f"G{plane} G2 {end} {centre} F100\n")
+        rest = read(HIGH + f"G{plane} G3 {end} {centre} F100\n")
+        assert 1e3 * quarter.length == pytest.approx(2.5 * math.pi, rel=1e-3)
+        assert 1e3 * rest.length == pytest.approx(7.5 * math.pi, rel=1e-3)
     path = read(HIGH + "G3 X0 Y0 Z4 I5 J0 TURN=2 F100\n")
     assert 1e3 * path.length == pytest.approx(math.hypot(3 * 10 * math.pi, 6), rel=1e-6)
 
@@ -266,13 +237,10 @@ def test_two_work_offsets_or_spindle_speeds_are_refused_with_their_lines(read, f
         read(HIGH + f"{first} M3\nG1 Z1 F100\n{second}\nG1 X1\n")
 
 
-def test_a_dwell_has_no_feed_and_moves_nothing(read):
+def test_a_dwell_has_no_feed_and_a_line_with_block_skip_is_run_and_stated(read):
     path = read(HIGH + "G1 Z1 F600\nG4 F5\nG4 X2\nG4 P100\nX1\n")
     assert path.feed[-1] == pytest.approx(0.01) and millimetres(path)[-1] == [1, 0, 1]
     assert {r.word: r.count for r in path.program.read_over} == {"G4": 3}
-
-
-def test_a_line_with_block_skip_is_run_and_said(read):
     path = read(HIGH + "/G1 Z1 F600\n/2 X5\n")
     assert millimetres(path)[-1] == [5, 0, 1] and path.program.summary == "read over: 2 /"
 
@@ -359,16 +327,11 @@ def cutting_points(path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_every_dialect_gives_the_same_path(name):
+def test_every_dialect_gives_the_same_path_features_speed_offset_and_tool(name):
     path, reference = read_dialect(name), read_dialect("fusion_haas.nc")
     np.testing.assert_allclose(cutting_points(path), cutting_points(reference), atol=2e-3)  # chords of 2 um
     assert 1e3 * path.length == pytest.approx(LENGTH, abs=0.01)
     np.testing.assert_allclose(path.program.feeds, [0.005, 0.8 / 60], rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_path_features_speed_offset_and_tool_are_those_of_the_program(name):
-    path = read_dialect(name)
     np.testing.assert_allclose(1e3 * path.position[[0, 1]], [[4, 0, 15], [4, 0, 2]], atol=1e-5)
     assert 1e3 * path.position[-1, 2] == pytest.approx(15, abs=1e-5)
     assert path.rapid[-1] and 1e3 * path.position[~path.rapid, 2].min() == pytest.approx(-1, abs=1e-5)
@@ -382,10 +345,18 @@ def test_path_features_speed_offset_and_tool_are_those_of_the_program(name):
     assert program.current.teeth == (4 if name in ("fusion_haas.nc", "freecad_linuxcnc.ngc", "haas.nc") else 0)
 
 
-def test_what_moves_nothing_is_summed_up():
+def test_what_moves_nothing_is_summed_up_and_holes_are_drilled_at_their_places():
     program = read_dialect("fusion_haas.nc").program
     assert program.summary == "read over: 2 G53 Z, 1 M8, 1 G43 H1, 1 M9, 1 G53 X Y"
     assert {r.word: r.count for r in read_dialect("sinumerik.mpf").program.read_over}["CYCLE832"] == 1
+    path = read_gcode(PROGRAMS / "haas.nc", tool="2")
+    bottoms = 1e3 * path.position[~path.rapid]
+    deepest = bottoms[bottoms[:, 2] < -4.5]
+    np.testing.assert_allclose(deepest, [[20, 15, -5], [-20, 15, -5], [-20, -15, -6], [-20, -15, -8], [20, -15, -6],
+                                         [20, -15, -8]], atol=1e-9)  # fmt: skip
+    assert path.features == ("", "DRILL HOLES")
+    between = path.position[(path.position[:, 0] < 0) & (path.position[:, 1] > 0)]
+    assert 1e3 * between[-1, 2] == pytest.approx(15)  # G98: back to where the cycle was called
 
 
 def test_a_program_with_several_tools_is_refused_with_their_list_and_a_tool_that_does_not_cut_with_those_that_do():
@@ -398,17 +369,6 @@ def test_a_program_with_several_tools_is_refused_with_their_list_and_a_tool_that
     assert program.title == "POCKET PLATE" and [r.word for r in program.refused] == ["T2"]
     with pytest.raises(ProgramError, match="does not cut with T5; it does with T1 .*, T2"):
         read_gcode(PROGRAMS / "haas.nc", tool="T5")
-
-
-def test_the_holes_of_the_other_tool_are_drilled_at_their_places():
-    path = read_gcode(PROGRAMS / "haas.nc", tool="2")
-    bottoms = 1e3 * path.position[~path.rapid]
-    deepest = bottoms[bottoms[:, 2] < -4.5]
-    np.testing.assert_allclose(deepest, [[20, 15, -5], [-20, 15, -5], [-20, -15, -6], [-20, -15, -8], [20, -15, -6],
-                                         [20, -15, -8]], atol=1e-9)  # fmt: skip
-    assert path.features == ("", "DRILL HOLES")
-    between = path.position[(path.position[:, 0] < 0) & (path.position[:, 1] > 0)]
-    assert 1e3 * between[-1, 2] == pytest.approx(15)  # G98: back to where the cycle was called
 
 
 # --- The reader keeps pace with long programs ---

@@ -23,36 +23,27 @@ PATH = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.0], [6.0, -1.0, 1.0], [9.0, 0.0, 
 FINE = np.linspace(0, TIME[-1], 777).astype(np.int64)
 
 
-def test_without_velocities_the_tool_runs_straight_from_knot_to_knot():
+def test_a_path_is_straight_from_knot_to_knot_or_with_velocities_a_spline_as_scipy_evaluates_it():
     expected = [np.interp(FINE, TIME, PATH[:, i]) for i in range(3)]
     np.testing.assert_allclose(Trajectory(TIME, PATH, TOOL_DOWN).sample(FINE), np.transpose(expected), atol=1e-17)
+    for ends in ("natural", "not-a-knot", "clamped"):
+        oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
+        run = spline(TIME, PATH, ends=ends)
+        np.testing.assert_allclose(run.sample(FINE), oracle(FINE * 1e-9), atol=1e-16)
+        np.testing.assert_allclose(run.sample_velocity(FINE), oracle(FINE * 1e-9, 1), rtol=1e-10, atol=1e-14)
+    run = spline(TIME, PATH)
+    outside = np.array([-5, TIME[-1] + 1])
+    np.testing.assert_array_equal(run.sample(outside), PATH[[0, -1]])
+    assert np.all(run.feed(outside) == 0)
 
 
-@pytest.mark.parametrize("ends", ["natural", "not-a-knot", "clamped"])
-def test_a_spline_is_run_as_scipy_evaluates_it(ends):
-    oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
-    run = spline(TIME, PATH, ends=ends)
-    np.testing.assert_allclose(run.sample(FINE), oracle(FINE * 1e-9), atol=1e-16)
-    np.testing.assert_allclose(run.sample_velocity(FINE), oracle(FINE * 1e-9, 1), rtol=1e-10, atol=1e-14)
-
-
-def test_orientation_follows_scipys_slerp_and_takes_the_short_way():
+def test_orientation_follows_scipys_slerp_the_short_way_and_a_constant_one_stays_to_the_last_bit():
     turns = Rotation.from_euler("ZYX", np.random.default_rng(1).uniform(-1, 1, (5, 3)))
     quaternion = turns.as_quat() * np.array([1, -1, 1, 1, -1])[:, None]  # q and -q are one rotation
     run = Trajectory(TIME, PATH, quaternion)
     sampled = Rotation.from_quat(run.sample_orientation(FINE))
     assert (sampled.inv() * Slerp(TIME, turns)(FINE)).magnitude().max() < 1e-7
-
-
-def test_a_constant_orientation_stays_the_same_to_the_last_bit():
     assert np.all(Trajectory(TIME, PATH, TOOL_DOWN).sample_orientation(FINE) == TOOL_DOWN)
-
-
-def test_the_tool_rests_before_the_first_and_after_the_last_knot():
-    run = spline(TIME, PATH)
-    outside = np.array([-5, TIME[-1] + 1])
-    np.testing.assert_array_equal(run.sample(outside), PATH[[0, -1]])
-    assert np.all(run.feed(outside) == 0)
 
 
 def test_a_line_has_its_knots_at_the_controller_step_ends_exactly_and_keeps_its_feed_to_the_end():
@@ -179,13 +170,10 @@ def test_a_stop_is_one_for_correction_program_and_check_whatever_rounding_left_o
     assert corner_blending(sharp(speed), moved(sharp(speed)), 1e-3) == []  # the robot stops: nothing is rounded off
 
 
-def test_what_creeps_does_not_stand():
+def test_what_creeps_and_straight_lines_through_the_knots_do_not_stand():
     run = corner(2 * AT_REST)
     assert not run.standing.any() and not resting_segments(run).any()
     rounded = corner_blending(sharp(2 * AT_REST), moved(sharp(2 * AT_REST)), 1e-3)
     assert [violation.point for violation in rounded] == [STOP + 1]
-
-
-def test_straight_lines_through_the_knots_never_stand():
     run = corner()
     assert not run.with_position(run.position).standing.any()

@@ -176,9 +176,7 @@ def stops(cell) -> np.ndarray:
     return np.flatnonzero(~cell.target().velocity.any(axis=1))
 
 
-def test_every_method_takes_the_error_away_by_a_c2_reference_that_rests_in_stops_and_stays_near_in_the_air(
-    cell, passes
-):
+def test_every_method_takes_the_error_away_by_a_c2_reference_at_rest_in_stops_and_near_in_the_air(cell, passes):
     for method, left in (("linear", 0.25), ("spline", 0.1), ("learned", 0.1), ("mirror", 0.5)):
         assert error(cell, passes[method][1]) < left * error(cell, passes["original"][1])
     for method in SMOOTH:
