@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from book import check
@@ -63,15 +65,10 @@ def run(model, zeta, period, steps, state, wrench):
     return states, deflections
 
 
-def damping_matrix(model, zeta):
-    """C of (1) for one ratio in every mode: M phi diag(2 zeta omega) phi^T M."""
+def spread(model, values):
+    """C of (1) for modal values 2 zeta omega, K for omega^2: M phi diag(values) phi^T M."""
     to_mass = model.mass @ model.shape
-    return to_mass @ np.diag(2 * zeta * model.frequency) @ to_mass.T
-
-
-def stiffness_matrix(model):
-    to_mass = model.mass @ model.shape
-    return to_mass @ np.diag(model.frequency**2) @ to_mass.T
+    return to_mass @ np.diag(values) @ to_mass.T
 
 
 # --- closed forms ---
@@ -105,8 +102,8 @@ def test_exponential(inertia, period):
     r, inverse = model.frequency.size, np.linalg.inv(model.mass)
     system = np.zeros((2 * r + 6, 2 * r + 6))  # the constant wrench as further states
     system[:r, r : 2 * r] = np.eye(r)
-    system[r : 2 * r, :r] = -inverse @ stiffness_matrix(model)
-    system[r : 2 * r, r : 2 * r] = -inverse @ damping_matrix(model, ZETA)
+    system[r : 2 * r, :r] = -inverse @ spread(model, model.frequency**2)
+    system[r : 2 * r, r : 2 * r] = -inverse @ spread(model, 2 * ZETA * model.frequency)
     system[r : 2 * r, 2 * r :] = inverse @ model.force
     exact = expm(system * period)
     transition, held, _, _ = discretise(model, ZETA, period)
@@ -132,7 +129,7 @@ def energies(model, states):
     r = model.frequency.size
     x, v = states[:, :r], states[:, r:]
     kinetic = 0.5 * np.einsum("ni,ij,nj->n", v, model.mass, v)
-    return kinetic, 0.5 * np.einsum("ni,ij,nj->n", x, stiffness_matrix(model), x)
+    return kinetic, 0.5 * np.einsum("ni,ij,nj->n", x, spread(model, model.frequency**2), x)
 
 
 @check("energy of an undamped vibration after 100,000 periods / at the start", "conservation of energy")
@@ -272,8 +269,8 @@ def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
         change = (-6 * move / h + 2 * rates[k] + 4 * rates[k + 1]) / h - start
         system = np.zeros((14, 14))
         system[:r, r:12] = np.eye(6)
-        system[r:12, :r] = -inverse @ stiffness_matrix(model)
-        system[r:12, r:12] = -inverse @ damping_matrix(model, LIGHT)
+        system[r:12, :r] = -inverse @ spread(model, model.frequency**2)
+        system[r:12, r:12] = -inverse @ spread(model, 2 * LIGHT * model.frequency)
         system[r : r + 3, 12], system[r : r + 3, 13] = -start, -change / h
         system[13, 12] = 1.0  # 1 and t as further states: t' = 1
         state = (expm(system * h) @ np.concatenate([state, [1.0, 0.0]]))[:12]
@@ -391,28 +388,16 @@ def test_spline_without_the_reference():
 
 
 # --- Modes of the arm in workpiece axes, from its elastostatics and mass ---
-def flexibility(model):
-    """Static deflection (6, 6) per wrench that the model stands for."""
-    springs = model.shape @ np.diag(model.frequency**-2.0) @ model.shape.T
-    return model.output @ springs @ model.force + model.feedthrough
-
-
 def test_frequencies_and_static_limit_are_those_of_the_loaded_arm_in_workpiece_axes():
-    for mass_model in ("lumped", "consistent"):
-        for gravity in (True, False):
-            joints = PAPER.joints(PAPER.target())[:1]
-            dynamics = Dynamics(mass_model, ZETA, gravity)
-            (model,) = modal_models(PAPER.arm, PAPER.mount, dynamics, PAPER.workpiece.pose, joints)
-            loaded = equilibrium(PAPER.arm, PAPER.mount, joints, None, gravity)
-            mass = cartesian_mass(PAPER.arm, PAPER.mount, joints, mass_model)
-            expected = mode_frequencies(compliance(loaded, PAPER.arm), mass)[0]
-            np.testing.assert_allclose(model.frequency / (2 * np.pi), expected, rtol=1e-7)
-    for mass_model in ("lumped", "consistent"):
-        joints = PAPER.joints(PAPER.target())[:1]
-        (model,) = modal_models(PAPER.arm, PAPER.mount, Dynamics(mass_model, ZETA), PAPER.workpiece.pose, joints)
-        turn = np.kron(np.eye(2), PAPER.workpiece.pose.rotation)
-        expected = turn.T @ compliance(equilibrium(PAPER.arm, PAPER.mount, joints), PAPER.arm)[0] @ turn
-        np.testing.assert_allclose(flexibility(model), expected, rtol=1e-8, atol=1e-14)
+    arm, mount, joints = PAPER.arm, PAPER.mount, PAPER.joints(PAPER.target())[:1]
+    turn = np.kron(np.eye(2), PAPER.workpiece.pose.rotation)
+    for mass_model, gravity in itertools.product(("lumped", "consistent"), (True, False)):
+        (model,) = modal_models(arm, mount, Dynamics(mass_model, ZETA, gravity), PAPER.workpiece.pose, joints)
+        soft = compliance(equilibrium(arm, mount, joints, None, gravity), arm)
+        expected = mode_frequencies(soft, cartesian_mass(arm, mount, joints, mass_model))[0]
+        np.testing.assert_allclose(model.frequency / (2 * np.pi), expected, rtol=1e-7)
+        static = model.output @ model.shape @ np.diag(model.frequency**-2.0) @ model.shape.T @ model.force
+        np.testing.assert_allclose(static + model.feedthrough, turn.T @ soft[0] @ turn, rtol=1e-8, atol=1e-14)
 
 
 # --- Measured modes against the arm whose modes they are, closed forms, and what a file may say of them ---
@@ -427,20 +412,16 @@ GROUPS = """/**:
 """
 
 
-def as_measured(model, damping_ratio: float) -> MeasuredModes:
-    """The modes of a model as an experiment without errors gives them."""
-    shapes = (model.output @ model.shape).T
-    ratios = np.full(model.frequency.size, damping_ratio)
-    return MeasuredModes(model.frequency / (2 * np.pi), ratios, shapes.ravel())
-
-
 def test_the_modes_of_an_arm_in_the_place_of_the_arm_give_the_same_pass():
     cell = read_cell(
         find_file("paper.yaml"), ("path.length_mm=14.4", "dynamics.mass_model=rigid", "dynamics.reference_inertia=true")
     )
     target = cell.target()
     bent = target.with_position(target.position + np.outer(np.arange(len(target)) % 2 * 2e-5, [1.0, 1.0, 0.5]))
-    same = cell.replace(dynamics=cell.dynamics.replace(modes=as_measured(cell.modal_model, 0.182)))
+    arm = cell.modal_model  # whose modes an experiment without errors gives
+    frequency, shapes = arm.frequency / (2 * np.pi), (arm.output @ arm.shape).T.ravel()
+    measured = MeasuredModes(frequency, np.full(frequency.size, 0.182), shapes)
+    same = cell.replace(dynamics=cell.dynamics.replace(modes=measured))
     exact, found = (simulate(c, bent).result for c in (cell, same))
     np.testing.assert_allclose(found.deflection, exact.deflection, atol=1e-9 * np.abs(exact.deflection).max())
     assert found.volume.sum() > 0.0
@@ -501,12 +482,13 @@ def test_modes_that_cannot_be_are_refused_with_the_key(tmp_path, old, new, said)
         read_cell(tmp_path / "cell.yaml")
 
 
-def test_lists_that_do_not_fit_each_other_are_refused():
-    for key, value in (("damping_ratio", "[0.1, 0.2]"), ("shape", "[1.0, 2.0]")):
-        texts = {"frequency_hz": "[7.0]", "damping_ratio": "[0.1]", "shape": "[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]"}
-        texts[key] = value
+def test_lists_that_do_not_fit_each_other_and_a_stiffness_with_a_stick_out_are_refused():
+    for lists in (("[7.0]", "[0.1, 0.2]", "[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]"), ("[7.0]", "[0.1]", "[1.0, 2.0]")):
+        names = ("frequency_hz", "damping_ratio", "shape")
         with pytest.raises(ConfigError, match="for 1 modes"):
-            read_cell(find_file("paper.yaml"), [f"dynamics.modes.{k}={v}" for k, v in texts.items()])
+            read_cell(find_file("paper.yaml"), [f"dynamics.modes.{k}={v}" for k, v in zip(names, lists, strict=True)])
+    with pytest.raises(ConfigError, match=r"tool\.stiffness_n_per_um.*stick_out_mm"):
+        cell(SOFT, "tool.stick_out_mm=40")
 
 
 # --- A tool that bends: the closed form of a cantilever, and a spring in series with the arm ---
@@ -535,11 +517,6 @@ def cell(*settings):
 )  # fmt: skip
 def test_the_compliance_is_that_of_a_stepped_cantilever(settings, expected):
     assert cell(*settings).tool.lateral_compliance == pytest.approx(expected, rel=1e-12)
-
-
-def test_stiffness_and_stick_out_are_not_both_given():
-    with pytest.raises(ConfigError, match=r"tool\.stiffness_n_per_um.*stick_out_mm"):
-        cell(SOFT, "tool.stick_out_mm=40")
 
 
 @pytest.mark.parametrize("settings", [[], ["dynamics.mass_model=rigid", "dynamics.follow_pose=true"]])

@@ -91,16 +91,12 @@ def lateral(*forces: float, periods: int = 5) -> np.ndarray:
     return wrenches
 
 
-def with_wrench(ran: ScoredPass, wrench: np.ndarray) -> ScoredPass:
-    return dataclasses.replace(ran, result=dataclasses.replace(ran.result, wrench=wrench))
-
-
-def reversing(ran: ScoredPass) -> tuple[np.ndarray, int]:
-    """A load across the feed that changes its sign in the middle of a pass, and the number of that sample."""
+def reversing(ran: ScoredPass) -> tuple[ScoredPass, int]:
+    """The pass with a load across the feed that changes its sign in the middle, and the number of that sample."""
     wrench = np.zeros_like(ran.result.wrench)
     half = len(wrench) // 2
     wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
-    return wrench, half
+    return dataclasses.replace(ran, result=dataclasses.replace(ran.result, wrench=wrench)), half
 
 
 def test_a_load_that_reverses_beyond_the_friction_torque_moves_the_tool_by_backlash_times_lever(cell):
@@ -141,19 +137,18 @@ def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path_and_single_teeth
 
 
 def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(cell, ran):
-    wrench, half = reversing(ran)
-    (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
+    loaded, half = reversing(ran)
+    (one,) = load_reversals(cell, cell.target(), loaded)
     lever = np.linalg.norm(jacobian(cell.arm, cell.mount, cell.start_joints)[:3, 0])
     assert one.value == pytest.approx(cell.arm.backlash[0] * lever, rel=0.01) and one.severity == "note"
     assert abs(cell.target().time_ns[one.point - 1] - ran.result.time_ns[half]) <= 60_000_000
     assert "if axis 1 has 6.2 arcsec of backlash (assumed)" in one.sentence
     stiff = cell.replace(arm=cell.arm.replace(friction_torque=np.full(6, 1e4)))
-    assert load_reversals(stiff, stiff.target(), with_wrench(ran, wrench)) == []
+    assert load_reversals(stiff, stiff.target(), loaded) == []
     known = cell.replace(arm=cell.arm.replace(backlash=2 * cell.arm.backlash))
-    (twice,) = load_reversals(known, known.target(), with_wrench(ran, wrench))
+    (twice,) = load_reversals(known, known.target(), loaded)
     assert twice.value == pytest.approx(2 * one.value) and "12.4 arcsec of backlash (arm.back" in twice.sentence
-    wrench, half = reversing(ran)
-    places = gathered(cell, cell.target(), load_reversals(cell, cell.target(), with_wrench(ran, wrench)))
+    places = gathered(cell, cell.target(), [one])
     assert backlash_statement(cell, places, True) == "backlash: in the verdict only, 0 to 12.4 arcsec"
     assert "not included, up to 49.2 um" in backlash_statement(cell, places, False)
     decision = compensate(cell, "linear").decision
@@ -163,8 +158,8 @@ def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(
 
 
 def test_the_plant_moves_by_the_number_of_the_check_and_without_a_reversal_as_if_it_had_no_backlash(cell, ran):
-    wrench, half = reversing(ran)
-    (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
+    loaded, half = reversing(ran)
+    (one,), wrench = load_reversals(cell, cell.target(), loaded), loaded.result.wrench
     plant = cell.replace(imperfections=Imperfections(backlash=cell.arm.backlash))
     plain = cell.arm_model(cell.target())
     arm = imperfect_arm(plant, cell.target(), plain)
