@@ -65,13 +65,16 @@ def run(model, zeta, period, steps, state, wrench):
     return states, deflections
 
 
-def spread(model, values):
-    """C of (1) for modal values 2 zeta omega, K for omega^2: M phi diag(values) phi^T M."""
-    to_mass = model.mass @ model.shape
-    return to_mass @ np.diag(values) @ to_mass.T
+def system(model, zeta, more):
+    """x' = A x of (1) for x, x' and some further states, whose effect on x'' is the caller's; its first two rows."""
+    r, inverse, to_mass = model.frequency.size, np.linalg.inv(model.mass), model.mass @ model.shape
+    found = np.zeros((2 * r + more, 2 * r + more))
+    found[:r, r : 2 * r] = np.eye(r)
+    for columns, values in ((slice(r), model.frequency**2), (slice(r, 2 * r), 2 * zeta * model.frequency)):
+        found[r : 2 * r, columns] = -inverse @ to_mass @ np.diag(values) @ to_mass.T  # K and C
+    return found
 
 
-# --- closed forms ---
 @check("free vibration of one degree of freedom over 0.5 s", "closed form, relative to the start")
 def test_free_vibration():
     states, deflections = run(one_degree(), ZETA, 1e-3, 500, np.array([1e-4, 2e-3]), np.zeros(6))
@@ -99,13 +102,9 @@ def test_step_response(zeta):
 )  # fmt: skip
 def test_exponential(inertia, period):
     model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
-    r, inverse = model.frequency.size, np.linalg.inv(model.mass)
-    system = np.zeros((2 * r + 6, 2 * r + 6))  # the constant wrench as further states
-    system[:r, r : 2 * r] = np.eye(r)
-    system[r : 2 * r, :r] = -inverse @ spread(model, model.frequency**2)
-    system[r : 2 * r, r : 2 * r] = -inverse @ spread(model, 2 * ZETA * model.frequency)
-    system[r : 2 * r, 2 * r :] = inverse @ model.force
-    exact = expm(system * period)
+    r, matrix = model.frequency.size, system(model, ZETA, 6)  # the constant wrench as further states
+    matrix[r : 2 * r, 2 * r :] = np.linalg.inv(model.mass) @ model.force
+    exact = expm(matrix * period)
     transition, held, _, _ = discretise(model, ZETA, period)
     scale = np.repeat([1.0, model.frequency[-1]], r)[:, None]  # velocities are larger by omega
     forced = exact[: 2 * r, 2 * r :] / scale
@@ -123,13 +122,12 @@ def test_static_limit(inertia):
     return 0.0, np.abs(deflections[-1] / (COMPLIANCE @ WRENCH) - 1).max(), 1e-10
 
 
-# --- energy ---
 def energies(model, states):
     """Kinetic and potential energy [J], (n,)."""
     r = model.frequency.size
     x, v = states[:, :r], states[:, r:]
     kinetic = 0.5 * np.einsum("ni,ij,nj->n", v, model.mass, v)
-    return kinetic, 0.5 * np.einsum("ni,ij,nj->n", x, spread(model, model.frequency**2), x)
+    return kinetic, 0.5 * np.sum((x @ model.mass @ model.shape * model.frequency) ** 2, axis=1)
 
 
 @check("energy of an undamped vibration after 100,000 periods / at the start", "conservation of energy")
@@ -141,7 +139,6 @@ def test_energy():
     return 1.0, (total / total[0])[np.argmax(np.abs(total / total[0] - 1.0))], 1e-9
 
 
-# --- several postures ---
 def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_stay_after_the_last():
     models = [modes(COMPLIANCE * s, TRANSLATIONS) for s in (1.0, 1.3, 0.8)]
     arm = arm_model(models, ZETA, 5e-4, 4.0)
@@ -160,20 +157,14 @@ def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_s
     np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("softness", "mass"),
-    [
-        (COMPLIANCE, np.zeros((6, 6))),
-        (COMPLIANCE, np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0])),
-        (COMPLIANCE, np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) + np.eye(6, k=2) + np.eye(6, k=-2)),
-        (-COMPLIANCE, TRANSLATIONS),
-        (np.diag([1e-6, -1e-6, 1e-6, 1e-6, 1e-6, 1e-6]), MASS),
-        (COMPLIANCE, np.full((6, 6), np.nan)),
-        (np.zeros((6, 6)), TRANSLATIONS),
-        (np.diag([1e-6, 0.0, 1e-6, 1e-6, 1e-6, 1e-6]), TRANSLATIONS),
-        (np.full((6, 6), np.nan), TRANSLATIONS),
-    ],
-)
+@pytest.mark.parametrize(("softness", "mass"), [
+    *((COMPLIANCE, mass) for mass in (
+        np.zeros((6, 6)), np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0]), np.full((6, 6), np.nan),
+        np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) + np.eye(6, k=2) + np.eye(6, k=-2))),
+    *((softness, TRANSLATIONS) for softness in (
+        -COMPLIANCE, np.zeros((6, 6)), np.full((6, 6), np.nan), np.diag([1e-6, 0.0, 1e-6, 1e-6, 1e-6, 1e-6]))),
+    (np.diag([1e-6, -1e-6, 1e-6, 1e-6, 1e-6, 1e-6]), MASS),
+])  # fmt: skip
 def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
     with pytest.raises(DynamicsError):
         modes(softness, mass)
@@ -181,7 +172,6 @@ def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
 
 # --- The term -M r'' against transfer functions, closed forms, exact integration and energy ---
 LIGHT, PERIOD = 0.07, 1e-3
-LINKS = 790.4  # [kg]
 DAMPED = OMEGA * np.sqrt(1 - LIGHT**2)
 
 
@@ -211,7 +201,6 @@ def polygon(periods=400, every=20, size=1e-4):
     return knots(times, RANDOM.normal(size=(times.size, 3)) * size)
 
 
-# --- transfer function ---
 @check(
     "M delta'' + C delta' + K delta = -M r'', straight lines with corners, zeta {zeta}",
     "scipy.signal.lsim of (C s + K) / (M s^2 + C s + K), exact for lines, relative",
@@ -244,7 +233,6 @@ def test_every_mode_of_a_coupled_arm_follows_its_own_filter(mass):
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
-# --- closed forms ---
 @check("corner of 0.4 mm/s in the reference, zeta {zeta}", "-dv / omega_d exp(-zeta omega t) sin(omega_d t), 9.5 um at "
        "6.7 Hz without damping, relative", cases=("zeta", [(0.0,), (LIGHT,)]))  # fmt: skip
 def test_corner(zeta):
@@ -262,18 +250,15 @@ def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
     times = np.arange(5) * 0.04
     positions, rates = RANDOM.normal(size=(5, 3)) * 1e-4, RANDOM.normal(size=(5, 3)) * 1e-3
     found, states = deflections(model, knots(times, positions, rates), 160)
-    inverse, r, state = np.linalg.inv(model.mass), 6, np.zeros(12)
+    state = np.zeros(12)
     for k in range(4):
         h, move = 0.04, positions[k + 1] - positions[k]
         start = (6 * move / h - 4 * rates[k] - 2 * rates[k + 1]) / h
         change = (-6 * move / h + 2 * rates[k] + 4 * rates[k + 1]) / h - start
-        system = np.zeros((14, 14))
-        system[:r, r:12] = np.eye(6)
-        system[r:12, :r] = -inverse @ spread(model, model.frequency**2)
-        system[r:12, r:12] = -inverse @ spread(model, 2 * LIGHT * model.frequency)
-        system[r : r + 3, 12], system[r : r + 3, 13] = -start, -change / h
-        system[13, 12] = 1.0  # 1 and t as further states: t' = 1
-        state = (expm(system * h) @ np.concatenate([state, [1.0, 0.0]]))[:12]
+        matrix = system(model, LIGHT, 2)
+        matrix[6:9, 12], matrix[6:9, 13] = -start, -change / h
+        matrix[13, 12] = 1.0  # 1 and t as further states: t' = 1
+        state = (expm(matrix * h) @ np.concatenate([state, [1.0, 0.0]]))[:12]
         np.testing.assert_allclose(found[(k + 1) * 40], state[:6], atol=1e-9 * np.abs(found).max())
     np.testing.assert_allclose(states[-1], state, atol=1e-9 * np.abs(states).max())
 
@@ -292,7 +277,6 @@ def test_a_corner_within_a_period_costs_an_error_of_second_order_in_the_period()
     assert np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(gaps), 1)[0] == pytest.approx(2.0, abs=0.15)
 
 
-# --- energy ---
 @check("energy of the undamped arm / work of its motors, r' (M z'') over straight lines", "conservation of energy")
 def test_work_of_the_motors():
     """Without damping z'M z' / 2 + delta' K delta / 2 grows by the work of M z'' along r', lines between corners."""
@@ -309,12 +293,11 @@ def test_work_of_the_motors():
     return 1.0, (energy[-1] - energy[0]) / work.sum(), 1e-9
 
 
-# --- rotations, start, corners ---
 def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     angles = np.array([0.0, 0.0, 0.02, 0.02])
     turned = Rotation.from_rotvec(np.outer(angles, [1.0, 0.0, 0.0])).as_quat()
     reference = knots([0.0, 0.05, 0.1, 0.4], np.zeros((4, 3)), quaternion=turned)
-    diagonal = np.diag([LINKS] * 3 + [40.0] * 3)
+    diagonal = np.diag([790.4] * 3 + [40.0] * 3)
     model = modes(np.diag([1e-6] * 3 + [2e-6] * 3), diagonal)
     found, _ = deflections(model, reference, 100)
     w = np.sqrt(1 / (2e-6 * 40.0))
@@ -338,7 +321,6 @@ def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_a
     np.testing.assert_allclose(jump, [0, 1e-3, 0, 0, 0, 0], atol=1e-15)
 
 
-# --- one step function for everybody ---
 def test_the_paper_has_eq_1_as_printed_and_every_other_cell_the_moving_reference():
     assert not PAPER.dynamics.reference_inertia and not PAPER.arm_model(PAPER.target()).reference.size
     assert read_cell(find_file("test_piece.yaml")).dynamics.reference_inertia
