@@ -42,27 +42,24 @@ def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
     np.testing.assert_array_equal(commanded_joints(plain, target), plain.joints(target))
 
 
-@pytest.mark.parametrize(
-    ("assignments", "key", "says"),
-    [
-        (["exchange.micro_step_deg=7"], "exchange.micro_step_deg", "whole part of 360"),
-        (["exchange.period_ms=0.3333"], "exchange.period_ms", "whole number of micro-steps"),
-        (["tool.spindle_speed_rpm=8001"], "exchange.period_ms", "for example"),
-        (["tool.spindle_speed_rpm=0"], "tool.spindle_speed_rpm", "above 0"),
-        (["path.start_mm=[1e9, 0]"], "path.start_mm", "at most"),
-        (["stock.max_mm=[1, -20, -20]"], "stock.max_mm", "above min_mm"),
-        (["tool.pitch_deg=[90, 90]"], "tool.pitch_deg", "4 teeth"),
-        (["compensation.method=fastest"], "compensation.method", "one of best"),
-        (["path.file=nowhere.nc"], "", "no such file"),
-        (["path=3"], "path", "a group of keys"),
-        (["tool.spindle_speed_rpm=200000", "tool.teeth=99", "exchange.micro_step_deg=.01"], "exchange.micro_step_deg",
-         "larger"),
-        (["exchange.iterations=20", "tool.teeth=16", "path.feed_rate_m_per_min=0.002"], "exchange.micro_step_deg",
-         "larger"),
-        (["stock.min_mm=[-1e5,-1e5,-10]", "stock.max_mm=[1e5,1e5,0]"], "stock.grid_step_um", "larger"),
-        (["path.feed_rate_m_per_min=1e-7"], "path.feed_rate_m_per_min", "faster"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("assignments", "key", "says"), [
+    (["exchange.micro_step_deg=7"], "exchange.micro_step_deg", "whole part of 360"),
+    (["exchange.period_ms=0.3333"], "exchange.period_ms", "whole number of micro-steps"),
+    (["tool.spindle_speed_rpm=8001"], "exchange.period_ms", "for example"),
+    (["tool.spindle_speed_rpm=0"], "tool.spindle_speed_rpm", "above 0"),
+    (["path.start_mm=[1e9, 0]"], "path.start_mm", "at most"),
+    (["stock.max_mm=[1, -20, -20]"], "stock.max_mm", "above min_mm"),
+    (["tool.pitch_deg=[90, 90]"], "tool.pitch_deg", "4 teeth"),
+    (["compensation.method=fastest"], "compensation.method", "one of best"),
+    (["path.file=nowhere.nc"], "", "no such file"),
+    (["path=3"], "path", "a group of keys"),
+    (["tool.spindle_speed_rpm=200000", "tool.teeth=99", "exchange.micro_step_deg=.01"], "exchange.micro_step_deg",
+     "larger"),
+    (["exchange.iterations=20", "tool.teeth=16", "path.feed_rate_m_per_min=0.002"], "exchange.micro_step_deg",
+     "larger"),
+    (["stock.min_mm=[-1e5,-1e5,-10]", "stock.max_mm=[1e5,1e5,0]"], "stock.grid_step_um", "larger"),
+    (["path.feed_rate_m_per_min=1e-7"], "path.feed_rate_m_per_min", "faster"),
+])  # fmt: skip
 def test_a_cell_that_cannot_be_and_a_pass_of_days_are_refused_with_their_key(assignments, key, says):
     with pytest.raises(ConfigError) as caught:
         read_cell(FILE, assignments)
@@ -202,14 +199,11 @@ def table(directory, a=0.0, b=0.0, c=180.0):
     return read_cell(find_file("paper.yaml"), [f"path.file={path}", "stock.max_mm=[40,14,0]"])
 
 
-@pytest.mark.parametrize(
-    ("program", "rotation", "reason", "line"),
-    [
-        (GCODE.replace("G1 Y10\n", "M5\nG1 Y10\n"), "clockwise", "while the spindle is off", 8),
-        (GCODE, "counterclockwise", "turns clockwise .* counterclockwise", None),
-        ("G21 G90\nG0 X-14 Y0 Z-0.5\nG0 X20\nM30\n", "clockwise", "no cutting move", None),
-    ],
-)
+@pytest.mark.parametrize(("program", "rotation", "reason", "line"), [
+    (GCODE.replace("G1 Y10\n", "M5\nG1 Y10\n"), "clockwise", "while the spindle is off", 8),
+    (GCODE, "counterclockwise", "turns clockwise .* counterclockwise", None),
+    ("G21 G90\nG0 X-14 Y0 Z-0.5\nG0 X20\nM30\n", "clockwise", "no cutting move", None),
+])  # fmt: skip
 def test_a_program_whose_spindle_or_moves_cannot_be_meant_is_refused(tmp_path, program, rotation, reason, line):
     with pytest.raises(InputError, match=reason) as caught:
         small_part(tmp_path, program, f"tool.rotation={rotation}").target()

@@ -214,7 +214,7 @@ def test_points_feeds_and_kuka_angles_of_a_table_are_read_in_their_units(points)
     np.testing.assert_allclose(rotation_from_quaternion(path.quaternion), expected, atol=1e-14)
 
 
-APT_REFUSED = [
+REFUSED = {".apt": [
     ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5,0.1,0.5,9,0,TIMES,2\n", 3, "several turns"),
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
@@ -222,43 +222,27 @@ APT_REFUSED = [
     ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
     ("GOTO/5,0,0\nCYCLE/DRILL,5\n", 2, "CYCLE: let the CAM output drilling as GOTO"),
     ("GOTO/5,0,0\nCUTCOM/LEFT\n", 2, "CUTCOM: let the CAM output the path of the tool's centre"),
-    ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"),
-    ("SPINDL/800,SFM\n", 1, "SFM"),
+    ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"), ("SPINDL/800,SFM\n", 1, "SFM"),
     ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
-    ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"),
-    ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
-    ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"),
-    ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
-    ("GOTO/0,0,nan\n", 1, "NAN"),
-    ("GOTO/0,0\n", 1, "not 2 numbers"),
-    ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
-    ("GOTO/0,0,0,0,0,-1\n", 1, "below"),
-    ("UNITS/FURLONGS\n", 1, "FURLONGS"),
-    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"),
-    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
+    ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"), ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
+    ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"), ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
+    ("GOTO/0,0,nan\n", 1, "NAN"), ("GOTO/0,0\n", 1, "not 2 numbers"), ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
+    ("GOTO/0,0,0,0,0,-1\n", 1, "below"), ("UNITS/FURLONGS\n", 1, "FURLONGS"),
+    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"), ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
     ("GOTO/0,0,0\n{}\n", 2, "no APT statement"),
-]
-CSV_REFUSED = [
-    ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"),
-    ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
-    ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"),
-    ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
-    (HEADER + "0,0,0,600\n1,0,0\n", 3, "3 values"),
-    (HEADER + "0,0,0,600\n1,0,nan,600\n", 3, "z_mm is not finite"),
-    (HEADER + "0,0,0,600\n1,0,1_0,600\n", 3, "1_0"),
-    (HEADER + "0,0,0,600\n1,0,0,0\n", 3, "zero feed"),
-    (HEADER + "0,0,0,600\n1,0,0,-1\n", 3, "out of range"),
-    (HEADER + "0,0,0,600\n1e9,0,0,600\n", 3, "wrong unit"),
-    (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"),
-    (HEADER, 1, "no row"),
-]
+], ".csv": [
+    ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"), ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
+    ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"), ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
+    (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"), (HEADER, 1, "no row"),
+    *((f"{HEADER}0,0,0,600\n{row}\n", 3, word) for row, word in (
+        ("1,0,0", "3 values"), ("1,0,nan,600", "z_mm is not finite"), ("1,0,1_0,600", "1_0"), ("1,0,0,0", "zero feed"),
+        ("1,0,0,-1", "out of range"), ("1e9,0,0,600", "wrong unit"))),
+]}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("suffix", "text", "line", "word"),
-    [(".apt", *row) for row in APT_REFUSED] + [(".csv", *row) for row in CSV_REFUSED],
-)
-def test_what_cannot_be_run_is_refused_with_line_and_word(tmp_path, suffix, text, line, word):
+@pytest.mark.parametrize("row", [(kind, *row) for kind in REFUSED for row in REFUSED[kind]])
+def test_what_cannot_be_run_is_refused_with_line_and_word(tmp_path, row):
+    suffix, text, line, word = row
     (tmp_path / f"part{suffix}").write_text(text)
     with pytest.raises(InputError, match=word) as caught:
         read_toolpath(tmp_path / f"part{suffix}")

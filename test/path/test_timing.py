@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,6 @@ def test_points_on_the_path_lie_on_the_arc_with_its_climbing_tangent_in_the_bloc
     builder.move((0.01, 0.02, 0.01), 0.02, False, 4, 100.0)
     _, tangent, _ = builder.build().on_path(np.array([0.01 + 0.01 * np.pi / 2 + 1e-9]))
     np.testing.assert_allclose(tangent[0, 2], 1 / np.hypot(1, np.pi / 2), rtol=1e-6)
-    path = corner().build()
     assert path.block_at([-1.0, 0.0, 0.0099, 0.0101, 9.0]).tolist() == [1, 1, 1, 2, 2]
 
 
@@ -58,16 +58,11 @@ def test_a_turn_on_the_spot_is_refused():
         builder.move((0.02, 0.01, 0.0), 0.5, False, 7)
 
 
-@pytest.mark.parametrize(
-    ("change", "index"),
-    [
-        ({"feed": np.array([0.0, 0.1, 0.0])}, 2),
-        ({"feed": np.array([0.0, 0.1, np.nan])}, 2),
-        ({"curvature": np.array([0.0, np.inf, 0.0])}, 1),
-        ({"line": np.zeros(2)}, None),
-        ({"position": np.zeros((1, 3))}, None),
-    ],
-)
+@pytest.mark.parametrize(("change", "index"), [
+    ({"feed": np.array([0.0, 0.1, 0.0])}, 2), ({"feed": np.array([0.0, 0.1, np.nan])}, 2),
+    ({"curvature": np.array([0.0, np.inf, 0.0])}, 1), ({"line": np.zeros(2)}, None),
+    ({"position": np.zeros((1, 3))}, None),
+])  # fmt: skip
 def test_a_path_that_cannot_be_run_is_refused_with_its_block(change, index):
     names = ("position", "feed", "rapid", "line", "feature", "features", "curvature", "spindle_speed", "quaternion")
     path = corner().build()
@@ -89,7 +84,9 @@ def way(first, last):
 def test_ramps_take_two_parts_or_hold_the_acceleration_and_are_derivatives_of_each_other_up_to_their_limits():
     for change, duration in ((0.05, 2 * np.sqrt(0.05 / J)), (-1.0, 1.0 / A + A / J), (A**2 / J, 2 * A / J)):
         assert ramp_time(change, A, J) == pytest.approx(duration)
-    ramps = chain()
+    first, last = np.array([0.0, 0.5, 0.5, 0.45, 0.0]), np.array([0.5, 0.5, 0.45, 0.0, 0.0])
+    more = np.array([0, 0.3, 0, 0.2, 0.1])  # the fourth is stretched
+    ramps = Ramps.make(ramp_time(last - first, A, J) + more, first, last, A, J)
     time, step = np.linspace(0, ramps.start[-1], 40001, retstep=True)
     distance, speed, acceleration = ramps.sample(time)
     assert np.abs(np.gradient(distance, step) - speed)[1:-1].max() < step * A
@@ -120,12 +117,6 @@ def test_speeds_at_the_vertices_are_below_their_caps_and_within_reach_of_each_ot
         assert np.any(way(higher[:-1], higher[1:]) > length * (1 - 1e-6))
 
 
-def chain() -> Ramps:
-    first, last = np.array([0.0, 0.5, 0.5, 0.45, 0.0]), np.array([0.5, 0.5, 0.45, 0.0, 0.0])
-    duration = ramp_time(last - first, A, J) + np.array([0, 0.3, 0, 0.2, 0.1])  # the fourth is stretched
-    return Ramps.make(duration, first, last, A, J)
-
-
 # --- From tool path to trajectory ---
 STEP, FEED = 0.05, 4 / 60
 FINE = Timing(controller_step=0.001)
@@ -146,23 +137,15 @@ def fine(timed) -> np.ndarray:
     return np.arange(0, timed.trajectory.duration_ns, 500_000)
 
 
-def whole_steps(duration: float, step: float = STEP) -> int:
-    """[ns], rounded up"""
-    return int(np.ceil(duration / step)) * round(step * 1e9)
-
-
-@pytest.mark.parametrize(
-    ("text", "step", "duration", "peak"),
-    [
-        ("G1 X500\n", STEP, 0.5 / FEED + 2 * np.sqrt(FEED / 20), FEED),
-        ("G1 X2000 F60000\n", STEP, 2.0 / 1.0 + 1.0 / 2.0 + 2.0 / 20, 1.0),
-        ("G1 X1\n", 0.001, 4 * np.sqrt(SHORT_PEAK / 20), SHORT_PEAK),
-    ],
-)
+@pytest.mark.parametrize(("text", "step", "duration", "peak"), [
+    ("G1 X500\n", STEP, 0.5 / FEED + 2 * np.sqrt(FEED / 20), FEED),
+    ("G1 X2000 F60000\n", STEP, 2.0 / 1.0 + 1.0 / 2.0 + 2.0 / 20, 1.0),
+    ("G1 X1\n", 0.001, 4 * np.sqrt(SHORT_PEAK / 20), SHORT_PEAK),
+])  # fmt: skip
 def test_a_line_takes_length_by_feed_and_its_ramps(read, text, step, duration, peak):
     """L / v and two ramps; L / v + v / a + a / j where the acceleration is held; a line that never reaches its feed."""
     timed = time_path(read(text), Timing(controller_step=step))
-    assert timed.trajectory.duration_ns == whole_steps(duration, step)
+    assert timed.trajectory.duration_ns == math.ceil(duration / step) * round(step * 1e9)  # whole steps
     assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(peak, rel=0.01)
 
 
@@ -222,16 +205,13 @@ def test_between_the_knots_a_circle_is_met_with_the_fourth_order_of_the_step(rea
     assert errors[1] == pytest.approx(steady, rel=0.1)
 
 
-def polygon(count: int) -> str:
-    angle = 2 * np.pi * np.arange(count + 1) / count
-    return "".join(f"G1 X{37 * np.sin(a):.6f} Y{37 - 37 * np.cos(a):.6f}\n" for a in angle)
-
-
 def test_a_polygon_is_run_within_the_corner_tolerance_without_slowing_down_slower_or_with_stops(read):
     """Chords of 1 and of 6 deg with a tolerance, and of 6 deg without."""
     rates = []
     for count, tolerance in ((360, 20e-6), (60, 20e-6), (60, 0.0)):
-        timed = time_path(read(polygon(count)), Timing(corner_tolerance=tolerance))
+        angle = 2 * np.pi * np.arange(count + 1) / count
+        blocks = "".join(f"G1 X{37 * np.sin(a):.6f} Y{37 - 37 * np.cos(a):.6f}\n" for a in angle)
+        timed = time_path(read(blocks), Timing(corner_tolerance=tolerance))
         assert path_error(timed, fine(timed)).max() < 20e-6
         rates.append(np.linalg.norm(timed.trajectory.velocity, axis=1))
     assert rates[0][20:-20].min() > 0.9 * FEED
@@ -276,9 +256,7 @@ def motion(joints: np.ndarray, velocity=None) -> Trajectory:
 
 def within_limits(run: Trajectory, joints) -> bool:
     speed, acceleration = joint_rates(run.time, joints, at_rest=False)
-    return bool(
-        np.all(np.abs(speed) <= SPEED * (1 + 1e-9)) and np.all(np.abs(acceleration) <= ACCELERATION * (1 + 1e-6))
-    )
+    return np.all(np.abs(speed) <= SPEED * (1 + 1e-9)) and np.all(np.abs(acceleration) <= ACCELERATION * (1 + 1e-6))
 
 
 def test_rates_of_a_parabola_are_exact_and_a_start_from_rest_counts_as_acceleration():
@@ -322,7 +300,6 @@ def test_rough_motions_end_up_within_all_limits_and_no_step_gets_shorter(seed):
 
 
 # --- The shipped test piece has the dimensions that its comments claim ---
-FILE = Path(__file__).parents[2] / "config" / "test_piece.nc"
 CUTTER = 10.0  # mm, radius
 STOCK = 50.0  # mm, half of its side
 LEAN = np.radians(3.0)  # of the inclined side
@@ -330,7 +307,7 @@ LEAN = np.radians(3.0)  # of the inclined side
 
 @pytest.fixture(scope="module")
 def piece():
-    return read_toolpath(FILE)
+    return read_toolpath(Path(__file__).parents[2] / "config" / "test_piece.nc")
 
 
 def cuts(piece, feature: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -339,18 +316,13 @@ def cuts(piece, feature: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return piece.position[k - 1] * 1e3, piece.position[k] * 1e3, piece.curvature[k] * 1e-3
 
 
-@pytest.mark.parametrize(
-    ("feature", "directions", "distance", "level"),
-    [
-        ("square", {0, 90, 180, 270}, 40, -1.2),
-        ("circle", {0}, 27, -0.4),  # lead in and out along the tangent
-        ("diamond", {45, 135, 225, 315}, 40 / np.sqrt(2), -0.8),
-        ("inclined_side", {267}, 40 * (np.sin(LEAN) + np.cos(LEAN)), -1.6),  # from the corner of the square
-    ],
-)
-def test_straight_cuts_leave_walls_in_these_directions_distances_and_levels(
-    piece, feature, directions, distance, level
-):
+@pytest.mark.parametrize(("feature", "directions", "distance", "level"), [
+    ("square", {0, 90, 180, 270}, 40, -1.2),
+    ("circle", {0}, 27, -0.4),  # lead in and out along the tangent
+    ("diamond", {45, 135, 225, 315}, 40 / np.sqrt(2), -0.8),
+    ("inclined_side", {267}, 40 * (np.sin(LEAN) + np.cos(LEAN)), -1.6),  # from the corner of the square
+])  # fmt: skip
+def test_straight_cuts_leave_walls_in_these_directions_and_levels(piece, feature, directions, distance, level):
     """Outward normals [deg]; the part is on the right of a tool that runs clockwise."""
     start, end, curvature = cuts(piece, feature)
     along = (end - start)[curvature == 0, :2]

@@ -55,19 +55,16 @@ def test_a_line_has_its_knots_at_the_controller_step_ends_exactly_and_keeps_its_
     np.testing.assert_allclose(line.feed(line.time_ns), 4 / 60, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "index"),
-    [
-        ({"time_ns": TIME + 1}, 0),
-        ({"time_ns": np.array([0, 1, 1, 2, 3])}, 2),
-        ({"time_ns": TIME * 1.0}, None),
-        ({"time_ns": TIME[:1], "position": PATH[:1]}, None),
-        ({"position": np.vstack([PATH[:3], np.full((2, 3), np.nan)])}, 3),
-        ({"position": PATH[:4]}, None),
-        ({"quaternion": np.diag([1.0, 1.0, 1.0, 0.0, 1.0])[:, :4]}, 3),
-        ({"velocity": np.full((5, 3), np.inf)}, 0),
-    ],
-)
+@pytest.mark.parametrize(("change", "index"), [
+    ({"time_ns": TIME + 1}, 0),
+    ({"time_ns": np.array([0, 1, 1, 2, 3])}, 2),
+    ({"time_ns": TIME * 1.0}, None),
+    ({"time_ns": TIME[:1], "position": PATH[:1]}, None),
+    ({"position": np.vstack([PATH[:3], np.full((2, 3), np.nan)])}, 3),
+    ({"position": PATH[:4]}, None),
+    ({"quaternion": np.diag([1.0, 1.0, 1.0, 0.0, 1.0])[:, :4]}, 3),
+    ({"velocity": np.full((5, 3), np.inf)}, 0),
+])  # fmt: skip
 def test_a_trajectory_that_no_tool_can_follow_is_refused_with_its_knot(change, index):
     with pytest.raises(TrajectoryError) as caught:
         Trajectory(**({"time_ns": TIME, "position": PATH, "quaternion": TOOL_DOWN} | change))
@@ -110,17 +107,14 @@ def test_the_file_has_one_header_that_a_csv_reader_understands(tmp_path):
     assert {"qx", "qw", "a1_deg", "a6_deg"} <= set(rows[0])
 
 
-@pytest.mark.parametrize(
-    ("change", "line"),
-    [
-        (lambda text: text.replace("time_s", "t"), 1),
-        (lambda text: text.rstrip("\n"), 8),
-        (lambda text: text.replace("0.054000000,", "0.054000000,nan,", 1), 4),
-        (lambda text: text.replace("0.054000000,", "0.001000000,"), 4),
-        (lambda text: text.replace("0.054000000,", "zero,"), 4),
-        (lambda text: text.replace("0.000000000,", "1e300,"), 2),
-    ],
-)
+@pytest.mark.parametrize(("change", "line"), [
+    (lambda text: text.replace("time_s", "t"), 1),
+    (lambda text: text.rstrip("\n"), 8),
+    (lambda text: text.replace("0.054000000,", "0.054000000,nan,", 1), 4),
+    (lambda text: text.replace("0.054000000,", "0.001000000,"), 4),
+    (lambda text: text.replace("0.054000000,", "zero,"), 4),
+    (lambda text: text.replace("0.000000000,", "1e300,"), 2),
+])  # fmt: skip
 def test_a_spoilt_file_is_refused_with_its_line(tmp_path, change, line):
     write_csv(tmp_path / "t.csv", RUN)
     (tmp_path / "t.csv").write_text(change((tmp_path / "t.csv").read_text()))

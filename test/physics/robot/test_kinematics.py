@@ -101,18 +101,15 @@ def test_jacobians_of_nodes_are_derivatives_of_their_points_and_the_determinant_
     np.testing.assert_allclose(np.abs(determinant), product, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("degrees", "expected"),
-    [
-        ([0, -90, 90, 0, 0, 0], (2, 0b000010)),
-        ([0, -90, 90, 0, -10, -1], (6, 0b110010)),
-        ([-1e-13, -60, 60, -1e-14, -1e-13, 0], (2, 0b000010)),  # rounding noise sets no bit
-        ([-5, -146, 0, 0, 10, 0], (0b011, 0b000011)),  # leaning back over axis 1
-        ([0, -20, -30, 0, 10, 0], (0b000, 0b000110)),  # elbow down
-        ([0, -20, np.degrees(ARM.elbow_offset) - 0.01, 0, 10, 0], (0, 0b000110)),
-        ([0, -20, np.degrees(ARM.elbow_offset) + 0.01, 0, 10, 0], (2, 0b000110)),
-    ],
-)
+@pytest.mark.parametrize(("degrees", "expected"), [
+    ([0, -90, 90, 0, 0, 0], (2, 0b000010)),
+    ([0, -90, 90, 0, -10, -1], (6, 0b110010)),
+    ([-1e-13, -60, 60, -1e-14, -1e-13, 0], (2, 0b000010)),  # rounding noise sets no bit
+    ([-5, -146, 0, 0, 10, 0], (0b011, 0b000011)),  # leaning back over axis 1
+    ([0, -20, -30, 0, 10, 0], (0b000, 0b000110)),  # elbow down
+    ([0, -20, np.degrees(ARM.elbow_offset) - 0.01, 0, 10, 0], (0, 0b000110)),
+    ([0, -20, np.degrees(ARM.elbow_offset) + 0.01, 0, 10, 0], (2, 0b000110)),
+])  # fmt: skip
 def test_status_tells_overhead_elbow_and_wrist_and_turn_the_negative_axes(degrees, expected):
     assert status_turn(ARM, np.radians(degrees)) == expected
 
