@@ -24,20 +24,13 @@ from kr270_milling.physics.compensation.response import ArmResponse, Segments, c
 OMEGA, ZETA = 42.0, 0.04
 KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
 SEGMENTS = Segments(KNOTS, 16)
+FINE = np.arange(0, KNOTS[-1] + 1, 50_000)
 
 
 def one_mode(frequency=OMEGA, damping=ZETA) -> ArmResponse:
     """A mass of 1 kg on a spring across the feed, y; the other axes are rigid."""
-    m, axis = len(SEGMENTS), np.array([0.0, 1.0, 0.0])
-    tile = np.ones((m, 1, 1))
-    return ArmResponse(
-        frequency=np.full((m, 1), frequency),
-        damping=np.full((m, 1), damping),
-        inward=tile * axis[None, None, :],
-        outward=tile * axis[None, :, None],
-        push=tile * np.concatenate([axis, np.zeros(3)])[None, None, :],
-        carry=tile.copy(),
-    )
+    y, one = np.eye(6)[1], np.ones((len(SEGMENTS), 1, 1))
+    return ArmResponse(frequency * one[..., 0], damping * one[..., 0], one * y[:3], one * y[:3, None], one * y, one)
 
 
 # --- The response of the arm to a correction and to a wrench, against scipy's simulation of the transfer functions ---
@@ -46,17 +39,13 @@ def correction(smooth: bool) -> Trajectory:
     return spline(KNOTS, values) if smooth else Trajectory(KNOTS, values, (0.0, 0.0, 0.0, 1.0))
 
 
-def fine(step_ns: int = 50_000) -> np.ndarray:
-    return np.arange(0, KNOTS[-1] + 1, step_ns)
-
-
 @check(
     "lifted model: tool along a correction of 50 um, {kind}, zeta {damping}",
     "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)", "m",
     cases=("kind damping", [(kind, zeta) for kind in ("spline", "lines") for zeta in (0.04, 0.182)]),
 )  # fmt: skip
 def test_lifted_response(kind, damping):
-    run, time = correction(kind == "spline"), fine()
+    run, time = correction(kind == "spline"), FINE
     shift = run.sample(time)[:, 1]
     top, bottom = [2 * damping * OMEGA, OMEGA**2], [1.0, 2 * damping * OMEGA, OMEGA**2]
     expected = lsim((top, bottom), shift - shift[0], time * 1e-9)[1] + shift[0]
@@ -70,7 +59,7 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     force = 80.0
     wrench = np.zeros((len(SEGMENTS), 16, 6))
     wrench[4:, :, 1] = force
-    time = fine()
+    time = FINE
     step = np.where(time >= KNOTS[4], force, 0.0)
     expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, time * 1e-9)[1]
     obtained = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
@@ -145,6 +134,7 @@ def test_eq_1_as_printed_moves_the_tool_with_the_reference():
 EIGHTH = Segments(KNOTS, 8)
 M = len(EIGHTH)
 SMOOTH = 1e-3
+WEIGHTS = np.where(EIGHTH.middle_ns < 150_000_000, 0.05**2, 1.0)[..., None, None] * np.diag([0.1, 1.0, 0.5])
 
 
 def course(smooth=True, resting=(), held=()) -> KnotConditions:
@@ -159,14 +149,14 @@ def deviation(seed=0) -> np.ndarray:
     return 1e-5 * waves + 1e-6 * np.random.default_rng(seed).standard_normal(waves.shape)
 
 
-def weights() -> np.ndarray:
-    size = np.where(EIGHTH.middle_ns < 150_000_000, 0.05**2, 1.0)
-    return size[..., None, None] * np.diag([0.1, 1.0, 0.5])
-
-
-def dense(arm, numbers_to_cubic, count, smooth):
+def dense(arm, smooth):
     """The same least squares with every column of H simulated by itself; y only."""
-    weight = weights()[..., 1, 1].ravel()
+    count = M + 3 if smooth else M + 1
+
+    def numbers_to_cubic(number):
+        return spline_numbers(number) if smooth else cubic_coefficients(KNOTS, number[:, None], None)[..., 0]
+
+    weight = WEIGHTS[..., 1, 1].ravel()
     typical = np.median(EIGHTH.duration)
     columns, rough = [], []
     for number in np.eye(count):
@@ -187,15 +177,11 @@ def spline_numbers(number):
     return cubic_coefficients(KNOTS, number[:-2, None], spline(KNOTS * 1e-9, 1)[:, None])[..., 0]
 
 
-def line_numbers(number):
-    return cubic_coefficients(KNOTS, number[:, None], None)[..., 0]
-
-
 @pytest.mark.parametrize("smooth", [True, False])
 def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     arm = one_mode()
-    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
-    expected = dense(arm, *((spline_numbers, M + 3) if smooth else (line_numbers, M + 1)), smooth)
+    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), WEIGHTS, SMOOTH)
+    expected = dense(arm, smooth)
     scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
     difference = np.abs(obtained.cubic[:, :, 1] - expected)[:, : scale.size]
     assert np.all(difference.max(axis=0) < 1e-5 * scale)
@@ -208,15 +194,14 @@ def test_lifted_inverse():
     arm = one_mode(damping=0.005)
     cubic = np.zeros((M, 4, 3))
     cubic[:, :, 1] = spline_numbers(np.random.default_rng(1).normal(0, 1e-5, M + 3) * ([1] * (M + 1) + [10, 10]))
-    obtained = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), weights(), 1e-14)
+    obtained = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), WEIGHTS, 1e-14)
     assert np.abs(cubic[:, 0, 1]).max() > 1e-5
     return 0.0, np.abs(obtained.left[..., 1]).max(), 1e-9
 
 
 def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_path_rests():
-    obtained = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,))).least_squares(
-        deviation(), weights(), SMOOTH
-    )
+    lifted = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,)))
+    obtained = lifted.least_squares(deviation(), WEIGHTS, SMOOTH)
     t = EIGHTH.duration[:, None]
     c, v, a, j = np.swapaxes(obtained.cubic, 0, 1)
     ends = c + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
@@ -233,13 +218,8 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_
 def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():
     scored = EIGHTH.middle_ns >= 150_000_000
     lifted = Lifted(one_mode(), EIGHTH, course())
-    plain, even = (
-        np.abs(obtained.left[..., 1][scored])
-        for obtained in (
-            lifted.least_squares(deviation(), weights(), 1e-9),
-            lifted.min_max(deviation(), weights(), 1e-9, scored),
-        )
-    )
+    both = lifted.least_squares(deviation(), WEIGHTS, 1e-9), lifted.min_max(deviation(), WEIGHTS, 1e-9, scored)
+    plain, even = (np.abs(obtained.left[..., 1][scored]) for obtained in both)
     assert even.max() < 0.9 * plain.max() and even.std() / even.max() < plain.std() / plain.max() + 0.1
 
 
@@ -251,8 +231,6 @@ def test_a_limited_correction_is_in_reach_at_a_lower_feed():
 
 
 # --- a long path: pieces identify the arm, and blocks of segments are one path ---
-
-
 MANY = 9000
 LONG = Segments(np.arange(MANY + 1) * 12_000_000, 4)
 LONG_ARM = one_mode().cut(np.zeros(MANY, int))

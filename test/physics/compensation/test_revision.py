@@ -23,8 +23,6 @@ from kr270_milling.physics.compensation.revision import PassRecord, RevisionErro
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.robot import Mount, equilibrium, pose
 
-SAMPLE_NS = 500_000
-
 
 def line(step_ns=50_000_000, duration_ns=1_200_000_000):
     """A straight cut with knots at the controller step."""
@@ -34,7 +32,7 @@ def line(step_ns=50_000_000, duration_ns=1_200_000_000):
 
 def ran(reference, displacement):
     """The pass of an arm that gives way by displacement(t) (n, 3) whatever the reference does."""
-    stamps = np.arange(0, reference.duration_ns + 1, SAMPLE_NS)
+    stamps = np.arange(0, reference.duration_ns + 1, 500_000)
     return PassRecord(stamps, reference.sample(stamps) + displacement(stamps * 1e-9))
 
 
@@ -69,30 +67,24 @@ def ringing(t, frequency=6.69, damping=0.18):
     return np.column_stack([-0.2 * y, y, 0.1 * y])
 
 
-# --- exact cases ---
 def test_a_displacement_that_the_knots_can_make_is_taken_away_and_not_twice_in_a_second_pass():
+    target = line()
     for smooth in (False, True):
-        target = line()
         displacement = knot_displacement(target, smooth)
         reference, cut_off = sampled(smooth, target, target, ran(target, displacement))
         assert left(target, reference, displacement) < 1e-16 and cut_off == ()
         assert (reference.velocity is None) != smooth
-    for criterion in ("min_max", "least_squares"):
-        target = line()
-        displacement = knot_displacement(target, True)
-        reference = revised("learned", target, ran(target, displacement), criterion)
-        # it sees the means of parts of 3.1 ms, not each sample
-        assert left(target, reference, displacement) < 1e-3 * 50e-6
-    # the displacement is taken against the reference that was run, so it does not add up
-    for smooth in (False, True):
-        target = line()
+        # the displacement is taken against the reference that was run, so it does not add up
         first, _ = sampled(smooth, target, target, ran(target, ringing))
         second, _ = sampled(smooth, target, first, ran(first, ringing))
         np.testing.assert_allclose(second.position, first.position, atol=1e-16)
         assert second.frame == "fixture" and np.array_equal(second.time_ns, target.time_ns)
+    for criterion in ("min_max", "least_squares"):
+        reference = revised("learned", target, ran(target, displacement), criterion)
+        # it sees the means of parts of 3.1 ms, not each sample
+        assert left(target, reference, displacement) < 1e-3 * 50e-6
 
 
-# --- orders of convergence ---
 @check(
     "order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline; "
     "learned gains at the ends too", cases=("method expected low high", [
@@ -116,7 +108,6 @@ def test_interpolation_order(method, expected, low, high):
     return expected, found, high - expected
 
 
-# --- limits and errors ---
 def test_knots_without_samples_stay_bounded_and_a_pass_that_shows_nothing_is_refused():
     # A pass that was heard of only up to its middle
     target = line()
@@ -126,7 +117,6 @@ def test_knots_without_samples_stay_bounded_and_a_pass_that_shows_nothing_is_ref
         reference = revised("learned", target, half, criterion)
         assert np.abs(reference.position - target.position).max() < 1e-3
     for smooth in (False, True):
-        target = line()
         for stamps, position in (([0], [[0.0, 0, 0]]), ([], np.zeros((0, 3))), ([0, 1], [[0.0, 0, 0], [np.nan, 0, 0]])):
             with pytest.raises(RevisionError):
                 sampled(smooth, target, target, PassRecord(np.array(stamps, np.int64), np.array(position)))
@@ -149,7 +139,6 @@ def test_the_mean_wrench_belongs_to_the_nearest_knot_and_the_displacement_is_fre
 
 # --- Compensation along a tool path ---
 METHODS = ("linear", "spline", "learned", "mirror")
-SMOOTH = ("spline", "learned", "mirror")
 
 
 @pytest.fixture(scope="module")
@@ -168,29 +157,23 @@ def passes(cell):
     return found
 
 
-def error(cell, ran) -> float:
-    return remaining_error(cell.target(), record_of(cell, ran.result))
-
-
-def stops(cell) -> np.ndarray:
-    return np.flatnonzero(~cell.target().velocity.any(axis=1))
-
-
 def test_every_method_takes_the_error_away_by_a_c2_reference_at_rest_in_stops_and_near_in_the_air(cell, passes):
+    errors = {name: remaining_error(cell.target(), record_of(cell, one.result)) for name, (_, one) in passes.items()}
     for method, left in (("linear", 0.25), ("spline", 0.1), ("learned", 0.1), ("mirror", 0.5)):
-        assert error(cell, passes[method][1]) < left * error(cell, passes["original"][1])
-    for method in SMOOTH:
+        assert errors[method] < left * errors["original"]
+    stops = np.flatnonzero(~cell.target().velocity.any(axis=1))
+    for method in METHODS[1:]:
         run = passes[method][1].reference
-        assert len(stops(cell)) == 5 and np.array_equal(run.velocity[stops(cell)], np.zeros((5, 3)))
+        assert len(stops) == 5 and np.array_equal(run.velocity[stops], np.zeros((5, 3)))
         shift, rate = run.position, run.velocity
         h = np.diff(run.time)[:, None]
         move = 3 * np.diff(shift, axis=0) / h
         starts = 2 * (move - 2 * rate[:-1] - rate[1:]) / h  # second derivative at both ends of a Hermite segment
         ends = 2 * (rate[:-1] + 2 * rate[1:] - move) / h
         jump = np.abs(ends[:-1] - starts[1:])
-        between = np.setdiff1d(np.arange(1, len(run) - 1), stops(cell))
+        between = np.setdiff1d(np.arange(1, len(run) - 1), stops)
         assert jump[between - 1].max() < 1e-9 * np.abs(starts).max()
-        assert jump[stops(cell)[1:-1] - 1].max() > 1e-3 * np.abs(starts).max()
+        assert jump[stops[1:-1] - 1].max() > 1e-3 * np.abs(starts).max()
     # the spline must not swing out where nothing is scored: beside the part it would cut
     run, ran = passes["learned"][1].reference, passes["original"][1].result
     largest = np.linalg.norm(ran.deflection[:, :3], axis=1).max()
@@ -215,14 +198,12 @@ def test_a_rest_is_held_at_one_correction():
 
 def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
     """A wrench with moments: what (30) makes of the modified poses is the target again, its orientation as well."""
-    k = np.arange(0, len(cell.target()), 20)
     target = cell.target()
+    k = np.arange(0, len(target), 20)
     some = Trajectory(target.time_ns[k] - target.time_ns[k[0]], target.position[k], target.quaternion[k])
     wrench = np.tile([80.0, -150.0, 60.0, 20.0, -30.0, 40.0], (len(some), 1))
-    by = compensator(cell, some, "mirror")
     points = mirrored(cell, some, wrench)
     modified, _ = corrected(some, points.position - some.position, False, quaternion=points.quaternion)
-    assert by.method == "mirror"
     turn, part = np.kron(np.eye(2), cell.workpiece.pose.rotation), cell.workpiece.pose
     loaded = loaded_pose(cell.arm, cell.mount, cell.joints(modified), wrench @ turn.T, True)
     wanted = part @ Pose(some.position, rotation_from_quaternion(some.quaternion))
@@ -307,9 +288,8 @@ def test_controller_order():
 
 
 # --- The static mirror (30)-(32): under load the modified target ends where the target is ---
-SEED = PAPER
 SPINDLE = Mount(xyz=np.array([0.25, 0.0, 0.1]), mass=60.0, mass_centre=np.array([0.1, 0.0, 0.05]))
-START = pose(ARM, SPINDLE, SEED)
+START = pose(ARM, SPINDLE, PAPER)
 TARGET = Pose(
     START.position + np.linspace(0, 0.08, 5)[:, None] * START.rotation[:, 0], np.tile(START.rotation, (5, 1, 1))
 )
@@ -329,7 +309,7 @@ def gap(first: Pose, second: Pose) -> tuple[float, float]:
 )  # fmt: skip
 def test_mirror_target(load, relaxation):
     force = WRENCH * LOADS[load]
-    found = mirror(ARM, SPINDLE, TARGET, force, SEED, relaxation=relaxation, sag_compensated=False)
+    found = mirror(ARM, SPINDLE, TARGET, force, PAPER, relaxation=relaxation, sag_compensated=False)
     loaded = equilibrium(ARM, SPINDLE, found.joints, np.tile(force, (5, 1)), gravity=True).pose
     assert gap(loaded, TARGET)[1] < 1e-8
     assert gap(pose(ARM, SPINDLE, found.joints), found.pose)[0] < 1e-12  # the joints command the modified target
@@ -337,7 +317,7 @@ def test_mirror_target(load, relaxation):
 
 
 def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs_turns_and_states_what_is_left():
-    found = mirror(ARM, SPINDLE, TARGET, WRENCH, SEED)
+    found = mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER)
     heavy, light = (
         equilibrium(ARM, SPINDLE, found.joints, w * np.ones((5, 1)), gravity=True).pose for w in (WRENCH, 0 * WRENCH)
     )
@@ -346,18 +326,18 @@ def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs
     turned = heavy.rotation @ np.swapaxes(light.rotation, -1, -2) @ found.pose.rotation
     assert gap(Pose(moved, turned), TARGET)[1] < 1e-8
     wrenches = WRENCH * np.linspace(-1, 1, 5)[:, None]
-    whole = mirror(ARM, SPINDLE, TARGET, wrenches, SEED).pose
+    whole = mirror(ARM, SPINDLE, TARGET, wrenches, PAPER).pose
     for k in range(5):
-        one = mirror(ARM, SPINDLE, Pose(TARGET.position[k : k + 1], TARGET.rotation[:1]), wrenches[k], SEED).pose
+        one = mirror(ARM, SPINDLE, Pose(TARGET.position[k : k + 1], TARGET.rotation[:1]), wrenches[k], PAPER).pose
         assert gap(one, Pose(whole.position[k : k + 1], whole.rotation[k : k + 1]))[0] < 2e-9
     moment = np.array([0, 0, 0, 0, 0, 30.0])
-    found = mirror(ARM, SPINDLE, TARGET, moment, SEED)
-    tilted = loaded_pose(ARM, SPINDLE, np.tile(SEED, (1, 1)), moment[None], True)
+    found = mirror(ARM, SPINDLE, TARGET, moment, PAPER)
+    tilted = loaded_pose(ARM, SPINDLE, np.tile(PAPER, (1, 1)), moment[None], True)
     shift, turn = gap(tilted, Pose(START.position[None], START.rotation[None]))
     assert found.history[0] == pytest.approx(shift + LEVER * turn, rel=0.05)
     for relaxation, iterations in ((0.01, 60), (0.9, 3), (1.0, 1)):
         with pytest.raises(MirrorError, match="did not converge") as caught:
-            mirror(ARM, SPINDLE, TARGET, WRENCH, SEED, relaxation=relaxation, max_iterations=iterations)
+            mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=iterations)
         history = caught.value.history
         assert len(history) == iterations and history[-1] > caught.value.tolerance == 1e-9
         assert f"{history[-1]:.3g} m left" in str(caught.value)
@@ -368,7 +348,7 @@ def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs
     cases=("relaxation", [(0.2,), (0.5,), (0.8,), (0.9,)]),
 )  # fmt: skip
 def test_mirror_rate(relaxation):
-    history = np.array(mirror(ARM, SPINDLE, TARGET, WRENCH, SEED, relaxation=relaxation, max_iterations=200).history)
+    history = np.array(mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=200).history)
     assert np.all(np.diff(history) < 0)
     rate = np.exp(np.polyfit(np.arange(len(history) - 1), np.log(history[:-1]), 1)[0])
     return 1 - relaxation, rate, 0.05 * (1 - relaxation)

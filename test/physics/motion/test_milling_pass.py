@@ -28,6 +28,7 @@ from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency, score
 
 MICRO_STEP = 1 / 48  # [ms], 1 deg at 8000 rpm
+SPEED = 8000 * 2 * np.pi / 60
 SHORT = ("path.length_mm=14.4",)  # 4 controller steps and more than full engagement
 
 
@@ -48,12 +49,6 @@ def difference(result, reference, every):
     return np.abs(gap).max() / np.abs(reference.deflection[:, :3]).max()
 
 
-@pytest.fixture(scope="module")
-def paper():
-    return run()
-
-
-# --- the exchange period ---
 @check("H = 0.5 ms against an exchange at every micro-step", "self-consistent: the finer pass, share of its deflection",
        at_most=True)  # fmt: skip
 def test_default_period():
@@ -96,35 +91,24 @@ def test_sides():
     for n in range(robot.steps + 1):
         ((_, answer),) = cut.pose(pose)
         outputs = dict(robot.wrench(answer))
-        gaps = (
-            pose.position - compiled.tool[n],
-            answer.wrench - compiled.wrench[n],
-            outputs["deflection"].twist - compiled.deflection[n],
-        )
-        worst = max(worst, *(np.abs(gap).max() for gap in gaps))
+        worst = max(worst, np.abs(pose.position - compiled.tool[n]).max())
+        worst = max(worst, np.abs(answer.wrench - compiled.wrench[n]).max())
+        worst = max(worst, np.abs(outputs["deflection"].twist - compiled.deflection[n]).max())
         pose = outputs.get("tool_pose")
     return 0.0, worst, 0.0
 
 
-# --- what a pass says ---
-def test_a_pass_covers_the_path_with_counted_stamps_and_in_the_air_nothing_moves(paper):
-    cell, result = paper
+def test_a_pass_covers_the_path_and_leaves_a_slot_as_wide_as_the_tool_that_ends_in_a_half_disc():
+    cell = read_cell(find_file("paper.yaml"))
+    cut, target = cell.cut(), cell.target()
+    result = run_pass(cell.arm_model(target), cut, cell.clock, target, target)
     np.testing.assert_array_equal(result.time_ns, np.arange(2401) * 500_000)
     assert result.micro_steps == 57_600  # 1.2 s at 8000 rpm and 1 deg
-    np.testing.assert_array_equal(result.target[-1], cell.target().position[-1])
+    np.testing.assert_array_equal(result.target[-1], target.position[-1])
     np.testing.assert_array_equal(result.reference, result.target)
     np.testing.assert_array_equal(result.actual, result.reference + result.deflection[:, :3])
     apart = np.linalg.norm(result.actual - result.tool, axis=1)  # actual and predicted tool
     np.testing.assert_allclose(apart, result.correction, rtol=1e-6, atol=1e-16)
-    cell, result = run("path.start_mm=[-70, 0]", "path.length_mm=40")
-    assert not result.wrench.any() and not result.deflection.any() and result.removed_area == 0.0
-    np.testing.assert_array_equal(result.tool, result.reference)
-
-
-def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
-    cell, _ = paper
-    cut, target = cell.cut(), cell.target()
-    result = run_pass(cell.arm_model(target), cut, cell.clock, target, target)
     x, low, high = profile(cut)
     width = high - low + cell.stock.grid_step
     np.testing.assert_allclose(width[x < 0.065], 0.020, atol=1.1 * cell.stock.grid_step)
@@ -134,9 +118,10 @@ def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
     assert result.removed_volume == pytest.approx(area * cell.path.depth_of_cut, rel=4e-3)
 
 
-# --- errors ---
-def test_a_path_of_one_period_is_a_pass_and_a_lack_of_log_or_tiles_is_an_error(monkeypatch):
-    cell = read_cell(find_file("paper.yaml"))
+def test_a_pass_may_be_in_the_air_or_of_one_period_and_a_lack_of_log_or_tiles_is_an_error(monkeypatch):
+    cell, result = run("path.start_mm=[-70, 0]", "path.length_mm=40")
+    assert not result.wrench.any() and not result.deflection.any() and result.removed_area == 0.0
+    np.testing.assert_array_equal(result.tool, result.reference)
     line = Trajectory(np.array([0, 1]), np.zeros((2, 3)), (1.0, 0.0, 0.0, 0.0))
     result = run_pass(cell.arm_model(line), cell.cut(), Clock(5e-4, 24), line, line)
     assert len(result.time) == 2 and result.micro_steps == 24
@@ -149,10 +134,6 @@ def test_a_path_of_one_period_is_a_pass_and_a_lack_of_log_or_tiles_is_an_error(m
         run(*SHORT)
 
 
-# --- The exchange period ---
-SPEED = 8000 * 2 * np.pi / 60
-
-
 def test_a_period_is_whole_micro_steps_and_another_is_refused_with_the_nearest_ones_which_are_taken():
     for period_ms, micro_steps in ((0.5, 24), (1 / 48, 1), (0.25, 12), (7.5, 360), (0.125, 6)):
         assert Exchange(period_ms * 1e-3).clock(SPEED).micro_steps == micro_steps
@@ -161,8 +142,7 @@ def test_a_period_is_whole_micro_steps_and_another_is_refused_with_the_nearest_o
             Exchange(period_ms * 1e-3).clock(SPEED)
         assert near in str(caught.value) and caught.value.key == "exchange.period_ms"
     for n in (1, 7, 24, 25):
-        unit = 1 / 48 * n
-        assert Exchange(float(f"{unit:.9g}") * 1e-3).clock(SPEED).micro_steps == n
+        assert Exchange(float(f"{n / 48:.9g}") * 1e-3).clock(SPEED).micro_steps == n
 
 
 @given(st.integers(1, 480), st.integers(0, 10**7))
@@ -240,13 +220,8 @@ def test_noise_hum_and_the_start_of_the_clock_hardly_move_the_ringing_and_none_i
     assert frequency == pytest.approx(6.69, rel=0.03) and damping == pytest.approx(0.18, abs=0.03)
     shifted = ringing_frequency(TIME + 12.5, ringing(6.69, 0.05))
     np.testing.assert_allclose(shifted, ringing_frequency(TIME, ringing(6.69, 0.05)), rtol=1e-6)
-    for displacement in (
-        np.zeros(TIME.size),
-        np.full(TIME.size, 3e-3),
-        ringing(6.7, 0.1, amplitude=5e-10),
-        np.ones(15),
-    ):
-        assert np.isnan(ringing_frequency(TIME[: displacement.size], displacement)).all()
+    for still in (np.zeros(TIME.size), np.full(TIME.size, 3e-3), ringing(6.7, 0.1, amplitude=5e-10), np.ones(15)):
+        assert np.isnan(ringing_frequency(TIME[: still.size], still)).all()
 
 
 # --- A long pass: windows do not change it, and combined rows keep its extremes, sums and means ---

@@ -33,7 +33,6 @@ POSTURES = postures()
 FLANGES = ((0, -1.6407, 0.4924), (0, -1.6308, 0.2446))  # [m], facts, The arm
 
 
-# --- records ---
 @check(
     "{name}: flange position", "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]", "m",
     cases=("name expected", zip(ARMS, FLANGES, strict=True)),
@@ -67,7 +66,6 @@ def test_an_arm_or_a_mount_that_cannot_be_is_refused_with_its_key(tmp_path):
         read_arm(tmp_path / "arm.yaml")
 
 
-# --- forward ---
 @check("pose at 100 postures", "pinocchio", "m, rad")
 def test_pinocchio_pose():
     model, data, frame = pinocchio_arm(ARM, TURNED)
@@ -114,7 +112,6 @@ def test_status_tells_overhead_elbow_and_wrist_and_turn_the_negative_axes(degree
     assert status_turn(ARM, np.radians(degrees)) == expected
 
 
-# --- inverse ---
 def same_pose(a: Pose, b: Pose, tolerance=1e-10):
     return np.abs(a.position - b.position).max() < tolerance and np.abs(a.rotation - b.rotation).max() < tolerance
 

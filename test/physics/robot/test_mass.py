@@ -39,7 +39,6 @@ def rigid(x: float) -> np.ndarray:
     return move
 
 
-# --- beams ---
 @check("beam mass matrix (23)", "Gauss quadrature of the kinetic energy (18)-(22)")
 def test_beam():
     """4 Gauss points are exact to x^7."""
@@ -82,7 +81,6 @@ def test_an_arm_turned_by_axis_1_has_the_rigid_inertia_of_what_rides_on_it():
     assert joint_mass(arm, SPINDLE, q)[0, 0] == pytest.approx(pin.crba(model, data, q)[0, 0])
 
 
-# --- rigid links ---
 @check("rigid links: M_theta at 100 postures, heavy spindle", "pinocchio's crba", "kg m^2")
 def test_rigid_joint_mass():
     model, data, _ = pinocchio_arm(UNEVEN, TURNED, tubes=True)
@@ -124,7 +122,6 @@ def test_cartesian_masses_have_the_energy_of_the_joints_and_of_the_links_on_load
     assert np.linalg.eigvalsh(ours)[0] > 0
 
 
-# --- natural frequencies ---
 def _modes(model: str) -> np.ndarray:
     soft = compliance(equilibrium(ARM, BARE, PAPER, gravity=False), ARM)
     return mode_frequencies(soft, cartesian_mass(ARM, BARE, PAPER, model))

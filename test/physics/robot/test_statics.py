@@ -46,7 +46,6 @@ ALONG = ("the lateral axis", "the axis in plane", "the flange axis")
 NONE = np.zeros((100, 6))
 
 
-# --- torques of loads ---
 @check("torque of the link weights at 100 postures", "pinocchio", "N m")
 def test_pinocchio_gravity():
     model, data, _ = pinocchio_arm(UNEVEN, TURNED)
@@ -63,7 +62,6 @@ def test_pinocchio_gravity_derivative():
     return 0.0, np.abs(ours + theirs).max(), 1e-9
 
 
-# --- equilibria ---
 @check("equilibrium (7): largest torque out of balance", "0: torques of weights and 1 kN balance, 50 postures", "N m")
 def test_residual():
     solved = equilibrium(ARM, SPINDLE, NEAR, LOADS)
@@ -148,7 +146,6 @@ def test_loads_and_poses_without_an_equilibrium_are_errors_with_joint_base_and_s
         equilibrium(column, SPINDLE, np.radians([0.0, -10.0, 20.0, 0.0, 25.0, 0.0]), [0, 0, -1e4, 0, 0, 0])
 
 
-# --- stiffness and compliance ---
 def kilonewton(moments: bool) -> np.ndarray:
     wrenches = np.random.default_rng(8).normal(size=(20, 6))
     wrenches[:, :3] *= 1000 / np.linalg.norm(wrenches[:, :3], axis=-1, keepdims=True)
@@ -214,8 +211,6 @@ def test_a_singular_posture_has_a_compliance_but_no_stiffness_and_no_wrench_for_
 
 
 # --- a base that tilts ---
-
-
 @check("base on three springs: loaded equilibrium", "0: pinocchio's gravity and frame Jacobian balance it", "N m")
 def test_base_equilibrium():
     model, data, tool = pinocchio_arm(ON_BASE, SPINDLE, tubes=True)
