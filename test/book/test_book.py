@@ -72,21 +72,17 @@ def _pass(name: str):
     return simulate(_cell()) if name == "original" else compensated(_cell(), _pass("original"), name)
 
 
-@check(
-    "original pass: {score}", f"identified: a_p and the damping ratio are fitted to {TABLE}", "m",
-    cases=("score share", [("static_deviation", 0.01), ("max_deviation", 0.02)]),
-)  # fmt: skip
+@check("original pass: {score}", f"identified: a_p and the damping ratio are fitted to {TABLE}", "m",
+       cases=("score share", [("static_deviation", 0.01), ("max_deviation", 0.02)]))  # fmt: skip
 def test_original(score, share):
     expected, got = getattr(ORIGINAL, score), getattr(_pass("original").scores, score)
     return expected, got, share * expected
 
 
-@check(
-    "{method} pass: {score}", f"{TABLE}: not above the paper; the other methods, of the customer", "m", at_most=True,
-    cases=("method score bound", [
-        ("linear", "static_deviation", LINEAR.static_deviation), ("linear", "max_deviation", LINEAR.max_deviation),
-        ("spline", "max_deviation", 1.1e-6), ("learned", "max_deviation", 0.5e-6)]),
-)  # fmt: skip
+@check("{method} pass: {score}", f"{TABLE}: not above the paper; the other methods, of the customer", "m", at_most=True,
+       cases=("method score bound", [
+           ("linear", "static_deviation", LINEAR.static_deviation), ("linear", "max_deviation", LINEAR.max_deviation),
+           ("spline", "max_deviation", 1.1e-6), ("learned", "max_deviation", 0.5e-6)]))  # fmt: skip
 def test_compensated(method, score, bound):
     return bound, abs(getattr(_pass(method).scores, score)), 0.0
 

@@ -167,11 +167,9 @@ SHARE = {5000.0: 0.05}  #: else 0.02; at 5000 rpm a lobe is narrow
 FLAT = 14000.0
 
 
-@check(
-    "stability limit, {case.spindle_rpm:.0f} rpm, {case.immersion}: where growth changes its sign",
-    "first-order semi-discretisation of the benchmark of [Insperger2004], test/book/semi_discretisation.py", "m",
-    cases=("case", [(case,) for case in LOBES + SLOTS]),
-)  # fmt: skip
+@check("stability limit, {case.spindle_rpm:.0f} rpm, {case.immersion}: where growth changes its sign",
+       "first-order semi-discretisation of the benchmark of [Insperger2004], test/book/semi_discretisation.py", "m",
+       cases=("case", [(case,) for case in LOBES + SLOTS]))  # fmt: skip
 def test_limit_depth(case):
     expected, share = semi_discretisation(case)[0], SHARE.get(case.spindle_rpm, 0.02)
     if case.spindle_rpm != FLAT:

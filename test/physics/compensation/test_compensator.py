@@ -240,10 +240,8 @@ def test_learning_identifies_the_plant_leaves_less_than_a_hundredth_and_changes_
     assert by.learner is None and by.errors == () and len(twin.learner.passes) == 1
 
 
-@check(
-    "pass with reference inertia, zeta 0.04, linear / none",
-    "97 um / 79 um; here the sampled displacement is a mean over a revolution",
-)
+@check("pass with reference inertia, zeta 0.04, linear / none",
+       "97 um / 79 um; here the sampled displacement is a mean over a revolution")  # fmt: skip
 def test_linear_excites_the_arm():
     """The paper's method makes the part worse."""
     cell = read_cell(find_file("paper.yaml"), ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04"))

@@ -39,11 +39,9 @@ def correction(smooth: bool) -> Trajectory:
     return spline(KNOTS, values) if smooth else Trajectory(KNOTS, values, (0.0, 0.0, 0.0, 1.0))
 
 
-@check(
-    "lifted model: tool along a correction of 50 um, {kind}, zeta {damping}",
-    "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)", "m",
-    cases=("kind damping", [(kind, zeta) for kind in ("spline", "lines") for zeta in (0.04, 0.182)]),
-)  # fmt: skip
+@check("lifted model: tool along a correction of 50 um, {kind}, zeta {damping}",
+       "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)", "m",
+       cases=("kind damping", [(kind, zeta) for kind in ("spline", "lines") for zeta in (0.04, 0.182)]))  # fmt: skip
 def test_lifted_response(kind, damping):
     run, time = correction(kind == "spline"), FINE
     shift = run.sample(time)[:, 1]

@@ -85,11 +85,9 @@ def test_a_displacement_that_the_knots_can_make_is_taken_away_and_not_twice_in_a
         assert left(target, reference, displacement) < 1e-3 * 50e-6
 
 
-@check(
-    "order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline; "
-    "learned gains at the ends too", cases=("method expected low high", [
-        ("linear", 2.0, 1.65, 2.35), ("spline", 4.0, 3.65, 4.35), ("learned", 4.0, 3.65, 5.2)]),
-)  # fmt: skip
+@check("order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline; "
+       "learned gains at the ends too", cases=("method expected low high", [
+           ("linear", 2.0, 1.65, 2.35), ("spline", 4.0, 3.65, 4.35), ("learned", 4.0, 3.65, 5.2)]))  # fmt: skip
 def test_interpolation_order(method, expected, low, high):
     """The error left of a smooth displacement without slope at the ends, as the motion of the program needs it."""
 

@@ -102,10 +102,8 @@ def test_slot_mean_between_trochoids(law, axis, share):
     return expected, mean(law)["xy".index(axis)], share * abs(expected)
 
 
-@check(
-    "rigid slot, linear-edge law, mean F_{axis}", "-+ N a (K f_z / 4 + K_e / pi), Al7075-T6", "N",
-    cases=("axis cutting edge", [("x", -180.96, -20.42), ("y", 600.46, 17.9)]),
-)  # fmt: skip
+@check("rigid slot, linear-edge law, mean F_{axis}", "-+ N a (K f_z / 4 + K_e / pi), Al7075-T6", "N",
+       cases=("axis cutting edge", [("x", -180.96, -20.42), ("y", 600.46, 17.9)]))  # fmt: skip
 def test_linear_edge_slot_mean(axis, cutting, edge):
     """Coefficients [N/mm^2, N/mm] times 4 teeth, 1 mm and f_z / 4, 1 / pi; terms of f_z / R are left out."""
     expected = cutting * 0.125 + 4 / np.pi * edge
@@ -248,11 +246,9 @@ def altintas(phi: float) -> np.ndarray:
     return np.array([x, y, z, RADIUS * (-LAW.tangential_cutting * SMALL_FEED * c + LAW.tangential_edge * phi)])
 
 
-@check(
-    "helix of {helix} deg, {name}: mean {component}", "closed form of [Altintas2012], chapter 2, linear-edge law",
-    "N, N m", cases=("helix name component", [(helix, name, c) for helix in (0, 30) for name in IMMERSIONS
-                                              for c in ("F_x", "F_y", "F_z", "M_z")]),
-)  # fmt: skip
+@check("helix of {helix} deg, {name}: mean {component}", "closed form of [Altintas2012], chapter 2, linear-edge law",
+       "N, N m", cases=("helix name component", [(helix, name, c) for helix in (0, 30) for name in IMMERSIONS
+                                                 for c in ("F_x", "F_y", "F_z", "M_z")]))  # fmt: skip
 def test_altintas(helix, name, component):
     """In the plane 1 % of the resultant; along the axis and about it 1 % of the value."""
     _, _, entry, leave = IMMERSIONS[name]

@@ -85,10 +85,8 @@ def test_free_vibration():
     return 0.0, np.abs(states[:, 0] - expected).max() / 1e-4, 1e-11
 
 
-@check(
-    "step of 81 N on one degree of freedom, zeta {zeta}", "closed form, relative to F / k",
-    cases=("zeta", [(0.0,), (0.05,), (0.18,), (0.99,)]),
-)  # fmt: skip
+@check("step of 81 N on one degree of freedom, zeta {zeta}", "closed form, relative to F / k",
+       cases=("zeta", [(0.0,), (0.05,), (0.18,), (0.99,)]))  # fmt: skip
 def test_step_response(zeta):
     _, deflections = run(one_degree(), zeta, 5e-4, 1500, np.zeros(2), np.array([0, 81.0, 0, 0, 0, 0]))
     t, damped = np.arange(1501) * 5e-4, OMEGA * np.sqrt(1 - zeta**2)
@@ -112,10 +110,8 @@ def test_exponential(inertia, period):
     return 0.0, np.abs((transition - exact[: 2 * r, : 2 * r]) / scale * scale.T).max(), 1e-11
 
 
-@check(
-    "long constant wrench, {inertia} inertias: deflection of all six components",
-    "compliance times wrench (condensed, not sliced)", cases=("inertia", [("six",), ("three",)]),
-)  # fmt: skip
+@check("long constant wrench, {inertia} inertias: deflection of all six components",
+       "compliance times wrench (condensed, not sliced)", cases=("inertia", [("six",), ("three",)]))  # fmt: skip
 def test_static_limit(inertia):
     model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
     _, deflections = run(model, ZETA, 0.05, 400, np.zeros(2 * model.frequency.size), WRENCH)
@@ -201,11 +197,9 @@ def polygon(periods=400, every=20, size=1e-4):
     return knots(times, RANDOM.normal(size=(times.size, 3)) * size)
 
 
-@check(
-    "M delta'' + C delta' + K delta = -M r'', straight lines with corners, zeta {zeta}",
-    "scipy.signal.lsim of (C s + K) / (M s^2 + C s + K), exact for lines, relative",
-    cases=("zeta", [(0.001,), (0.04,), (0.182,)]),
-)  # fmt: skip
+@check("M delta'' + C delta' + K delta = -M r'', straight lines with corners, zeta {zeta}",
+       "scipy.signal.lsim of (C s + K) / (M s^2 + C s + K), exact for lines, relative",
+       cases=("zeta", [(0.001,), (0.04,), (0.182,)]))  # fmt: skip
 def test_moving_reference(zeta):
     reference, time = polygon(), np.arange(401) * PERIOD
     y = reference.sample(Clock(PERIOD, 1).stamp(np.arange(401)))[:, 1]
@@ -335,20 +329,16 @@ def compensated_as_printed(method):
     return moving, compensated(printed, simulate(printed), method).reference
 
 
-@check(
-    "compensated by (1) as printed, milled with -M r'': {method}, largest deviation",
-    "two other calculations [derived], to the digits given", "m",
-    cases=("method expected", [("linear", 20e-6), ("mirror", 5.5e-6)]),
-)  # fmt: skip
+@check("compensated by (1) as printed, milled with -M r'': {method}, largest deviation",
+       "two other calculations [derived], to the digits given", "m",
+       cases=("method expected", [("linear", 20e-6), ("mirror", 5.5e-6)]))  # fmt: skip
 def test_compensation_without_the_reference(method, expected):
     moving, reference = compensated_as_printed(method)
     return expected, simulate(moving, reference).scores.max_deviation, 0.5e-6
 
 
-@check(
-    "compensated by (1) as printed, milled with -M r'': spline, largest deviation",
-    "transfer function (2 z w s + w^2) / (s^2 + 2 z w s + w^2) of one mode, spline by scipy, lsim", "m",
-)  # fmt: skip
+@check("compensated by (1) as printed, milled with -M r'': spline, largest deviation",
+       "transfer function (2 z w s + w^2) / (s^2 + 2 z w s + w^2) of one mode, spline by scipy, lsim", "m")  # fmt: skip
 def test_spline_without_the_reference():
     """The mode follows the correction, and answers the change of the force; both are added to the original pass.
 

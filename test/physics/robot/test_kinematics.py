@@ -33,10 +33,8 @@ POSTURES = postures()
 FLANGES = ((0, -1.6407, 0.4924), (0, -1.6308, 0.2446))  # [m], facts, The arm
 
 
-@check(
-    "{name}: flange position", "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]", "m",
-    cases=("name expected", zip(ARMS, FLANGES, strict=True)),
-)  # fmt: skip
+@check("{name}: flange position", "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]", "m",
+       cases=("name expected", zip(ARMS, FLANGES, strict=True)))  # fmt: skip
 def test_flange_position(name, expected):
     return 0.0, np.abs(pose(arm_of(name), BARE, PAPER).position - expected).max(), 5.1e-5
 

@@ -40,6 +40,9 @@ ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
 POSTURES = postures()
 NEAR = PAPER + RNG.uniform(-0.3, 0.3, (50, 6))
 LOADS = RNG.normal(size=(50, 6)) * [600, 600, 600, 100, 100, 100]
+#: an arm with only joint 2 soft, 1e6 N m/rad, stretched along x; its critical load [N]
+HINGE = ARM.replace(a3=0.0, joint_compliance=np.array([1e-12, 1e-6, 1e-12, 1e-12, 1e-12, 1e-12]))
+CRITICAL = 1e6 / (1.25 + 1.1 + 0.23)
 STRAIGHT = PAPER * [1, 1, 1, 1, 0, 1]  # axis 5 at 0: singular
 SOFT = ((0.7168e-6, 0.6369e-6, 0.1489e-6), (0.7099e-6, 0.7535e-6, 0.1313e-6))  # [m/N], [derived], facts
 ALONG = ("the lateral axis", "the axis in plane", "the flange axis")
@@ -94,19 +97,10 @@ def test_a_batch_gives_exactly_what_single_postures_give():
     assert equilibrium(ARM, SPINDLE, PAPER, LOADS).theta.shape == (50, 6)
 
 
-def _hinge():
-    """An arm with only joint 2 soft, 1e6 N m/rad, stretched along x; its critical load [N]."""
-    soft = np.array([1e-12, 1e-6, 1e-12, 1e-12, 1e-12, 1e-12])
-    return ARM.replace(a3=0.0, joint_compliance=soft), 1e6 / (1.25 + 1.1 + 0.23)
-
-
-@check(
-    "column on one hinge: H / K at {share} of its critical load", "H = F L, critical at F L = K",
-    cases=("share", [(0.5,), (0.99,)]),
-)  # fmt: skip
+@check("column on one hinge: H / K at {share} of its critical load", "H = F L, critical at F L = K",
+       cases=("share", [(0.5,), (0.99,)]))  # fmt: skip
 def test_column(share):
-    arm, critical = _hinge()
-    solved = equilibrium(arm, BARE, np.zeros(6), [-share * critical, 0, 0, 0, 0, 0], gravity=False)
+    solved = equilibrium(HINGE, BARE, np.zeros(6), [-share * CRITICAL, 0, 0, 0, 0, 0], gravity=False)
     np.testing.assert_allclose(solved.theta, 0, atol=1e-15)
     return share, solved.hessian[1, 1] / 1e6, 1e-9
 
@@ -114,19 +108,17 @@ def test_column(share):
 @check("hinge under a dead side load", "K theta = F L cos(theta)", "rad")
 def test_dead_load():
     """Large enough for the load steps."""
-    arm, critical = _hinge()
-    theta = equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.15 * critical, 0, 0, 0], gravity=False).theta[1]
+    theta = equilibrium(HINGE, BARE, np.zeros(6), [0, 0, -0.15 * CRITICAL, 0, 0, 0], gravity=False).theta[1]
     return 0.15 * np.cos(theta), theta, 1e-8
 
 
 def test_loads_and_poses_without_an_equilibrium_are_errors_with_joint_base_and_share_of_the_load():
-    arm, critical = _hinge()
     with pytest.raises(UnstableLoadError, match="unstable") as caught:
-        equilibrium(arm, BARE, np.stack([np.zeros(6)] * 2), [[0.0] * 6, [-1.01 * critical, 0, 0, 0, 0, 0]], False)
+        equilibrium(HINGE, BARE, np.stack([np.zeros(6)] * 2), [[0.0] * 6, [-1.01 * CRITICAL, 0, 0, 0, 0, 0]], False)
     assert caught.value.index == (1,) and caught.value.eigenvalue < 0
     assert caught.value.load_factor == pytest.approx(1.0, abs=0.01)
     with pytest.raises(DeflectionError, match="joint 2") as caught:
-        equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.5 * critical, 0, 0, 0], gravity=False)
+        equilibrium(HINGE, BARE, np.zeros(6), [0, 0, -0.5 * CRITICAL, 0, 0, 0], gravity=False)
     theta, share = caught.value.deflection, caught.value.load_factor
     assert theta == pytest.approx(share * 0.5 * np.cos(theta)) and theta > 0.2
     impossible = (UnstableLoadError, EquilibriumError, DeflectionError)
@@ -152,11 +144,9 @@ def kilonewton(moments: bool) -> np.ndarray:
     return wrenches * ([1] * 3 + [200.0 if moments else 0.0] * 3)
 
 
-@check(
-    "{name}: compliance along {along}", "J diag(compliances of Table 1) J^T in the flange frame [derived]", "m/N",
-    cases=("name along expected", [(n, a, v) for n, soft in zip(ARMS, SOFT, strict=True)
-                                   for a, v in zip(ALONG, soft, strict=True)]),
-)  # fmt: skip
+@check("{name}: compliance along {along}", "J diag(compliances of Table 1) J^T in the flange frame [derived]", "m/N",
+       cases=("name along expected", [(n, a, v) for n, soft in zip(ARMS, SOFT, strict=True)
+                                      for a, v in zip(ALONG, soft, strict=True)]))  # fmt: skip
 def test_unloaded_compliance(name, along, expected):
     arm, axis = arm_of(name), (1, 2, 0)[ALONG.index(along)]
     in_base = compliance(equilibrium(arm, BARE, PAPER, gravity=False), arm)
@@ -190,10 +180,8 @@ def test_reciprocity():
     return 0.0, (np.abs(stiff - np.swapaxes(stiff, -1, -2)) / size).max(), 1e-9
 
 
-@check(
-    "K_C C_C - 1 under weights, 1 kN and moments, {base} base", "self-consistent: (17) and its inverse",
-    cases=("base", [("rigid",), ("tilting",)]),
-)  # fmt: skip
+@check("K_C C_C - 1 under weights, 1 kN and moments, {base} base", "self-consistent: (17) and its inverse",
+       cases=("base", [("rigid",), ("tilting",)]))  # fmt: skip
 def test_inverse_of_each_other(base):
     arm = ARM if base == "rigid" else ON_BASE
     solved = equilibrium(arm, SPINDLE, NEAR[:20], kilonewton(True))
@@ -233,7 +221,6 @@ def test_maps_of_postures_have_the_same_base():
 
 # --- the gravity compensator ---
 SPRING = GravityCompensator(stiffness=50e3, preload=6e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
-ANGLES = np.radians(np.linspace(-140.0, -5.0, 4))
 
 
 def length(angle: float) -> float:
@@ -263,7 +250,7 @@ def test_equivalent_spring(degrees):
 
 
 def test_the_moment_of_the_compensator_is_the_slope_of_its_energy_acts_on_joint_2_alone_and_is_in_the_hessian():
-    for angle in ANGLES:
+    for angle in np.radians(np.linspace(-140.0, -5.0, 4)):
         slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
         assert SPRING.moment(math.cos(angle), math.sin(angle)) == pytest.approx(-slope, rel=1e-7)
         pull = SPRING.stiffness * (length(-math.pi / 2) - SPRING.free_length)  # with the upper arm upright
