@@ -8,9 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cuttings import LAWS
+from cuttings import LAWS, fitted_order
 from milled_part import POCKET, small_cell
-from slot import fitted_order
 from small_part import GCODE, small_part
 
 from kr270_milling.base.errors import MillingError
