@@ -38,17 +38,12 @@ def measured(name: str, *columns: str) -> np.ndarray:
     return read_table(MEASURED / name, known).numbers(columns, np.nan)
 
 
-def json_of(*words: str) -> dict:
-    """What a command prints with --json."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        assert main([*words, "--json"]) == 0
-    return json.loads(printed.getvalue())
-
-
 @functools.cache
 def identified() -> dict:
-    return json_of("identify", "forces", str(MEASURED / "slot_forces.csv"), "--teeth", "2", "--diameter-mm", "25")
+    words = ("identify", "forces", str(MEASURED / "slot_forces.csv"), "--teeth", "2", "--diameter-mm", "25", "--json")
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main([*words]) == 0
+    return json.loads(printed.getvalue())
 
 
 @functools.cache

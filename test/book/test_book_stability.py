@@ -18,7 +18,7 @@ from semi_discretisation import MASS, OMEGA, ZETA, directional, drifting_limit, 
 
 from kr270_milling.physics.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.physics.motion.arm_model import arm_model
-from kr270_milling.physics.motion.dynamics import ArmModel, modes
+from kr270_milling.physics.motion.dynamics import modes
 from kr270_milling.physics.motion.milling_pass import CompliantArm
 
 GRID = 1e-6  # [m]
@@ -37,77 +37,55 @@ class Milling:
     radius: int = 1000  #: R / f_z
 
     @property
-    def chip(self) -> int:
-        """Nodes of the grid in a feed per tooth: the area of a sector is a few hundred nodes."""
-        return max(5, 4000 // self.radius)
-
-    @property
     def feed(self) -> float:
-        """A tooth [m]."""
-        return self.chip * GRID
-
-    @property
-    def wall(self) -> tuple[float, float]:
-        """Material from y to y as shares of the radius."""
-        return {"slot": (-1.1, 1.1), "up": (0.0, 1.1), "down": (-1.1, 0.0)}[self.immersion]
-
-
-def _workpiece(milling: Milling) -> Cut:
-    radius = milling.radius * milling.feed
-    law = LinearEdgeLaw(tangential_cutting=6e8, tangential_edge=0.0, radial_cutting=2e8, radial_edge=0.0)
-    low, high = np.multiply(milling.wall, radius)
-    end = 1.1 * radius + (PERIODS + 2 * MOST_TURNS) * milling.feed
-    stock = Stock(min=np.array([-1.1 * radius, low, -0.05]), max=np.array([end, high, 0]), grid_step=GRID)
-    tool = Tool(diameter=2 * radius, teeth=2, spindle_speed=milling.spindle_rpm * 2 * np.pi / 60)
-    return Cut(tool, Cutting(law="linear_edge", linear_edge=law), stock, MICRO_STEP)
-
-
-def _model(spindle_speed: float) -> ArmModel:
-    """Eq. (1) with inertia along x alone; exchange period: one micro-step."""
-    soft = 1.0 / (MASS * OMEGA**2)
-    along_x = modes(np.diag([soft] + [1e-12] * 5), np.diag([MASS] + [0.0] * 5))
-    return arm_model([along_x], ZETA, MICRO_STEP / spindle_speed)
-
-
-def _orbit(model: ArmModel, force: np.ndarray) -> np.ndarray:
-    """The periodic state (n + 1, 2) under the periodic force (n,) [N] of a rigid tool.
-
-    On it the teeth follow each other's way, so that the chips are those of the rigid tool.
-    """
-    a, b = model.transition[0], model.input[0][:, 0]
-    state = np.zeros((force.size + 1, 2))
-    for _ in range(2):  # from rest first, whose end is where the periodic state starts
-        for n, f in enumerate(force):
-            state[n + 1] = a @ state[n] + b * f
-        if not state[0].any():
-            state[0] = np.linalg.solve(np.eye(2) - np.linalg.matrix_power(a, force.size), state[-1])
-    return state
+        """A tooth [m], in whole nodes of the grid: the area of a sector is a few hundred nodes."""
+        return max(5, 4000 // self.radius) * GRID
 
 
 class _Run:
     """One cut from the periodic motion on, disturbed by a fifth of the feed per tooth."""
 
     def __init__(self, milling: Milling, depth: float):
-        self.cut = _workpiece(milling)
+        radius = milling.radius * milling.feed
+        law = LinearEdgeLaw(tangential_cutting=6e8, tangential_edge=0.0, radial_cutting=2e8, radial_edge=0.0)
+        low, high = np.multiply({"slot": (-1.1, 1.1), "up": (0.0, 1.1), "down": (-1.1, 0.0)}[milling.immersion], radius)
+        end = 1.1 * radius + (PERIODS + 2 * MOST_TURNS) * milling.feed
+        stock = Stock(min=np.array([-1.1 * radius, low, -0.05]), max=np.array([end, high, 0]), grid_step=GRID)
+        tool = Tool(diameter=2 * radius, teeth=2, spindle_speed=milling.spindle_rpm * 2 * np.pi / 60)
+        self.cut = Cut(tool, Cutting(law="linear_edge", linear_edge=law), stock, MICRO_STEP)
+        # eq. (1) with inertia along x alone; exchange period: one micro-step
+        along_x = modes(np.diag([1.0 / (MASS * OMEGA**2)] + [1e-12] * 5), np.diag([MASS] + [0.0] * 5))
+        self.model = arm_model([along_x], ZETA, MICRO_STEP / tool.spindle_speed)
         self.turn = self.cut.params.steps
         self.feed = 2 * milling.feed  # a turn
         self.start, self.step = np.array([0.0, 0.0, -depth]), 0
-        self.model = _model(self.cut.tool.spindle_speed)
         self.cut.sweep(self.start, self.start, 0, self.turn)  # a hole as large as the tool, without feed
         self.start = self.start - [self.feed, 0.0, 0.0]
         self.step = self.turn
         self._rigid(2)
-        self.orbit = _orbit(self.model, self._rigid(1))
+        self.orbit = self._periodic(self._rigid(1))
         self.arm = CompliantArm(self.model)
         kick = 0.1 * self.feed * np.array([1.0, OMEGA]) / np.sqrt(2)
         self.arm.state = self.orbit[0] + kick
         self.before = self._course(self.step) + [self.orbit[0, 0], 0.0, 0.0]
-        for _ in range(self._run_in() * self.turn):  # the surface that the undisturbed motion leaves
+        # turns until each point of the surface ahead is the orbit's: its whole width over the feed, and one
+        turns = min(MOST_TURNS, 2 + math.ceil(np.ptp(self.orbit[:, 0]) / self.feed))
+        for _ in range(turns * self.turn):  # the surface that the undisturbed motion leaves
             self._to(self._course(self.step + 1) + [self.orbit[(self.step + 1) % self.turn, 0], 0.0, 0.0])
 
-    def _run_in(self) -> int:
-        """Turns until every point of the surface ahead is the orbit's own: its whole width over the feed, and one."""
-        return min(MOST_TURNS, 2 + math.ceil(np.ptp(self.orbit[:, 0]) / self.feed))
+    def _periodic(self, force: np.ndarray) -> np.ndarray:
+        """The periodic state (n + 1, 2) under the periodic force (n,) [N] of a rigid tool.
+
+        On it the teeth follow each other's way, so that the chips are those of the rigid tool.
+        """
+        a, b = self.model.transition[0], self.model.input[0][:, 0]
+        state = np.zeros((force.size + 1, 2))
+        for _ in range(2):  # from rest first, whose end is where the periodic state starts
+            for n, f in enumerate(force):
+                state[n + 1] = a @ state[n] + b * f
+            if not state[0].any():
+                state[0] = np.linalg.solve(np.eye(2) - np.linalg.matrix_power(a, force.size), state[-1])
+        return state
 
     def _course(self, step: int) -> np.ndarray:
         return self.start + [self.feed * step / self.turn, 0.0, 0.0]
