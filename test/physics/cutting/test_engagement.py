@@ -48,13 +48,8 @@ THIRD = KienzleLaw()
 THIRD_CUTTING = SimpleNamespace(active=THIRD, coefficients=THIRD.coefficients, moments=True, end_ratio=1.0)
 CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL, "kienzle": THIRD_CUTTING}
 #: y of the material as shares of R: the tool turns clockwise and feeds along +x
-IMMERSIONS = {
-    "slot": (-1.1, 1.1),
-    "half up": (-1.1, 0.0),
-    "half down": (0.0, 1.1),
-    "5 % up": (-1.1, -0.9),
-    "5 % down": (0.9, 1.1),
-}
+IMMERSIONS = {"slot": (-1.1, 1.1), "half up": (-1.1, 0.0), "half down": (0.0, 1.1), "5 % up": (-1.1, -0.9),
+              "5 % down": (0.9, 1.1)}  # fmt: skip
 
 
 def tool(helix: float = 0.0) -> Tool:
@@ -62,9 +57,8 @@ def tool(helix: float = 0.0) -> Tool:
 
 
 def block(low: float, high: float, grid_step: float = 1e-4, length: float = 40e-3) -> Stock:
-    return Stock(
-        min=np.array([0.0, low * RADIUS, -5e-3]), max=np.array([length, high * RADIUS, 0.0]), grid_step=grid_step
-    )
+    corners = np.array([[0.0, low * RADIUS, -5e-3], [length, high * RADIUS, 0.0]])
+    return Stock(min=corners[0], max=corners[1], grid_step=grid_step)
 
 
 def straight(dt: float, length: float, start: float = -RADIUS - 1e-3) -> tuple[np.ndarray, np.ndarray]:
@@ -75,7 +69,7 @@ def straight(dt: float, length: float, start: float = -RADIUS - 1e-3) -> tuple[n
     return np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)]), n * np.arange(x.size)
 
 
-def closed_form(cutting, cutter: Tool, low: float, high: float, feed: float = FEED) -> np.ndarray:
+def closed_form(cutting, low: float, high: float, feed: float = FEED) -> np.ndarray:
     """Mean force (3,) [N] over a revolution, (29) integrated over phi from the feed, clockwise from -y to +y."""
     edges = np.linspace(-math.pi / 2, math.pi / 2, 20001)
     phi, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
@@ -84,8 +78,8 @@ def closed_form(cutting, cutter: Tool, low: float, high: float, feed: float = FE
     forward, across = np.cos(phi), np.sin(phi)
     share = TEETH / (2 * math.pi) * width * DEPTH
     return share * np.array([
-        np.sum(-radial * forward + cutter.sense * tangential * across),
-        np.sum(-radial * across - cutter.sense * tangential * forward),
+        np.sum(-radial * forward + tool().sense * tangential * across),
+        np.sum(-radial * across - tool().sense * tangential * forward),
         -np.sum(axial),
     ])  # fmt: skip
 
@@ -99,7 +93,7 @@ def forces(cutting, immersion: str, helix=0.0, dt=4e-3, grid_step=1e-4, bins: in
 
 def error(cutting, immersion: str, **options) -> float:
     """Of the mean force, a share of its size."""
-    exact = closed_form(cutting, tool(), *IMMERSIONS[immersion])
+    exact = closed_form(cutting, *IMMERSIONS[immersion])
     mean = forces(cutting, immersion, **options).mean(axis=0)
     return float(np.abs(mean - exact).max() / np.linalg.norm(exact))
 
@@ -149,11 +143,10 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
     path, steps = straight(4e-3, 20e-3, start=12e-3)
     path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
     cut.along(path, steps)
-    way = path[-1, 0] - path[0, 0]
     x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
     lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
     inside = x + RADIUS < path[-1, 0]
-    assert way > 19e-3
+    assert np.ptp(path[:, 0]) > 19e-3
     assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
@@ -224,7 +217,7 @@ def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and
     steps, bins = [8e-4, 4e-4, 2e-4, 1e-4, 5e-5], [8, 12, 16, 24]
     scatter = [float(forces(AXIAL, "slot", grid_step=step).std(axis=0).max()) for step in steps]
     assert fitted_order(steps, scatter) > 0.8
-    assert scatter[2] < 0.006 * np.linalg.norm(closed_form(AXIAL, tool(), -1.0, 1.0))
+    assert scatter[2] < 0.006 * np.linalg.norm(closed_form(AXIAL, -1.0, 1.0))
     errors = [error(THIRD_CUTTING, "half down", bins=count) for count in bins]
     assert fitted_order(1.0 / np.array(bins), errors) > 1.7
     assert error(THIRD_CUTTING, "half down") < errors[-1] / 4
@@ -249,19 +242,10 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
     assert errors[2] < 0.5e-6
 
 
-@pytest.fixture(scope="module")
-def milled():
-    """The result of the pass and its assessment by each model."""
-    results = {}
-    for detail in ("teeth", "engagement"):
-        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"])
-        ran = simulate(cell)
-        results[detail] = ran.result, assess(cell, ran).whole
-    return results
-
-
-def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth(milled):
-    teeth, mean = (milled[detail][0] for detail in ("teeth", "engagement"))
+def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
+    cells = [read_cell(find_file("test_piece.yaml"), [f"cutting.detail={name}"]) for name in ("teeth", "engagement")]
+    passes = [simulate(cell) for cell in cells]
+    teeth, mean = (ran.result for ran in passes)
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
     swept, engaged = teeth.deflection[at, :3], mean.deflection[1:-1, :3]
     for axis in range(3):
@@ -272,8 +256,9 @@ def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth(milled):
     assert difference.max() < 5e-6
     assert rms(difference) < 1e-6
     assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.002)
+    parts = [assess(cell, ran).whole for cell, ran in zip(cells, passes, strict=True)]
     for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
-        swept, engaged = (getattr(milled[detail][1], name) for detail in ("teeth", "engagement"))
+        swept, engaged = (getattr(part, name) for part in parts)
         assert engaged == pytest.approx(swept, rel=0.02, abs=0.5e-6), name
 
 
@@ -324,7 +309,7 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
     x = 8e-3 + feed * TEETH * np.arange(5)
     path = np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)])
     force = cut.along(path, n * np.arange(5))[0][-1, :3]
-    ratio = np.linalg.norm(force) / np.linalg.norm(closed_form(AXIAL, tool(), *IMMERSIONS["slot"], feed))
+    ratio = np.linalg.norm(force) / np.linalg.norm(closed_form(AXIAL, *IMMERSIONS["slot"], feed))
     rate = 60 * feed * TEETH * SPEED / (2 * math.pi)
     words = [f"path.feed_rate_m_per_min={rate}", f"stock.grid_step_um={grid_um}"]
     words += [f"exchange.micro_step_deg={micro_step}", "exchange.period_ms=7.5", "path.length_mm=1"]

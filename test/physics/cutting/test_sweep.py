@@ -18,22 +18,11 @@ from numba import njit
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build
-from kr270_milling.physics.cutting import (
-    AL7075_T6,
-    Cut,
-    Cutting,
-    GridError,
-    Stock,
-    SweepError,
-    Tool,
-    UndoError,
-    lanes,
-    make_params,
-    make_state,
-)
+from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError, lanes
 from kr270_milling.physics.cutting.fill import clear_quad
 from kr270_milling.physics.cutting.grid import TILE, tile_count
 from kr270_milling.physics.cutting.lanes import LANES, NODE, build_lanes, lower_lanes, lower_one_by_one
+from kr270_milling.physics.cutting.state import make_params, make_state
 
 PAPER = {"diameter_mm": 20.0, "teeth": 4, "spindle_speed_rpm": 8000.0}
 STOCK = Stock(min=np.zeros(3), max=np.array([10e-3, 5e-3, 2e-3]))
@@ -133,15 +122,8 @@ def test_the_instructions_are_valid_with_opaque_pointers(monkeypatch):
 
 # --- Clearing of polygons, against a point-in-polygon test by crossing numbers ---
 SIZE = 30
-STOCK_FILL = Stock(min=np.zeros(3), max=np.array([3e-3, 3e-3, 1e-3]), grid_step=1e-4)
-PARAMS = make_params(Tool(diameter=1e-3, teeth=1, spindle_speed=1.0), PAPER_LAW, STOCK_FILL, np.radians(10.0))
+SHEET = Stock(min=np.zeros(3), max=np.array([3e-3, 3e-3, 1e-3]), grid_step=1e-4)
 corner = st.floats(-10.0, 40.0)
-
-
-def cleared(xs, ys):
-    state = make_state(PARAMS, STOCK_FILL, 4096)
-    clear_quad(state, xs, ys, SIZE, SIZE, 7)
-    return state.pool[: 256 * SIZE].reshape(SIZE, 256)[:, :SIZE] == 7
 
 
 def inside(xs, ys):
@@ -160,9 +142,12 @@ def inside(xs, ys):
 @example((0.0, 0.0, 0.0, 2.2e-309), (0.0, 0.0, 0.0, 1.0))
 @given(st.tuples(*[corner] * 4), st.tuples(*[corner] * 4))
 def test_a_quadrilateral_is_cleared_inside_and_nowhere_else(xs, ys):
+    tool = Tool(diameter=1e-3, teeth=1, spindle_speed=1.0)
+    state = make_state(make_params(tool, PAPER_LAW, SHEET, np.radians(10.0)), SHEET, 4096)
+    clear_quad(state, xs, ys, SIZE, SIZE, 7)
+    cleared = state.pool[: 256 * SIZE].reshape(SIZE, 256)[:, :SIZE] == 7
     odd, near = inside(xs, ys)
-    sure = near > 1e-6
-    assert np.array_equal(cleared(xs, ys)[sure], odd[sure])
+    assert np.array_equal(cleared[near > 1e-6], odd[near > 1e-6])
 
 
 # --- The compiled sweep against a brute-force oracle on small grids, and what a sweep must conserve ---
