@@ -174,18 +174,15 @@ def test_limit_depth_of_a_small_radius(case):
     return expected, limit_depth(case, expected, 0.03), SMALL[case] * expected
 
 
-def test_the_delay_between_two_trochoids_tends_to_the_tooth_period():
+def test_disturbances_grow_and_die_as_fast_as_the_multiplier_says_and_a_drifting_delay_tends_to_the_tooth_period():
+    for share in (0.9, 1.1):
+        case = Milling(15000.0, "up")
+        depth = share * semi_discretisation(case)[0]
+        largest = np.abs(multipliers(depth, 0.002, directional("up", 160))).max()
+        assert growth(case, depth) == pytest.approx(np.log(largest), rel=0.12)
     wide, limit_of_the_period = Milling(12000.0, "slot", 100_000), semi_discretisation(SLOTS[0])[0]
     assert drifting_limit(wide) == pytest.approx(limit_of_the_period, rel=2e-3)
     assert drifting_limit(Milling(12000.0, "slot", 80)) > 1.05 * limit_of_the_period
-
-
-@pytest.mark.parametrize("share", [0.9, 1.1])
-def test_disturbances_grow_and_die_as_fast_as_the_multiplier_says(share):
-    case = Milling(15000.0, "up")
-    depth = share * semi_discretisation(case)[0]
-    largest = np.abs(multipliers(depth, 0.002, directional("up", 160))).max()
-    assert growth(case, depth) == pytest.approx(np.log(largest), rel=0.12)
 
 
 # --- the oracle itself ---

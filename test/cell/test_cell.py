@@ -67,15 +67,11 @@ def test_a_cell_that_cannot_be_and_a_pass_of_days_are_refused_with_their_key(ass
     assert "np.float64" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("start", "diameter", "seconds"), [(-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)]
-)
-def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border(start, diameter, seconds):
-    cell = read_cell(FILE, [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"])
-    assert cell.full_engagement == pytest.approx(seconds, abs=1e-12) and cell.scored_from_ns == round(1e9 * seconds)
-
-
-def test_a_tool_path_has_no_low_frequency_of_one_feed_direction(tmp_path):
+def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border_and_a_tool_path_has_no_low_frequency(tmp_path):
+    for start, diameter, seconds in ((-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)):
+        words = [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"]
+        cell = read_cell(FILE, words)
+        assert cell.full_engagement == pytest.approx(seconds, abs=1e-12) and cell.scored_from_ns == round(1e9 * seconds)
     file = tmp_path / "turned.nc"
     file.write_text("G21 G90 S8000 M3\nG0 X0 Y-15 Z5\nG1 Z-0.5 F1000\nG1 Y15 F4000\n")
     cell = read_cell(find_file("test_piece.yaml"), [f"path.file={file}"])
@@ -109,7 +105,7 @@ def programmed(folder, program, *sets):
     return read_cell(find_file("test_piece.yaml"), [f"path.file={folder / 'part.nc'}", *sets])
 
 
-def test_a_spindle_speed_that_the_cell_does_not_give_is_the_programs_or_refused(tmp_path):
+def test_speed_and_feed_come_from_program_or_cell_and_may_not_contradict_each_other(tmp_path):
     cell = programmed(tmp_path, PROGRAM, *SILENT)
     assert cell.tool.spindle_speed == pytest.approx(200 * np.pi)
     assert cell.programmed.program.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
@@ -117,9 +113,6 @@ def test_a_spindle_speed_that_the_cell_does_not_give_is_the_programs_or_refused(
         programmed(tmp_path, PROGRAM.replace("M3 S6000", "M3"), *SILENT)
     silent = GCODE.replace(" S8000 M3", "").replace("M5\n", "")
     assert len(small_part(tmp_path, silent, "tool.rotation=counterclockwise").target()) > 10
-
-
-def test_a_feed_comes_from_the_cell_where_the_program_has_none_and_may_not_contradict_it(tmp_path):
     other = ("path.feed_rate_m_per_min=1.2", "tool.spindle_speed_rpm=6000")
     assert programmed(tmp_path, PROGRAM.replace(" F900", ""), *other).feed_rate == pytest.approx(0.02)
     with pytest.raises(InputError, match="its feed is 900 mm/min, but path.feed_rate_m_per_min of the cell says 1200"):
@@ -143,15 +136,7 @@ def test_a_straight_cut_and_a_program_answer_the_same_questions(tmp_path):
 HEAD = "G21 G90 S8000 M3\n"
 
 
-def test_a_posture_every_nanometre_is_refused():
-    slow = ["dynamics.follow_pose=true", "dynamics.posture_spacing_mm=1e-9", "path.feed_rate_m_per_min=0.05"]
-    cell = read_cell(FILE, slow)
-    with pytest.raises(ParameterError, match="posture_spacing_mm"):
-        cell.arm_model(cell.target())
-    check_postures(100_000, 1e-3)
-
-
-def test_the_effort_of_a_path_file_is_reckoned_with_its_ramps(tmp_path):
+def test_the_effort_of_a_path_file_is_reckoned_with_its_ramps_and_postures(tmp_path):
     slow = HEAD + "G0 X-14 Y0 Z2\nG0 Z-1\nG1 X28 F0.005\n"
     with pytest.raises(MillingError, match="exchange periods"):
         small_part(tmp_path, slow, "timing.controller_step_ms=1000.0").target()
@@ -162,6 +147,11 @@ def test_the_effort_of_a_path_file_is_reckoned_with_its_ramps(tmp_path):
     small_part(tmp_path, ramp).target()
     with pytest.raises(ParameterError, match=r"grid_step_um.*sinking"):
         small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5", "cutting.detail=teeth").target()
+    slow = ["dynamics.follow_pose=true", "dynamics.posture_spacing_mm=1e-9", "path.feed_rate_m_per_min=0.05"]
+    cell = read_cell(FILE, slow)
+    with pytest.raises(ParameterError, match="posture_spacing_mm"):
+        cell.arm_model(cell.target())
+    check_postures(100_000, 1e-3)
 
 
 def test_what_a_footprint_swept_as_a_whole_costs():

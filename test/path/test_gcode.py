@@ -49,15 +49,17 @@ def test_the_length_of_an_arc_is_radius_times_angle_also_where_rounding_keeps_it
     assert read(START + "G2 X10.001 Y0 I5 J0 F100\n").length == pytest.approx(0.005 * math.pi, rel=1e-3)  # rounded
 
 
-@pytest.mark.parametrize(("text", "feed"), [
-    ("G95 S600 M3\nG1 X30 F0.2\n", 2.0),
-    ("G93 G1 X30 Y40 F6\n", 5.0),
-    ("G93 G2 X20 Y0 I10 F6\n", math.pi),
-    ("G20 G1 X1 F60\n", 25.4),
-])  # fmt: skip
-def test_a_feed_per_revolution_inverse_time_or_inch_is_a_feed(read, text, feed):
-    """In mm/s: 0.2 mm x 10 1/s, and the length of the move times 6/min."""
-    assert 1e3 * read(":1000\n" + START + text).feed[-1] == pytest.approx(feed, rel=1e-6)
+def test_a_feed_per_revolution_inverse_time_or_inch_is_a_feed_and_may_come_from_the_cell(read):
+    # in mm/s: 0.2 mm x 10 1/s, and the length of the move times 6/min
+    for text, feed in (
+        ("G95 S600 M3\nG1 X30 F0.2\n", 2.0),
+        ("G93 G1 X30 Y40 F6\n", 5.0),
+        ("G93 G2 X20 Y0 I10 F6\n", math.pi),
+        ("G20 G1 X1 F60\n", 25.4),
+    ):
+        assert 1e3 * read(":1000\n" + START + text).feed[-1] == pytest.approx(feed, rel=1e-6)
+    np.testing.assert_allclose(read(START + "G1 X1\nX2\n", feed=0.02).feed[1:], 0.02)
+    np.testing.assert_allclose(read(START + "G1 X1\nX2 F600\n", feed=0.02).feed[1:], [0.02, 0.01])
 
 
 def test_a_comment_names_the_feature_that_follows_a_speed_counts_while_the_spindle_turns_and_axes_may_come_singly(read):
@@ -121,11 +123,6 @@ def test_all_that_cannot_be_run_is_listed_at_once_and_not_what_follows_from_a_re
     with pytest.raises(ProgramError) as caught:
         read("G0 X#1 Y0\nG0 Z5\nG1 Z-1 F100\nX1\n")
     assert [r.line for r in caught.value.program.refused] == [1]
-
-
-def test_a_feed_may_come_from_the_cell_where_the_program_has_none(read):
-    np.testing.assert_allclose(read(START + "G1 X1\nX2\n", feed=0.02).feed[1:], 0.02)
-    np.testing.assert_allclose(read(START + "G1 X1\nX2 F600\n", feed=0.02).feed[1:], [0.02, 0.01])
 
 
 # --- Drilling cycles, retracts, planes, feeds and tools of G-code ---

@@ -51,13 +51,6 @@ def test_points_on_the_path_lie_on_the_arc_with_its_climbing_tangent_in_the_bloc
     assert path.block_at([-1.0, 0.0, 0.0099, 0.0101, 9.0]).tolist() == [1, 1, 1, 2, 2]
 
 
-def test_a_turn_on_the_spot_is_refused():
-    builder = corner()
-    builder.quaternion = (0.0, 1.0, 0.0, 0.0)
-    with pytest.raises(InputError, match="line 7"):
-        builder.move((0.02, 0.01, 0.0), 0.5, False, 7)
-
-
 @pytest.mark.parametrize(("change", "index"), [
     ({"feed": np.array([0.0, 0.1, 0.0])}, 2), ({"feed": np.array([0.0, 0.1, np.nan])}, 2),
     ({"curvature": np.array([0.0, np.inf, 0.0])}, 1), ({"line": np.zeros(2)}, None),
@@ -233,7 +226,7 @@ def test_pieces_of_a_line_are_run_as_one_rapid_moves_at_their_speed_and_each_tim
         time_path(read("G1 X5000 F0.001\n"), FINE)
 
 
-def test_the_tool_turns_evenly_along_a_block():
+def test_the_tool_turns_evenly_along_a_block_and_not_on_the_spot():
     builder = PathBuilder("here")
     builder.move((0.0, 0.0, 0.0), 0.0, True, 1)
     builder.quaternion = (np.cos(0.1), 0.0, np.sin(0.1), 0.0)
@@ -241,6 +234,10 @@ def test_the_tool_turns_evenly_along_a_block():
     timed = time_path(builder.build(), Timing())
     angle = np.arctan2(timed.trajectory.quaternion[:, 2], timed.trajectory.quaternion[:, 0])
     np.testing.assert_allclose(angle, 0.1 * timed.distance / 0.1, atol=1e-12)
+    builder = corner()
+    builder.quaternion = (0.0, 1.0, 0.0, 0.0)
+    with pytest.raises(InputError, match="line 7"):
+        builder.move((0.02, 0.01, 0.0), 0.5, False, 7)
 
 
 # --- Slowing down for the joints ---

@@ -46,13 +46,17 @@ def test_orientation_follows_scipys_slerp_the_short_way_and_a_constant_one_stays
     assert np.all(Trajectory(TIME, PATH, TOOL_DOWN).sample_orientation(FINE) == TOOL_DOWN)
 
 
-def test_a_line_has_its_knots_at_the_controller_step_ends_exactly_and_keeps_its_feed_to_the_end():
+def test_a_line_has_its_knots_at_the_step_ends_exactly_keeps_its_feed_and_needs_length_feed_and_step():
     line = Trajectory.straight_line([0.0, 0.01, 0.0], [2.0, 0.0, 0.0], 0.080, 4 / 60, 0.05)
     assert len(line) == 25 and line.duration_ns == 1_200_000_000
     np.testing.assert_array_equal(line.position[-1], [0.08, 0.01, 0.0])
     line = Trajectory.straight_line(np.zeros(3), [0.0, 1.0, 0.0], 0.081, 4 / 60, 0.05)
     assert line.duration_ns == 1_215_000_000 and np.all(np.diff(line.time_ns)[:-1] == 50_000_000)
     np.testing.assert_allclose(line.feed(line.time_ns), 4 / 60, rtol=1e-9)
+    for value in (0.0, -1.0, np.nan):
+        for arguments in ([value, 1.0, 1.0], [1.0, value, 1.0], [1.0, 1.0, value]):
+            with pytest.raises(TrajectoryError):
+                Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], *arguments)
 
 
 @pytest.mark.parametrize(("change", "index"), [
@@ -66,13 +70,6 @@ def test_a_trajectory_that_no_tool_can_follow_is_refused_with_its_knot(change, i
     with pytest.raises(TrajectoryError) as caught:
         Trajectory(**({"time_ns": TIME, "position": PATH, "quaternion": TOOL_DOWN} | change))
     assert caught.value.index == index
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
-def test_a_line_without_length_feed_or_step_is_refused(value):
-    for arguments in ([value, 1.0, 1.0], [1.0, value, 1.0], [1.0, 1.0, value]):
-        with pytest.raises(TrajectoryError):
-            Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], *arguments)
 
 
 # --- Trajectories as CSV ---

@@ -197,7 +197,7 @@ def test_lifted_inverse():
     return 0.0, np.abs(obtained.left[..., 1]).max(), 1e-9
 
 
-def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_path_rests():
+def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_even_peaks():
     lifted = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,)))
     obtained = lifted.least_squares(deviation(), WEIGHTS, SMOOTH)
     t = EIGHTH.duration[:, None]
@@ -211,9 +211,6 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_
         assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
     assert not obtained.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
     assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a separate bend after a stop
-
-
-def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():
     scored = EIGHTH.middle_ns >= 150_000_000
     lifted = Lifted(one_mode(), EIGHTH, course())
     both = lifted.least_squares(deviation(), WEIGHTS, 1e-9), lifted.min_max(deviation(), WEIGHTS, 1e-9, scored)

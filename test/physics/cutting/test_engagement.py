@@ -271,7 +271,7 @@ def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under
     assert simulate(teeth, planned).scores.max_deviation < 1.2 * best < 0.04 * original.scores.max_deviation
 
 
-def test_the_detail_of_a_short_program_is_that_of_the_key_with_a_finer_map_for_a_small_cutter():
+def test_the_detail_is_that_of_the_key_or_of_the_length_with_a_finer_map_for_a_small_cutter(tmp_path):
     for value, detail in (("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")):
         cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
         assert cell.cutting.detail == detail
@@ -281,9 +281,6 @@ def test_the_detail_of_a_short_program_is_that_of_the_key_with_a_finer_map_for_a
     assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
     with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
         read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
-
-
-def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_path):
     program = tmp_path / "long.nc"
     moves = "".join(f"G1 X{40 * (-1) ** k} Y{k % 40 - 20}\n" for k in range(60))
     program.write_text(f"G21 G90 G17\nS8000 M3\nG0 X60 Y0 Z5\nG0 Z-0.5\nG1 X40 F4000\n{moves}G0 Z5\nM30\n")

@@ -258,10 +258,17 @@ def test_altintas(helix, name, component):
     return expected[which], obtained[which], 0.01 * scale
 
 
-@pytest.mark.parametrize("rotation, sign", [("clockwise", 1.0), ("counterclockwise", -1.0)])
-def test_the_reaction_of_the_spindle_turns_against_the_teeth(rotation, sign):
-    wrench, torque = mean_wrench(AXIAL, helical(rotation=rotation))
-    assert torque > 0.0 and wrench[5] == pytest.approx(sign * torque, rel=1e-12)
+def test_the_reaction_turns_against_the_teeth_a_helix_of_no_lag_changes_nothing_and_moments_may_be_left_out():
+    for rotation, sign in (("clockwise", 1.0), ("counterclockwise", -1.0)):
+        wrench, torque = mean_wrench(AXIAL, helical(rotation=rotation))
+        assert torque > 0.0 and wrench[5] == pytest.approx(sign * torque, rel=1e-12)
+    loads = [immersed("slot", helix)[0] for helix in (0, 1e-9, 1e-3)]
+    np.testing.assert_allclose(loads[1], loads[0], rtol=1e-9)
+    np.testing.assert_allclose(loads[2], loads[0], rtol=1e-3, atol=1e-4)
+    with_moments, torque = immersed("slot", 0)
+    without, same = mean_wrench(Cutting("linear_edge", linear_edge=LAW, moments=False), helical())
+    np.testing.assert_array_equal(without, [*with_moments[:3], 0.0, 0.0, 0.0])
+    assert torque == same
 
 
 def edge_integral(cutter, law, phi):
@@ -291,16 +298,6 @@ def test_force_and_moment_of_each_micro_step_are_integrals_along_the_lagging_edg
     expected = edge_integral(cutter, SHARP, phi)
     rms = np.sqrt(((obtained - expected) ** 2).mean(axis=0)) / np.abs(expected).max(axis=0)
     assert rms.max() < 0.015, rms
-
-
-def test_a_helix_that_lags_by_next_to_nothing_changes_next_to_nothing_and_without_moments_only_the_forces_are_left():
-    loads = [immersed("slot", helix)[0] for helix in (0, 1e-9, 1e-3)]
-    np.testing.assert_allclose(loads[1], loads[0], rtol=1e-9)
-    np.testing.assert_allclose(loads[2], loads[0], rtol=1e-3, atol=1e-4)
-    with_moments, torque = immersed("slot", 0)
-    without, same = mean_wrench(Cutting("linear_edge", linear_edge=LAW, moments=False), helical())
-    np.testing.assert_array_equal(without, [*with_moments[:3], 0.0, 0.0, 0.0])
-    assert torque == same
 
 
 def test_a_sweep_is_taken_back_with_the_loads_that_it_left_to_later_micro_steps():

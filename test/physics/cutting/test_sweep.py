@@ -29,7 +29,7 @@ STOCK = Stock(min=np.zeros(3), max=np.array([10e-3, 5e-3, 2e-3]))
 BOX = {"min_mm": [0.0, -12.0, -10.0], "max_mm": [100.0, 12.0, 0.0]}
 
 
-def test_teeth_stand_at_their_pitch_in_the_sense_of_rotation_clockwise_at_cos_phi_minus_sin_phi():
+def test_teeth_stand_at_their_pitch_clockwise_at_cos_phi_minus_sin_phi_and_a_micro_step_divides_a_revolution():
     tool = build(Tool, PAPER)
     assert tool.angles == pytest.approx(np.radians([0, 90, 180, 270]))
     assert tool.radii == pytest.approx(np.full(4, 10e-3)) and tool.spindle_speed == pytest.approx(837.758, abs=1e-3)
@@ -41,6 +41,9 @@ def test_teeth_stand_at_their_pitch_in_the_sense_of_rotation_clockwise_at_cos_ph
         assert params.directions[1, 0] == pytest.approx([0.0, sense], abs=0)
         assert np.array_equal(params.directions[:, 0], params.directions[:, -1])
     assert make_params(tool, PAPER_LAW, STOCK, np.radians(0.75)).steps == 480
+    for degrees in (0.0, -1.0, 0.7, 16.0, float("nan")):
+        with pytest.raises(ParameterError, match="micro_step"):
+            make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(degrees))
 
 
 def test_stock_counts_its_nodes_and_tiles():
@@ -60,12 +63,6 @@ def test_stock_counts_its_nodes_and_tiles():
 def test_impossible_cutters_and_stocks_are_refused(kind, change):
     with pytest.raises(ConfigError):
         build(kind, {**{Tool: PAPER, Stock: BOX}[kind], **change})
-
-
-@pytest.mark.parametrize("degrees", [0.0, -1.0, 0.7, 16.0, float("nan")])
-def test_a_micro_step_must_divide_a_revolution(degrees):
-    with pytest.raises(ParameterError, match="micro_step"):
-        make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(degrees))
 
 
 # --- The innermost step of the sweep ---

@@ -399,7 +399,7 @@ def test_the_modes_of_an_arm_in_the_place_of_the_arm_give_the_same_pass():
     assert found.volume.sum() > 0.0
 
 
-def test_each_mode_rings_down_with_its_own_ratio():
+def test_measured_modes_ring_down_each_with_its_ratio_and_leave_the_tool_behind_a_quick_jump_where_they_move_it():
     model = measured_model(MeasuredModes(np.array([5.0, 20.0]), np.array([0.1, 0.02]), np.eye(6)[:2].ravel()))
     arm = CompliantArm(arm_model([model], 0.5, 1e-3))
     arm.state[:2] = 1e-3
@@ -410,9 +410,6 @@ def test_each_mode_rings_down_with_its_own_ratio():
         damped = w * np.sqrt(1 - zeta**2)
         turned = np.cos(damped * 0.2) + zeta * w / damped * np.sin(damped * 0.2)
         assert deflection[k] == pytest.approx(1e-3 * np.exp(-zeta * w * 0.2) * turned, rel=1e-9)
-
-
-def test_a_quick_jump_of_the_reference_leaves_the_tool_where_modes_move_it_and_takes_it_along_where_none_does():
     shapes = np.array([[0.05, 0.01, 0.0, 0.0, 0.05, 0.02], [-0.01, 0.04, 0.0, 0.02, 0.0, 0.0]])
     model = measured_model(MeasuredModes(np.array([7.0, 9.0]), np.array([0.03, 0.03]), shapes.ravel()))
     period = 1e-6
@@ -485,21 +482,18 @@ def test_the_compliance_is_that_of_a_stepped_cantilever(settings, expected):
     assert cell(*settings).tool.lateral_compliance == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("settings", [[], ["dynamics.mass_model=rigid", "dynamics.follow_pose=true"]])
-def test_a_constant_force_moves_the_tool_by_the_sum_of_both_springs(settings):
-    """Static end of the equation of motion: C_arm F + C_tool (F - (F . z) z), rotations without the tool's."""
-    tried = cell(SOFT, "dynamics.damping_ratio=0.5", *settings)
-    model = tried.arm_model(tried.target())
-    still, wrench = np.zeros((0, model.order)), np.tile([100.0, -80.0, 60.0, 2.0, 1.0, 3.0], (4000, 1))
-    moved = follow(model, still, wrench)[-1]
-    at = tried.joints(tried.target())[-1 if settings else 0]
-    soft = compliance(equilibrium(tried.arm, tried.mount, at), tried.arm)
-    arm = rotate_matrix(soft, tried.workpiece.pose.rotation.T) @ wrench[0]
-    assert moved == pytest.approx(arm + [50e-6, -40e-6, 0.0, 0.0, 0.0, 0.0], rel=2e-3, abs=1e-9)
-
-
-def test_the_tool_follows_the_mean_force_of_a_revolution():
-    """A step of the force: 1 - exp(-t / T) of the displacement at the time t, T the revolution, whatever H is."""
+def test_a_constant_force_moves_the_tool_by_the_sum_of_both_springs_and_a_step_with_the_mean_of_a_revolution():
+    # static end of the equation of motion: C_arm F + C_tool (F - (F . z) z), rotations without the tool's
+    for settings in ([], ["dynamics.mass_model=rigid", "dynamics.follow_pose=true"]):
+        tried = cell(SOFT, "dynamics.damping_ratio=0.5", *settings)
+        model = tried.arm_model(tried.target())
+        still, wrench = np.zeros((0, model.order)), np.tile([100.0, -80.0, 60.0, 2.0, 1.0, 3.0], (4000, 1))
+        moved = follow(model, still, wrench)[-1]
+        at = tried.joints(tried.target())[-1 if settings else 0]
+        soft = compliance(equilibrium(tried.arm, tried.mount, at), tried.arm)
+        arm = rotate_matrix(soft, tried.workpiece.pose.rotation.T) @ wrench[0]
+        assert moved == pytest.approx(arm + [50e-6, -40e-6, 0.0, 0.0, 0.0, 0.0], rel=2e-3, abs=1e-9)
+    # A step of the force: 1 - exp(-t / T) of the displacement at the time t, T the revolution, whatever H is
     for period in (0.25, 0.5):
         soft, rigid = (cell(f"exchange.period_ms={period}", *more) for more in ((SOFT,), ()))
         both = [CompliantArm(one.arm_model(one.target())) for one in (soft, rigid)]

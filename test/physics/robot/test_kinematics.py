@@ -39,17 +39,14 @@ def test_flange_position(name, expected):
     return 0.0, np.abs(pose(arm_of(name), BARE, PAPER).position - expected).max(), 5.1e-5
 
 
-@pytest.mark.parametrize("name", ARMS)
-def test_both_arm_files_have_table_1_of_the_paper_its_posture_and_a_bare_flange(name):
-    arm, mount = read_arm(find_file(f"{name}.yaml"))
-    assert np.all((arm.joint_lower <= PAPER) & (arm.joint_upper >= PAPER))
-    np.testing.assert_allclose(1 / arm.spring_stiffness, np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13]) * 1e-6)
-    assert arm.link_mass.sum() == pytest.approx(790.4)
-    np.testing.assert_array_equal(mount.pose.rotation, np.eye(3))
-    np.testing.assert_allclose(Mount().pose.rotation[:, 2], [1, 0, 0], atol=1e-15)  # the default: z out of the flange
-
-
-def test_an_arm_or_a_mount_that_cannot_be_is_refused_with_its_key(tmp_path):
+def test_arm_files_have_table_1_its_posture_and_a_bare_flange_and_an_impossible_arm_or_mount_is_refused(tmp_path):
+    for name in ARMS:
+        arm, mount = read_arm(find_file(f"{name}.yaml"))
+        assert np.all((arm.joint_lower <= PAPER) & (arm.joint_upper >= PAPER))
+        np.testing.assert_allclose(1 / arm.spring_stiffness, np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13]) * 1e-6)
+        assert arm.link_mass.sum() == pytest.approx(790.4)
+        np.testing.assert_array_equal(mount.pose.rotation, np.eye(3))
+        np.testing.assert_allclose(Mount().pose.rotation[:, 2], [1, 0, 0], atol=1e-15)  # z out of the flange
     tree = read_tree(find_file("kr270_2.yaml"))["arm"]
     with pytest.raises(ConfigError, match="joint_upper_deg.*above joint_lower_deg"):
         build(Arm, tree | {"joint_upper_deg": [185.0, -200.0, 155.0, 350.0, 125.0, 350.0]})

@@ -88,13 +88,18 @@ def test_both_ways(weights, base):
     return 0.0, np.abs(back.wrench - LOADS).max(), 1e-4  # 1e-12 m and rad times 1e7 N m/rad, some singular
 
 
-def test_a_batch_gives_exactly_what_single_postures_give():
+def test_a_batch_gives_exactly_what_single_postures_give_and_maps_of_postures_have_the_same_base():
     batch = equilibrium(ARM, SPINDLE, NEAR.reshape(5, 10, 6), LOADS.reshape(5, 10, 6))
     single = equilibrium(ARM, SPINDLE, NEAR[23], LOADS[23])
     np.testing.assert_array_equal(batch.theta[2, 3], single.theta)
     np.testing.assert_array_equal(batch.hessian[2, 3], single.hessian)
     assert equilibrium(ARM, SPINDLE, np.empty((0, 6))).theta.shape == (0, 6)
     assert equilibrium(ARM, SPINDLE, PAPER, LOADS).theta.shape == (50, 6)
+    place = pose(ARM, SPINDLE, PAPER)
+    force = np.array([[300.0, -200.0, 100.0]])
+    _, way = reaching(ON_BASE, SPINDLE, Pose(place.position[None], place.rotation[None]), force, gravity=False)
+    soft = compliance(equilibrium(ON_BASE, SPINDLE, PAPER, gravity=False), ON_BASE)[:3, :3]
+    assert np.abs(way[0] - soft @ force[0]).max(1).min() == pytest.approx(0.0, abs=1e-12)
 
 
 @check("column on one hinge: H / K at {share} of its critical load", "H = F L, critical at F L = K",
@@ -112,7 +117,7 @@ def test_dead_load():
     return 0.15 * np.cos(theta), theta, 1e-8
 
 
-def test_loads_and_poses_without_an_equilibrium_are_errors_with_joint_base_and_share_of_the_load():
+def test_what_has_no_equilibrium_or_no_stiffness_is_an_error_with_joint_base_and_share_of_the_load():
     with pytest.raises(UnstableLoadError, match="unstable") as caught:
         equilibrium(HINGE, BARE, np.stack([np.zeros(6)] * 2), [[0.0] * 6, [-1.01 * CRITICAL, 0, 0, 0, 0, 0]], False)
     assert caught.value.index == (1,) and caught.value.eigenvalue < 0
@@ -136,6 +141,13 @@ def test_loads_and_poses_without_an_equilibrium_are_errors_with_joint_base_and_s
     column = ARM.replace(joint_compliance=np.full(6, 1e-18), base_compliance=np.array([0.0, 1e-5, 0.0]))
     with pytest.raises(DeflectionError, match="the base bends"):
         equilibrium(column, SPINDLE, np.radians([0.0, -10.0, 20.0, 0.0, 25.0, 0.0]), [0, 0, -1e4, 0, 0, 0])
+    solved = equilibrium(ARM, SPINDLE, STRAIGHT, gravity=False)
+    assert np.linalg.matrix_rank(compliance(solved, ARM), tol=1e-12) == 5
+    assert singularity_measures(ARM, STRAIGHT)[2] == 0
+    with pytest.raises(SingularityError, match="keep axis 5 away from 0"):
+        stiffness(solved, ARM)
+    with pytest.raises(SingularityError, match="wrist"):
+        wrench_for_pose(ARM, SPINDLE, STRAIGHT, pose(ARM, SPINDLE, PAPER))
 
 
 def kilonewton(moments: bool) -> np.ndarray:
@@ -188,16 +200,6 @@ def test_inverse_of_each_other(base):
     return 0.0, np.abs(stiffness(solved, arm) @ compliance(solved, arm) - np.eye(6)).max(), 1e-7
 
 
-def test_a_singular_posture_has_a_compliance_but_no_stiffness_and_no_wrench_for_a_pose():
-    solved = equilibrium(ARM, SPINDLE, STRAIGHT, gravity=False)
-    assert np.linalg.matrix_rank(compliance(solved, ARM), tol=1e-12) == 5
-    assert singularity_measures(ARM, STRAIGHT)[2] == 0
-    with pytest.raises(SingularityError, match="keep axis 5 away from 0"):
-        stiffness(solved, ARM)
-    with pytest.raises(SingularityError, match="wrist"):
-        wrench_for_pose(ARM, SPINDLE, STRAIGHT, pose(ARM, SPINDLE, PAPER))
-
-
 # --- a base that tilts ---
 @check("base on three springs: loaded equilibrium", "0: pinocchio's gravity and frame Jacobian balance it", "N m")
 def test_base_equilibrium():
@@ -209,14 +211,6 @@ def test_base_equilibrium():
     torque = turned.T @ wrench - pin.computeGeneralizedGravity(model, data, chain)
     bent = np.append(solved.tilt, solved.theta)
     return 0.0, np.abs(ON_BASE.spring_stiffness * bent - torque).max(), 1e-6
-
-
-def test_maps_of_postures_have_the_same_base():
-    place = pose(ARM, SPINDLE, PAPER)
-    force = np.array([[300.0, -200.0, 100.0]])
-    _, way = reaching(ON_BASE, SPINDLE, Pose(place.position[None], place.rotation[None]), force, gravity=False)
-    soft = compliance(equilibrium(ON_BASE, SPINDLE, PAPER, gravity=False), ON_BASE)[:3, :3]
-    assert np.abs(way[0] - soft @ force[0]).max(1).min() == pytest.approx(0.0, abs=1e-12)
 
 
 # --- the gravity compensator ---
