@@ -18,12 +18,10 @@ from kr270_milling.physics.robot import (
     forward,
     jacobian,
     joint_mass,
-    mode_frequencies,
-    rigid_joint_mass,
-    stiffness,
 )
+from kr270_milling.physics.robot.elastostatics import stiffness
 from kr270_milling.physics.robot.errors import SingularityError
-from kr270_milling.physics.robot.mass import assembled_mass
+from kr270_milling.physics.robot.mass import assembled_mass, mode_frequencies, rigid_joint_mass
 from kr270_milling.physics.robot.urdf import urdf
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]

@@ -20,17 +20,15 @@ from kr270_milling.physics.robot import (
     equilibrium,
     forward,
     jacobian,
-    link_loads,
     pose,
-    rotate_matrix,
-    singularity_measures,
     stiffness,
     wrench_for_pose,
 )
 from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, SingularityError, UnstableLoadError
-from kr270_milling.physics.robot.loads import load_hessian, load_torque
+from kr270_milling.physics.robot.kinematics import rotate_matrix, singularity_measures
+from kr270_milling.physics.robot.loads import link_loads, load_hessian, load_torque
 from kr270_milling.studies.maps.postures import postures as reaching
 
 RNG = np.random.default_rng(11)
