@@ -177,15 +177,11 @@ def test_an_arm_that_would_fly_off_gives_no_numbers(stiffness):
 
 
 # --- Tool paths that a cell refuses because their spindle, their tool axis or their moves cannot be meant ---
-SLOT = "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + "".join(
-    f"{x},0,-0.5,{{a}},{{b}},{{c}},3000\n" for x in range(-14, 20, 2)
-)
-
-
 def table(directory, a=0.0, b=0.0, c=180.0):
     """The cell with a slot as a table; A, B, C [deg] turn tcp."""
     path = directory / "slot.csv"
-    path.write_text(SLOT.format(a=a, b=b, c=c))
+    rows = "".join(f"{x},0,-0.5,{a},{b},{c},3000\n" for x in range(-14, 20, 2))
+    path.write_text("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + rows)
     return read_cell(find_file("paper.yaml"), [f"path.file={path}", "stock.max_mm=[40,14,0]"])
 
 

@@ -68,7 +68,7 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
 
 
 def test_postures_hand_the_displacement_over_whatever_their_modes_are_called_and_share_the_row_of_their_segments():
-    # A posture whose mode has the other sign is the same arm
+    # a posture whose mode has the other sign is the same arm
     arm, run = one_mode(), correction(True)
     cubic = cubic_coefficients(KNOTS, run.position, run.velocity)
     sign = np.where(np.arange(12) % 3 == 0, -1.0, 1.0)[:, None, None]
@@ -233,7 +233,7 @@ LONG_PATH = np.zeros((MANY, 4, 3))
 
 
 def test_pieces_of_a_long_path_identify_the_arm_and_it_costs_in_proportion_to_its_length():
-    # A hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments
+    # a hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments
     assert MANY > arm_fit.MOST_FITTED
     true = LONG_ARM.scaled(1.1, 0.8, 1.0, 1.15)
     wrench = np.random.default_rng(3).normal(0.0, 0.1, (MANY, 4, 6))

@@ -107,7 +107,7 @@ def test_interpolation_order(method, expected, low, high):
 
 
 def test_knots_without_samples_stay_bounded_and_a_pass_that_shows_nothing_is_refused():
-    # A pass that was heard of only up to its middle
+    # a pass that was heard of only up to its middle
     target = line()
     half = ran(target, ringing)
     half = PassRecord(half.time_ns[:1200], half.position[:1200])

@@ -68,11 +68,11 @@ def run(model, zeta, period, steps, state, wrench):
 def system(model, zeta, more):
     """x' = A x of (1) for x, x' and some further states, whose effect on x'' is the caller's; its first two rows."""
     r, inverse, to_mass = model.frequency.size, np.linalg.inv(model.mass), model.mass @ model.shape
-    found = np.zeros((2 * r + more, 2 * r + more))
-    found[:r, r : 2 * r] = np.eye(r)
+    matrix = np.zeros((2 * r + more, 2 * r + more))
+    matrix[:r, r : 2 * r] = np.eye(r)
     for columns, values in ((slice(r), model.frequency**2), (slice(r, 2 * r), 2 * zeta * model.frequency)):
-        found[r : 2 * r, columns] = -inverse @ to_mass @ np.diag(values) @ to_mass.T  # K and C
-    return found
+        matrix[r : 2 * r, columns] = -inverse @ to_mass @ np.diag(values) @ to_mass.T  # K and C
+    return matrix
 
 
 @check("free vibration of one degree of freedom over 0.5 s", "closed form, relative to the start")
@@ -493,7 +493,7 @@ def test_a_constant_force_moves_the_tool_by_the_sum_of_both_springs_and_a_step_w
         soft = compliance(equilibrium(tried.arm, tried.mount, at), tried.arm)
         arm = rotate_matrix(soft, tried.workpiece.pose.rotation.T) @ wrench[0]
         assert moved == pytest.approx(arm + [50e-6, -40e-6, 0.0, 0.0, 0.0, 0.0], rel=2e-3, abs=1e-9)
-    # A step of the force: 1 - exp(-t / T) of the displacement at the time t, T the revolution, whatever H is
+    # a step of the force: 1 - exp(-t / T) of the displacement at the time t, T the revolution, whatever H is
     for period in (0.25, 0.5):
         soft, rigid = (cell(f"exchange.period_ms={period}", *more) for more in ((SOFT,), ()))
         both = [CompliantArm(one.arm_model(one.target())) for one in (soft, rigid)]
