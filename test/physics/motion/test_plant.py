@@ -32,6 +32,11 @@ def cell():
     return read_cell(find_file("paper.yaml"), SHORT)
 
 
+@pytest.fixture(scope="module")
+def ran(cell):
+    return simulate(cell)
+
+
 def test_repeatability_is_that_of_iso_9283_and_each_seed_and_number_of_a_pass_has_its_shift_and_noise():
     # ISO 9283: mean distance from the barycentre of many passes + 3 standard deviations of that distance
     how = Imperfections(repeatability=60 * UM)
@@ -47,33 +52,26 @@ def test_repeatability_is_that_of_iso_9283_and_each_seed_and_number_of_a_pass_ha
     assert abs(np.corrcoef(how.measured(zero, 1)[:, 0], how.measured(zero, 2)[:, 0])[0, 1]) < 0.15
 
 
-def test_a_plant_is_its_cell_but_for_the_noise_of_its_tracker_the_place_of_its_pass_and_its_arm(cell):
-    plain, plant = simulate(cell), simulate(cell, plant=Plant(cell, cell))
-    assert np.array_equal(plain.result.actual, plant.result.actual) and plain.scores == plant.scores
+def test_a_plant_is_its_cell_but_for_the_noise_of_its_tracker_the_place_of_its_pass_and_its_arm(cell, ran):
+    plant = simulate(cell, plant=Plant(cell, cell))
+    assert np.array_equal(ran.result.actual, plant.result.actual) and ran.scores == plant.scores
     assert np.array_equal(plant.record.position, plant.result.tool) and plant.record.noise == 0.0
-    clean = simulate(cell)
     noisy = simulate(cell, plant=Plant(cell, cell, Imperfections(pose_noise=20 * UM)))
-    assert np.array_equal(noisy.result.actual, clean.result.actual) and noisy.scores == clean.scores
+    assert np.array_equal(noisy.result.actual, ran.result.actual) and noisy.scores == ran.scores
     assert np.std(noisy.record.position - noisy.result.tool) == pytest.approx(20 * UM, rel=0.1)
     plant = Plant(cell, cell, Imperfections(repeatability=60 * UM))
-    shift = plant.cell.imperfections.shift(0)
-    ran = simulate(cell, plant=plant).result
-    plain = simulate(cell).result
-    assert ran.actual - plain.actual == pytest.approx(np.broadcast_to(shift, ran.actual.shape), abs=0.05 * 60 * UM)
-    assert np.array_equal(ran.target, plain.target)
+    beside = simulate(cell, plant=plant).result
+    moved, shift = beside.actual - ran.result.actual, plant.cell.imperfections.shift(0)
+    assert moved == pytest.approx(np.broadcast_to(shift, moved.shape), abs=0.05 * 60 * UM)
+    assert np.array_equal(beside.target, ran.result.target)
     other = cell.replace(path=cell.path.replace(length=0.03), dynamics=cell.dynamics.replace(damping_ratio=0.04))
     plant = Plant(cell, other)
     assert plant.cell.path is cell.path and plant.cell.dynamics.damping_ratio == 0.04
-    assert simulate(cell, plant=plant).result.time_ns[-1] == simulate(cell).result.time_ns[-1]
+    assert simulate(cell, plant=plant).result.time_ns[-1] == ran.result.time_ns[-1]
 
 
 # --- Backlash ---
 LEVER, WIDTH, FRICTION = 1.5, 1e-4, 100.0  # [m], [rad], [N m]
-
-
-@pytest.fixture(scope="module")
-def ran(cell):
-    return simulate(cell)
 
 
 def one_axis(friction: float = FRICTION) -> Gaps:
@@ -188,15 +186,15 @@ def test_keys_of_earlier_versions_are_refused_with_their_new_name():
 
 def test_the_compensator_receives_the_wrench_of_a_sensor(cell):
     """Noise while the tool cuts, its moments by a lever of 0.1 m; another one in each pass; the part is not noisy."""
-    records = {
-        how: simulate(cell, plant=Plant(cell, cell, Imperfections(wrench=how))) for how in ("exact", "noisy", "none")
-    }
-    true = records["exact"].record.wrench
-    assert np.array_equal(true, records["exact"].result.wrench) and records["none"].record.wrench is None
-    sensed, cuts = records["noisy"].record.wrench, true.any(axis=1)
+    exact, noisy, none = (
+        simulate(cell, plant=Plant(cell, cell, Imperfections(wrench=how))) for how in ("exact", "noisy", "none")
+    )
+    true = exact.record.wrench
+    assert np.array_equal(true, exact.result.wrench) and none.record.wrench is None
+    sensed, cuts = noisy.record.wrench, true.any(axis=1)
     assert not np.any(sensed[~cuts]) and cuts.sum() > 100
     assert (sensed - true)[cuts].std(axis=0) == pytest.approx([2.0, 2.0, 2.0, 0.2, 0.2, 0.2], rel=0.2)
-    assert np.array_equal(records["noisy"].result.actual, records["exact"].result.actual)
+    assert np.array_equal(noisy.result.actual, exact.result.actual)
     how = Imperfections()
     assert not np.any(how.sensed(true, 0)[cuts] == how.sensed(true, 1)[cuts])
 
@@ -220,14 +218,14 @@ def test_motors_follow_a_step_of_the_correction_as_a_second_order_after_a_dead_t
     assert np.abs(moved[:, [0, 2]]).max() < 1e-15 and how.lagged(target, target) is target
 
 
-@pytest.mark.parametrize("other", [{"servo_frequency": 10.0}, {"joining": 1.0}], ids=["servo lag", "joining"])
-def test_what_is_in_no_model_spoils_what_inverse_plans(cell, other):
+def test_what_is_in_no_model_spoils_what_inverse_plans(cell, ran):
     """A lag of the motors, and another spline through the points than the planned one."""
-    plant = Plant(cell, cell, Imperfections(wrench="exact", **other))
-    original = simulate(cell, plant=plant)
-    left = compensated(cell, original, "inverse", plant=plant).scores.max_deviation
-    perfect = compensated(cell, simulate(cell), "inverse").scores.max_deviation
-    assert 1.1 * perfect < left < original.scores.max_deviation
+    perfect = compensated(cell, ran, "inverse").scores.max_deviation
+    for other in ({"servo_frequency": 10.0}, {"joining": 1.0}):
+        plant = Plant(cell, cell, Imperfections(wrench="exact", **other))
+        original = simulate(cell, plant=plant)
+        left = compensated(cell, original, "inverse", plant=plant).scores.max_deviation
+        assert 1.1 * perfect < left < original.scores.max_deviation
 
 
 def test_another_controller_runs_a_parabola_exactly_and_blends_the_corners_of_straight_lines():
