@@ -67,11 +67,14 @@ class _Run:
         self.arm = CompliantArm(self.model)
         kick = 0.1 * self.feed * np.array([1.0, OMEGA]) / np.sqrt(2)
         self.arm.state = self.orbit[0] + kick
-        self.before = self._course(self.step) + [self.orbit[0, 0], 0.0, 0.0]
-        # turns until each point of the surface ahead is the orbit's: its whole width over the feed, and one
+        # the surface that the undisturbed motion leaves, in turns until each point ahead is the orbit's: its whole
+        # width over the feed, and one
         turns = min(MOST_TURNS, 2 + math.ceil(np.ptp(self.orbit[:, 0]) / self.feed))
-        for _ in range(turns * self.turn):  # the surface that the undisturbed motion leaves
-            self._to(self._course(self.step + 1) + [self.orbit[(self.step + 1) % self.turn, 0], 0.0, 0.0])
+        steps = self.step + np.arange(turns * self.turn + 1)
+        x = self.feed * steps / self.turn + self.orbit[steps % self.turn, 0]
+        places = self.start + np.outer(x, [1.0, 0.0, 0.0])
+        self.cut.along(places, steps)
+        self.before, self.step = places[-1], int(steps[-1])
 
     def _periodic(self, force: np.ndarray) -> np.ndarray:
         """The periodic state (n + 1, 2) under the periodic force (n,) [N] of a rigid tool.

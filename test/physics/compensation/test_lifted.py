@@ -141,10 +141,8 @@ def course(smooth=True, resting=(), held=()) -> KnotConditions:
     return KnotConditions(smooth, still, rest)
 
 
-def deviation(seed=0) -> np.ndarray:
-    t = EIGHTH.middle_ns * 1e-9
-    waves = np.stack([np.sin(20 * t + i) + 0.3 * np.cos(55 * t * (i + 1)) for i in range(3)], axis=-1)
-    return 1e-5 * waves + 1e-6 * np.random.default_rng(seed).standard_normal(waves.shape)
+WAVES = [np.sin(20e-9 * EIGHTH.middle_ns + i) + 0.3 * np.cos(55e-9 * EIGHTH.middle_ns * (i + 1)) for i in range(3)]
+DEVIATION = 1e-5 * np.stack(WAVES, axis=-1) + 1e-6 * np.random.default_rng(0).standard_normal((M, 8, 3))
 
 
 def dense(arm, smooth):
@@ -162,7 +160,7 @@ def dense(arm, smooth):
         cubic[:, :, 1] = numbers_to_cubic(number)
         columns.append(arm.follow(EIGHTH, cubic)[..., 1].ravel())
         rough.append(cubic[:, 3, 1] * typical**3 if smooth else np.diff(cubic[:, 1, 1]) * typical)
-    h, r, d = np.array(columns).T, np.array(rough).T, deviation()[..., 1].ravel()
+    h, r, d = np.array(columns).T, np.array(rough).T, DEVIATION[..., 1].ravel()
     rows = np.vstack([h * np.sqrt(weight)[:, None], np.sqrt(SMOOTH) * r])
     right = np.concatenate([-d * np.sqrt(weight), np.zeros(len(r))])
     best = np.linalg.lstsq(rows, right, rcond=None)[0]
@@ -178,7 +176,7 @@ def spline_numbers(number):
 @pytest.mark.parametrize("smooth", [True, False])
 def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     arm = one_mode()
-    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), WEIGHTS, SMOOTH)
+    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(DEVIATION, WEIGHTS, SMOOTH)
     expected = dense(arm, smooth)
     scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
     difference = np.abs(obtained.cubic[:, :, 1] - expected)[:, : scale.size]
@@ -199,7 +197,7 @@ def test_lifted_inverse():
 
 def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_even_peaks():
     lifted = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,)))
-    obtained = lifted.least_squares(deviation(), WEIGHTS, SMOOTH)
+    obtained = lifted.least_squares(DEVIATION, WEIGHTS, SMOOTH)
     t = EIGHTH.duration[:, None]
     c, v, a, j = np.swapaxes(obtained.cubic, 0, 1)
     ends = c + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
@@ -213,7 +211,7 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_eve
     assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a separate bend after a stop
     scored = EIGHTH.middle_ns >= 150_000_000
     lifted = Lifted(one_mode(), EIGHTH, course())
-    both = lifted.least_squares(deviation(), WEIGHTS, 1e-9), lifted.min_max(deviation(), WEIGHTS, 1e-9, scored)
+    both = lifted.least_squares(DEVIATION, WEIGHTS, 1e-9), lifted.min_max(DEVIATION, WEIGHTS, 1e-9, scored)
     plain, even = (np.abs(obtained.left[..., 1][scored]) for obtained in both)
     assert even.max() < 0.9 * plain.max() and even.std() / even.max() < plain.std() / plain.max() + 0.1
 

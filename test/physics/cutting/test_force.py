@@ -202,12 +202,9 @@ AXIAL = Cutting("linear_edge", linear_edge=LAW)
 SHARP = Cutting("linear_edge", linear_edge=LAW.replace(tangential_edge=0.0, radial_edge=0.0, axial_edge=0.0))
 TURN = 360  # micro-steps
 IMMERSIONS = {  # y of the material as shares of R; phi of [Altintas2012] from +y clockwise, where a tooth cuts
-    "slot": (-1.2, 1.2, 0.0, np.pi),
-    "half up": (0.0, 1.2, 0.0, np.pi / 2),
-    "half down": (-1.2, 0.0, np.pi / 2, np.pi),
-    "quarter up": (0.5, 1.2, 0.0, np.pi / 3),
-    "quarter down": (-1.2, -0.5, 2 * np.pi / 3, np.pi),
-}
+    "slot": (-1.2, 1.2, 0.0, np.pi), "half up": (0.0, 1.2, 0.0, np.pi / 2), "half down": (-1.2, 0.0, np.pi / 2, np.pi),
+    "quarter up": (0.5, 1.2, 0.0, np.pi / 3), "quarter down": (-1.2, -0.5, 2 * np.pi / 3, np.pi),
+}  # fmt: skip
 
 
 def helical(helix: float = 0.0, rotation: str = "clockwise") -> Tool:
@@ -265,9 +262,9 @@ def test_the_reaction_turns_against_the_teeth_a_helix_of_no_lag_changes_nothing_
     loads = [immersed("slot", helix)[0] for helix in (0, 1e-9, 1e-3)]
     np.testing.assert_allclose(loads[1], loads[0], rtol=1e-9)
     np.testing.assert_allclose(loads[2], loads[0], rtol=1e-3, atol=1e-4)
-    with_moments, torque = immersed("slot", 0)
+    torque = immersed("slot", 0)[1]
     without, same = mean_wrench(Cutting("linear_edge", linear_edge=LAW, moments=False), helical())
-    np.testing.assert_array_equal(without, [*with_moments[:3], 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(without, [*loads[0][:3], 0.0, 0.0, 0.0])
     assert torque == same
 
 
