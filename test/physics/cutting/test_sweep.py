@@ -338,7 +338,6 @@ def test_result_depends_neither_on_where_tile_borders_fall_nor_on_the_number_of_
     found = []
     for shift in (0, 240, 251):
         cut = small_cut(radius=9.3, shift=shift)
-        # the added material is cleared first where the tool touches it later, so that the forces compare
         forces = np.zeros((3000, 3))
         cut.sweep([1.613e-3, 1.721e-3, -5e-4], [2.717e-3, 2.519e-3, -5e-4], 0, 3000, forces)
         found.append((levels(cut), forces))
@@ -367,10 +366,8 @@ def new_cut(size=(30e-3, 24e-3), grid_step=10e-6, law=PAPER_LAW, **kwargs):
     return Cut(tool, law, stock, np.radians(1.0), **kwargs)
 
 
-@check(
-    "removed area of an oblique slot 6 mm long, grid of {step} um", "2 R L + pi R^2: a half disc at both ends", "m^2",
-    cases=("step", [(40,), (10,)]),
-)  # fmt: skip
+@check("removed area of an oblique slot 6 mm long, grid of {step} um", "2 R L + pi R^2: a half disc at both ends",
+       "m^2", cases=("step", [(40,), (10,)]))  # fmt: skip
 def test_area(step):
     """The tool turns once at both ends, so that every tooth reaches them."""
     cut = new_cut(grid_step=1e-6 * step)

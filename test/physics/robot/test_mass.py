@@ -9,19 +9,10 @@ from arm_oracle import ARM, PAPER, SPINDLE, TURNED, pinocchio_arm, postures
 from book import check
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.physics.robot import (
-    BARE,
-    beam_mass,
-    cartesian_mass,
-    compliance,
-    equilibrium,
-    forward,
-    jacobian,
-    joint_mass,
-)
+from kr270_milling.physics.robot import BARE, beam_mass, cartesian_mass, compliance, equilibrium, forward, jacobian
 from kr270_milling.physics.robot.elastostatics import stiffness
 from kr270_milling.physics.robot.errors import SingularityError
-from kr270_milling.physics.robot.mass import assembled_mass, mode_frequencies, rigid_joint_mass
+from kr270_milling.physics.robot.mass import assembled_mass, joint_mass, mode_frequencies, rigid_joint_mass
 from kr270_milling.physics.robot.urdf import urdf
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
@@ -35,6 +26,12 @@ def rigid(x: float) -> np.ndarray:
     move = np.eye(6)
     move[:3, 3:] = [[0, 0, 0], [0, 0, x], [0, -x, 0]]
     return move
+
+
+def composite(model, data, q: np.ndarray) -> np.ndarray:
+    """M_theta by pinocchio, which fills the upper half."""
+    upper = np.triu(pin.crba(model, data, q))
+    return upper + np.triu(upper, 1).T
 
 
 @check("beam mass matrix (23)", "Gauss quadrature of the kinetic energy (18)-(22)")
@@ -84,8 +81,7 @@ def test_rigid_joint_mass():
     model, data, _ = pinocchio_arm(UNEVEN, TURNED, tubes=True)
     ours, worst = rigid_joint_mass(UNEVEN, TURNED, POSTURES), 0.0
     for q, found in zip(POSTURES, ours, strict=True):
-        upper = np.triu(pin.crba(model, data, q))
-        worst = max(worst, np.abs(found - upper - np.triu(upper, 1).T).max())
+        worst = max(worst, np.abs(found - composite(model, data, q)).max())
     np.testing.assert_allclose(rigid_joint_mass(UNEVEN, TURNED, POSTURES[7]), ours[7], rtol=1e-13, atol=1e-12)
     return 0.0, worst, 1e-9
 
@@ -97,8 +93,7 @@ def test_the_urdf_has_the_same_joint_space_mass(mount):
     data = model.createData()
     assert pin.computeTotalMass(model) == pytest.approx(UNEVEN.link_mass.sum() + mount.mass, rel=1e-12)
     for q, ours in zip(POSTURES, rigid_joint_mass(UNEVEN, mount, POSTURES), strict=True):
-        upper = np.triu(pin.crba(model, data, q))
-        np.testing.assert_allclose(upper + np.triu(upper, 1).T, ours, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(composite(model, data, q), ours, rtol=1e-9, atol=1e-9)
 
 
 def test_cartesian_masses_have_the_energy_of_the_joints_and_of_the_links_on_loaded_springs():
@@ -195,6 +190,5 @@ def test_base_mass():
     worst = 0.0
     for q in POSTURES:
         chain = np.append(np.array([0.02, -0.01, 0.03]), q)
-        upper = np.triu(pin.crba(model, data, chain))
-        worst = max(worst, np.abs(rigid_joint_mass(ON_BASE, SPINDLE, chain) - upper - np.triu(upper, 1).T).max())
+        worst = max(worst, np.abs(rigid_joint_mass(ON_BASE, SPINDLE, chain) - composite(model, data, chain)).max())
     return 0.0, worst, 1e-9

@@ -279,10 +279,8 @@ def test_the_analysis_has_lumped_mode_condition_number_and_warnings_and_reads_ar
     assert limit == "axis 1 at 190 deg is outside its limits, -185 to 185 deg"
     low = analyse(ARM, BARE, np.radians([0, -10, 100, 0, 30, 0]), np.zeros(6))
     assert any("mm below the floor" in warning for warning in low["warnings"])
-    (tmp_path / "cell.yaml").write_text(
-        "/**:\n  ros__parameters:\n    includes: [kr270_2.yaml]\n    mount:\n      mass_kg: 12.0\n"
-        "    workpiece:\n      anything: 1\n"
-    )
+    text = "/**: {ros__parameters: {includes: [kr270_2.yaml], mount: {mass_kg: 12.0}, workpiece: {anything: 1}}}\n"
+    (tmp_path / "cell.yaml").write_text(text)
     arm, mount = read_arm(tmp_path / "cell.yaml")
     assert arm.name == "KR 270-2" and mount.mass == 12.0
 
