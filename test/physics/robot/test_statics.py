@@ -14,18 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.physics.robot import (
-    BARE,
-    compliance,
-    equilibrium,
-    forward,
-    jacobian,
-    pose,
-    stiffness,
-    wrench_for_pose,
-)
+from kr270_milling.physics.robot import BARE, compliance, equilibrium, forward, jacobian, pose, stiffness
 from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
+from kr270_milling.physics.robot.elastostatics import wrench_for_pose
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, SingularityError, UnstableLoadError
 from kr270_milling.physics.robot.kinematics import rotate_matrix, singularity_measures
 from kr270_milling.physics.robot.loads import link_loads, load_hessian, load_torque
