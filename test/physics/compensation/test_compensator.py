@@ -303,17 +303,13 @@ COMMANDS = [line for block in pages.blocks(PAGE) for line in block.commands]
 QUICK = ["--set", "path.length_mm=30", "--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3"]
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
+@pytest.mark.parametrize("words", [line.split()[1:] for line in COMMANDS if line.startswith("kr270_milling")])
+def test_the_commands_of_the_page_run_and_help(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
     for line in COMMANDS:
         if line.startswith("cat "):
             pages.run_here(line)
-    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
-
-
-@pytest.mark.parametrize("words", [line.split()[1:] for line in COMMANDS if line.startswith("kr270_milling")])
-def test_the_commands_of_the_page_run_and_help(words, folder, capsys):
     assert main([*words, *QUICK, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     original, kept = found["passes"]

@@ -229,31 +229,30 @@ SERIES = ("time_ns", "target", "reference", "tool", "deflection", "wrench", "cor
 
 
 @pytest.fixture(scope="module")
-def long_cell(tmp_path_factory):
-    return small_part(tmp_path_factory.mktemp("long"), GCODE, "cutting.detail=engagement", "dynamics.follow_pose=true")
+def whole(tmp_path_factory):
+    """A cell that mills a tool path by its engagement, and its pass."""
+    words = ("cutting.detail=engagement", "dynamics.follow_pose=true")
+    long = small_part(tmp_path_factory.mktemp("long"), GCODE, *words)
+    return long, simulate(long)
 
 
-@pytest.fixture(scope="module")
-def whole(long_cell):
-    return simulate(long_cell)
-
-
-def test_a_pass_in_windows_is_the_same_to_the_bit_and_its_progress_only_grows(long_cell, whole, monkeypatch):
+def test_a_pass_in_windows_is_the_same_to_the_bit_and_its_progress_only_grows(whole, monkeypatch):
     monkeypatch.setattr(milling_pass, "WINDOW", 73)
+    cell, original = whole
     seen: list[tuple[int, int]] = []
-    ran = simulate(long_cell, progress=lambda *count: seen.append(count)).result
+    ran = simulate(cell, progress=lambda *count: seen.append(count)).result
     for name in SERIES:
-        np.testing.assert_array_equal(getattr(ran, name), getattr(whole.result, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(ran, name), getattr(original.result, name), err_msg=name)
     done, totals = zip(*seen, strict=True)
     assert list(done) == sorted(set(done)) and done[-1] == totals[-1] and len(set(totals)) == 1
 
 
 @pytest.mark.parametrize("window", [64, milling_pass.WINDOW])
-def test_combined_rows_keep_extremes_sums_means_and_the_scores(long_cell, whole, monkeypatch, window):
+def test_combined_rows_keep_extremes_sums_means_and_the_scores(whole, monkeypatch, window):
     monkeypatch.setattr(milling_pass, "WINDOW", window)
-    plain = whole.result
-    periods = len(plain.time) - 1
-    ran = simulate(long_cell, most_rows=periods / 4.5)
+    cell, original = whole
+    plain, periods = original.result, len(original.result.time) - 1
+    ran = simulate(cell, most_rows=periods / 4.5)
     some = ran.result
     assert some.every == 5 and len(some.time) == 1 + -(-periods // 5)
     assert (np.diff(some.time_ns) > 0).all() and np.isin(some.time_ns, plain.time_ns).all()
@@ -264,7 +263,7 @@ def test_combined_rows_keep_extremes_sums_means_and_the_scores(long_cell, whole,
     counts = np.minimum(5, periods - 5 * np.arange(len(some.time) - 1))
     mean = (counts[:, None] * some.wrench[1:]).sum(axis=0) / periods
     assert mean == pytest.approx(plain.wrench[1:].mean(axis=0), rel=1e-9, abs=1e-9)
-    assert ran.scores.max_deviation == pytest.approx(whole.scores.max_deviation, rel=0.05)
+    assert ran.scores.max_deviation == pytest.approx(original.scores.max_deviation, rel=0.05)
     assert some.removed_volume == plain.removed_volume
 
 
