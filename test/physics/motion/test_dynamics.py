@@ -301,7 +301,7 @@ def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     assert not deflections(modes(np.diag([1e-6] * 6), TRANSLATIONS), reference, 100)[0].any()
 
 
-def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_a_correction_at_its_start():
+def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_its_start_and_the_paper_has_none():
     reference = knots([0.0, 0.002, 0.004], along_y([0.0, 0.002, 0.0]))
     motion = reference_motion(reference, Clock(1e-3, 1).stamp(np.arange(7)))
     expected = np.zeros((6, 18))
@@ -313,9 +313,6 @@ def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_a
     assert not reference_motion(corrected, stamps)[0, :6].any()
     jump = reference_motion(corrected, stamps, approach(target))[0, :6]
     np.testing.assert_allclose(jump, [0, 1e-3, 0, 0, 0, 0], atol=1e-15)
-
-
-def test_the_paper_has_eq_1_as_printed_and_every_other_cell_the_moving_reference():
     assert not PAPER.dynamics.reference_inertia and not PAPER.arm_model(PAPER.target()).reference.size
     assert read_cell(find_file("test_piece.yaml")).dynamics.reference_inertia
     assert Dynamics("lumped", 0.1).reference_inertia

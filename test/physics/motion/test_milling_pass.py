@@ -134,7 +134,7 @@ def test_a_pass_may_be_in_the_air_or_of_one_period_and_a_lack_of_log_or_tiles_is
         run(*SHORT)
 
 
-def test_a_period_is_whole_micro_steps_and_another_is_refused_with_the_nearest_ones_which_are_taken():
+def test_a_clock_has_whole_micro_steps_covers_the_duration_and_does_not_drift_and_other_periods_are_refused():
     for period_ms, micro_steps in ((0.5, 24), (1 / 48, 1), (0.25, 12), (7.5, 360), (0.125, 6)):
         assert Exchange(period_ms * 1e-3).clock(SPEED).micro_steps == micro_steps
     for period_ms, near in ((0.51, "0.5, 0.520833333"), (0.01, "0.0208333333"), (1e-9, "0.0208333")):
@@ -143,18 +143,6 @@ def test_a_period_is_whole_micro_steps_and_another_is_refused_with_the_nearest_o
         assert near in str(caught.value) and caught.value.key == "exchange.period_ms"
     for n in (1, 7, 24, 25):
         assert Exchange(float(f"{n / 48:.9g}") * 1e-3).clock(SPEED).micro_steps == n
-
-
-@given(st.integers(1, 480), st.integers(0, 10**7))
-def test_every_step_has_one_stamp_and_every_stamp_its_step(micro_steps, step):
-    clock = Clock(micro_steps / 48 * 1e-3, micro_steps)
-    stamp = int(clock.stamp(step))
-    assert stamp == pytest.approx(step * micro_steps / 48 * 1e6, abs=0.51)
-    assert clock.step(stamp) == step
-    assert clock.step(stamp + 1) == clock.step(stamp - 1) == -1
-
-
-def test_stamps_do_not_drift_and_the_periods_cover_the_duration():
     # 1 / 48 ms is no whole number of nanoseconds; after an hour the stamp is still the nearest one
     clock = Clock(1e-3 / 48, 1)
     hour = 48_000 * 3600
@@ -164,6 +152,15 @@ def test_stamps_do_not_drift_and_the_periods_cover_the_duration():
         assert clock.steps(int(clock.stamp(n))) == n
     for duration_ns, steps in ((0, 0), (1, 1), (500_000, 1), (500_001, 2), (1_200_000_000, 2400)):
         assert Clock(5e-4, 24).steps(duration_ns) == steps
+
+
+@given(st.integers(1, 480), st.integers(0, 10**7))
+def test_every_step_has_one_stamp_and_every_stamp_its_step(micro_steps, step):
+    clock = Clock(micro_steps / 48 * 1e-3, micro_steps)
+    stamp = int(clock.stamp(step))
+    assert stamp == pytest.approx(step * micro_steps / 48 * 1e6, abs=0.51)
+    assert clock.step(stamp) == step
+    assert clock.step(stamp + 1) == clock.step(stamp - 1) == -1
 
 
 # --- Scores of Table 2 and the ringing of a pass ---
