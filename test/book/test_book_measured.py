@@ -38,17 +38,12 @@ def measured(name: str, *columns: str) -> np.ndarray:
     return read_table(MEASURED / name, known).numbers(columns, np.nan)
 
 
-def json_of(*words: str) -> dict:
-    """What a command prints with --json."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        assert main([*words, "--json"]) == 0
-    return json.loads(printed.getvalue())
-
-
 @functools.cache
 def identified() -> dict:
-    return json_of("identify", "forces", str(MEASURED / "slot_forces.csv"), "--teeth", "2", "--diameter-mm", "25")
+    words = ("identify", "forces", str(MEASURED / "slot_forces.csv"), "--teeth", "2", "--diameter-mm", "25", "--json")
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main([*words]) == 0
+    return json.loads(printed.getvalue())
 
 
 @functools.cache
@@ -77,19 +72,15 @@ def test_preferred_law():
     return 0.9, np.sqrt(np.mean(edge**2)) / other, 0.0
 
 
-@check(
-    "slot at f_z = {feed} mm: mean F_y", DYNAMOMETER + "; 6 % are allowed", "N",
-    cases=("feed", [(feed,) for feed in FEEDS]),
-)  # fmt: skip
+@check("slot at f_z = {feed} mm: mean F_y", DYNAMOMETER + "; 6 % are allowed", "N",
+       cases=("feed", [(feed,) for feed in FEEDS]))  # fmt: skip
 def test_mean_across(feed):
     expected = measured("slot_forces.csv", "fy_n")[FEEDS.index(feed), 0]
     return expected, revolution(feed)[:, 1].mean(), 0.06 * expected
 
 
-@check(
-    "slot at f_z = {feed} mm: mean F_x", DYNAMOMETER + "; 12 % are allowed", "N",
-    cases=("feed", [(feed,) for feed in FEEDS[1:]]),
-)  # fmt: skip
+@check("slot at f_z = {feed} mm: mean F_x", DYNAMOMETER + "; 12 % are allowed", "N",
+       cases=("feed", [(feed,) for feed in FEEDS[1:]]))  # fmt: skip
 def test_mean_along(feed):
     expected = measured("slot_forces.csv", "fx_n")[FEEDS.index(feed), 0]
     return expected, revolution(feed)[:, 0].mean(), 0.12 * abs(expected)
@@ -114,28 +105,22 @@ def test_runout():
     return expected, np.mean([np.abs(lines[1]) / 50 for lines in spectra]), 0.05 * expected
 
 
-@check(
-    "slot at f_z = {feed} mm: peak F_y with the run-out of 27 um", DYNAMOMETER + "; 10 % are allowed", "N",
-    cases=("feed", [(feed,) for feed in FEEDS]),
-)  # fmt: skip
+@check("slot at f_z = {feed} mm: peak F_y with the run-out of 27 um", DYNAMOMETER + "; 10 % are allowed", "N",
+       cases=("feed", [(feed,) for feed in FEEDS]))  # fmt: skip
 def test_peak(feed):
     expected = measured("slot_revolution.csv", "peak_fy_n")[FEEDS.index(feed), 0]
     return expected, revolution(feed, f"tool.runout_um=[{RUNOUT},0]")[:, 1].max(), 0.10 * expected
 
 
-@check(
-    "one tooth at h = 0.125 mm, 1 mm deep: the reading of (26) against a measured tooth",
-    "K_tc h + K_te of " + DYNAMOMETER + "; 5 % are allowed, the coefficients have 12 %", "N",
-)  # fmt: skip
+@check("one tooth at h = 0.125 mm, 1 mm deep: the reading of (26) against a measured tooth",
+       "K_tc h + K_te of " + DYNAMOMETER + "; 5 % are allowed, the coefficients have 12 %", "N")  # fmt: skip
 def test_one_tooth():
     expected = identified()["tangential_cutting_n_per_mm2"] * 0.125 + identified()["tangential_edge_n_per_mm"]
     return expected, PAPER_LAW.force_per_depth(0.125e-3)[0] * 1e-3, 0.05 * expected
 
 
-@check(
-    "slot at f_z = 0.125 mm: measured F_y / F_y by the Al7075-T6 of another laboratory",
-    "1.4: coefficients of one alloy from another laboratory are no forecast",
-)  # fmt: skip
+@check("slot at f_z = 0.125 mm: measured F_y / F_y by the Al7075-T6 of another laboratory",
+       "1.4: coefficients of one alloy from another laboratory are no forecast")  # fmt: skip
 def test_other_laboratory():
     k = find_material("Al7075-T6")[0].values  # K_tc, K_te, K_rc, K_re, ...
     rows = [f"cutting.linear_edge.{name}={value * 1e-6:g}" for name, value in zip(
@@ -155,10 +140,8 @@ def test_joint_springs(axis):
     return 0.75, 1 / stiffness / read_arm(find_file("kr270_2.yaml"))[0].joint_compliance[axis - 1], 0.25
 
 
-@check(
-    "gravity compensator of a KR 300 R2500: pull at A2 = {angle} deg", "measured pressure times area of the ring, "
-    + KR300 + "; 1 % is allowed", "N", cases=("angle row", [(-120 + 10 * k, k) for k in range(9)]),
-)  # fmt: skip
+@check("gravity compensator of a KR 300 R2500: pull at A2 = {angle} deg", "measured pressure times area of the ring, "
+       + KR300 + "; 1 % is allowed", "N", cases=("angle row", [(-120 + 10 * k, k) for k in range(9)]))  # fmt: skip
 def test_compensator(angle, row):
     expected = 1e5 * measured("compensator.csv", "pressure_bar")[row, 0] * np.pi / 4 * (0.055**2 - 0.030**2)
     spring, q = read_arm(find_file("compensator_kr300_r2500.yaml"))[0].compensator, np.radians(angle)

@@ -18,22 +18,17 @@ PAPER = read_cell(FILE)
 
 
 # --- the cell ---
-def test_the_path_starts_where_the_start_joints_put_the_tool_and_the_joints_command_its_knots():
-    start = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, PAPER.start_joints)
-    np.testing.assert_allclose(start.position, PAPER.target().position[0], atol=1e-9)
-    np.testing.assert_allclose(start.rotation, np.diag([1.0, -1.0, -1.0]), atol=1e-12)  # tcp in the workpiece
-    np.testing.assert_allclose(PAPER.joints(PAPER.target())[0], PAPER.start_joints, atol=1e-7)
-    target = PAPER.target()
-    tool = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, PAPER.joints(target))
-    np.testing.assert_allclose(tool.position, target.position, atol=1e-12)
-
-
-def test_the_target_is_the_papers_line():
-    target = PAPER.target()
+def test_the_target_is_the_papers_line_from_where_the_start_joints_put_the_tool_and_the_joints_command_its_knots():
+    target, joints = PAPER.target(), PAPER.joints(PAPER.target())
     assert target.duration_ns == 1_200_000_000 and set(np.diff(target.time_ns)) == {50_000_000}
     np.testing.assert_allclose(target.position[-1] - target.position[0], [0.080, 0.0, 0.0], atol=1e-15)
     assert target.position[0, 2] == pytest.approx(-PAPER.path.depth_of_cut)
     np.testing.assert_allclose(target.feed(target.time_ns), 4 / 60)
+    np.testing.assert_allclose(joints[0], PAPER.start_joints, atol=1e-7)
+    tool = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, joints)
+    np.testing.assert_allclose(tool.position, target.position, atol=1e-12)
+    np.testing.assert_allclose(tool.rotation[0], np.diag([1.0, -1.0, -1.0]), atol=1e-9)  # tcp in the workpiece
+    assert PAPER.steps_of(0.01) == 20 and PAPER.steps_of(0.0101) == 21 and PAPER.steps_of(1e-6) == 1  # of messages
 
 
 def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
@@ -47,40 +42,36 @@ def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
     np.testing.assert_array_equal(commanded_joints(plain, target), plain.joints(target))
 
 
-@pytest.mark.parametrize(
-    ("assignment", "key", "says"),
-    [
-        ("exchange.micro_step_deg=7", "exchange.micro_step_deg", "whole part of 360"),
-        ("exchange.period_ms=0.3333", "exchange.period_ms", "whole number of micro-steps"),
-        ("tool.spindle_speed_rpm=8001", "exchange.period_ms", "for example"),
-        ("path.start_mm=[1e9, 0]", "path.start_mm", "at most"),
-        ("stock.max_mm=[1, -20, -20]", "stock.max_mm", "above min_mm"),
-        ("tool.pitch_deg=[90, 90]", "tool.pitch_deg", "4 teeth"),
-        ("compensation.method=fastest", "compensation.method", "one of best"),
-        ("path.file=nowhere.nc", "", "no such file"),
-        ("path=3", "path", "a group of keys"),
-    ],
-)  # fmt: skip
-def test_a_cell_that_cannot_be_is_refused_with_its_key(assignment, key, says):
+@pytest.mark.parametrize(("assignments", "key", "says"), [
+    (["exchange.micro_step_deg=7"], "exchange.micro_step_deg", "whole part of 360"),
+    (["exchange.period_ms=0.3333"], "exchange.period_ms", "whole number of micro-steps"),
+    (["tool.spindle_speed_rpm=8001"], "exchange.period_ms", "for example"),
+    (["tool.spindle_speed_rpm=0"], "tool.spindle_speed_rpm", "above 0"),
+    (["path.start_mm=[1e9, 0]"], "path.start_mm", "at most"),
+    (["stock.max_mm=[1, -20, -20]"], "stock.max_mm", "above min_mm"),
+    (["tool.pitch_deg=[90, 90]"], "tool.pitch_deg", "4 teeth"),
+    (["compensation.method=fastest"], "compensation.method", "one of best"),
+    (["path.file=nowhere.nc"], "", "no such file"),
+    (["path=3"], "path", "a group of keys"),
+    (["tool.spindle_speed_rpm=200000", "tool.teeth=99", "exchange.micro_step_deg=.01"], "exchange.micro_step_deg",
+     "larger"),
+    (["exchange.iterations=20", "tool.teeth=16", "path.feed_rate_m_per_min=0.002"], "exchange.micro_step_deg",
+     "larger"),
+    (["stock.min_mm=[-1e5,-1e5,-10]", "stock.max_mm=[1e5,1e5,0]"], "stock.grid_step_um", "larger"),
+    (["path.feed_rate_m_per_min=1e-7"], "path.feed_rate_m_per_min", "faster"),
+])  # fmt: skip
+def test_a_cell_that_cannot_be_and_a_pass_of_days_are_refused_with_their_key(assignments, key, says):
     with pytest.raises(ConfigError) as caught:
-        read_cell(FILE, [assignment])
+        read_cell(FILE, assignments)
     assert caught.value.key == key and says in str(caught.value) and str(caught.value).isprintable()
     assert "np.float64" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("start", "diameter", "seconds"), [(-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)]
-)
-def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border(start, diameter, seconds):
-    cell = read_cell(FILE, [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"])
-    assert cell.full_engagement == pytest.approx(seconds, abs=1e-12) and cell.scored_from_ns == round(1e9 * seconds)
-
-
-def test_messages_are_thinned_to_a_hundred_a_second():
-    assert PAPER.steps_of(0.01) == 20 and PAPER.steps_of(0.0101) == 21 and PAPER.steps_of(1e-6) == 1
-
-
-def test_a_tool_path_has_no_low_frequency_of_one_feed_direction(tmp_path):
+def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border_and_a_tool_path_has_no_low_frequency(tmp_path):
+    for start, diameter, seconds in ((-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)):
+        words = [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"]
+        cell = read_cell(FILE, words)
+        assert cell.full_engagement == pytest.approx(seconds, abs=1e-12) and cell.scored_from_ns == round(1e9 * seconds)
     file = tmp_path / "turned.nc"
     file.write_text("G21 G90 S8000 M3\nG0 X0 Y-15 Z5\nG1 Z-0.5 F1000\nG1 Y15 F4000\n")
     cell = read_cell(find_file("test_piece.yaml"), [f"path.file={file}"])
@@ -88,24 +79,18 @@ def test_a_tool_path_has_no_low_frequency_of_one_feed_direction(tmp_path):
 
 
 # --- where the workpiece is ---
-def test_the_start_joints_place_the_workpiece_and_numbers_may_move_it():
+def test_the_start_joints_place_the_workpiece_and_numbers_may_move_it_without_a_contradiction(tmp_path):
     q = "start_joints_deg=[80,-50,120,180,25,180]"
     turned = read_cell(FILE, [q])
     np.testing.assert_allclose(np.degrees(turned.joints(turned.target())[0]), [80, -50, 120, 180, 25, 180], atol=1e-6)
     moved = read_cell(FILE, ["workpiece.xyz_mm=[0,-1600,500]"])
     np.testing.assert_allclose(moved.workpiece.xyz, [0.0, -1.6, 0.5])
     np.testing.assert_allclose(moved.workpiece.pose.rotation, PAPER.workpiece.pose.rotation, atol=1e-12)
-
-
-def test_a_place_that_contradicts_the_start_joints_is_refused(tmp_path):
     placed = "at_start_joints: true"
     twice = FILE.read_text().replace(placed, f"{placed}\n      xyz_mm: [0.0, -1600.0, 500.0]")
     (tmp_path / "cell.yaml").write_text(twice)
     with pytest.raises(ConfigError, match="workpiece.xyz_mm.*at_start_joints places the workpiece"):
         read_cell(tmp_path / "cell.yaml")
-
-
-def test_a_posture_is_given_once_at_least():
     with pytest.raises(ConfigError, match="posture_hint_deg.*six joint positions"):
         read_cell(find_file("test_piece.yaml"), ["posture_hint_deg=[]"])
 
@@ -120,17 +105,14 @@ def programmed(folder, program, *sets):
     return read_cell(find_file("test_piece.yaml"), [f"path.file={folder / 'part.nc'}", *sets])
 
 
-def test_a_spindle_speed_that_the_cell_does_not_give_is_the_programs_or_refused(tmp_path):
+def test_speed_and_feed_come_from_program_or_cell_and_may_not_contradict_each_other(tmp_path):
     cell = programmed(tmp_path, PROGRAM, *SILENT)
     assert cell.tool.spindle_speed == pytest.approx(200 * np.pi)
     assert cell.programmed.program.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
     with pytest.raises(ConfigError, match="no spindle speed S"):
         programmed(tmp_path, PROGRAM.replace("M3 S6000", "M3"), *SILENT)
-    with pytest.raises(ConfigError, match="tool.spindle_speed_rpm.*above 0"):
-        read_cell(FILE, ["tool.spindle_speed_rpm=0"])
-
-
-def test_a_feed_comes_from_the_cell_where_the_program_has_none_and_may_not_contradict_it(tmp_path):
+    silent = GCODE.replace(" S8000 M3", "").replace("M5\n", "")
+    assert len(small_part(tmp_path, silent, "tool.rotation=counterclockwise").target()) > 10
     other = ("path.feed_rate_m_per_min=1.2", "tool.spindle_speed_rpm=6000")
     assert programmed(tmp_path, PROGRAM.replace(" F900", ""), *other).feed_rate == pytest.approx(0.02)
     with pytest.raises(InputError, match="its feed is 900 mm/min, but path.feed_rate_m_per_min of the cell says 1200"):
@@ -154,43 +136,22 @@ def test_a_straight_cut_and_a_program_answer_the_same_questions(tmp_path):
 HEAD = "G21 G90 S8000 M3\n"
 
 
-@pytest.mark.parametrize(
-    ("assignments", "key"),
-    [
-        (["tool.spindle_speed_rpm=200000", "tool.teeth=99", "exchange.micro_step_deg=.01"], "exchange.micro_step_deg"),
-        (["exchange.iterations=20", "tool.teeth=16", "path.feed_rate_m_per_min=0.002"], "exchange.micro_step_deg"),
-        (["stock.min_mm=[-1e5,-1e5,-10]", "stock.max_mm=[1e5,1e5,0]"], "stock.grid_step_um"),
-        (["path.feed_rate_m_per_min=1e-7"], "path.feed_rate_m_per_min"),
-    ],
-)  # fmt: skip
-def test_a_pass_of_days_is_refused_when_the_cell_is_read(assignments, key):
-    with pytest.raises(ConfigError) as caught:
-        read_cell(FILE, assignments)
-    assert caught.value.key == key and ("larger" in str(caught.value) or "faster" in str(caught.value))
-
-
-def test_a_posture_every_nanometre_is_refused():
-    slow = ["dynamics.follow_pose=true", "dynamics.posture_spacing_mm=1e-9", "path.feed_rate_m_per_min=0.05"]
-    cell = read_cell(FILE, slow)
-    with pytest.raises(ParameterError, match="posture_spacing_mm"):
-        cell.arm_model(cell.target())
-    check_postures(100_000, 1e-3)
-
-
-def test_a_path_file_is_reckoned_too(tmp_path):
+def test_the_effort_of_a_path_file_is_reckoned_with_its_ramps_and_postures(tmp_path):
     slow = HEAD + "G0 X-14 Y0 Z2\nG0 Z-1\nG1 X28 F0.005\n"
     with pytest.raises(MillingError, match="exchange periods"):
         small_part(tmp_path, slow, "timing.controller_step_ms=1000.0").target()
     fine = ["exchange.micro_step_deg=0.01", "tool.teeth=50", "exchange.iterations=20", "cutting.detail=teeth"]
     with pytest.raises(ParameterError, match=r"micro_step_deg.*larger"):
         small_part(tmp_path, slow.replace("F0.005", "F4"), *fine).target()
-
-
-def test_a_ramp_of_a_large_tool_on_a_fine_grid_is_refused_and_a_plain_one_is_not(tmp_path):
     ramp = HEAD + "G0 X2 Y0 Z0\n" + "".join(f"G1 X{20 + 10 * (-1) ** k} Z{-k / 100} F100\n" for k in range(1, 60))
     small_part(tmp_path, ramp).target()
     with pytest.raises(ParameterError, match=r"grid_step_um.*sinking"):
         small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5", "cutting.detail=teeth").target()
+    slow = ["dynamics.follow_pose=true", "dynamics.posture_spacing_mm=1e-9", "path.feed_rate_m_per_min=0.05"]
+    cell = read_cell(FILE, slow)
+    with pytest.raises(ParameterError, match="posture_spacing_mm"):
+        cell.arm_model(cell.target())
+    check_postures(100_000, 1e-3)
 
 
 def test_what_a_footprint_swept_as_a_whole_costs():
@@ -203,11 +164,8 @@ def test_what_a_footprint_swept_as_a_whole_costs():
     with pytest.raises(ParameterError):
         check_effort(PAPER.exchange, PAPER.tool, stock, 100.0, (1.001 * most, deep))
     check_effort(PAPER.exchange, PAPER.tool, stock, 100.0, (1.001 * most, 1e-3))
-
-
-def test_only_the_way_down_below_the_top_counts_as_sinking():
-    seconds, depth = sinking(np.arange(6.0), np.array([5.0, 1.0, -1.0, -1.0, 2.0, -3.0]), 0.0)
-    assert (seconds, depth) == (2.0, 4.0)
+    # only the way down below the top counts
+    assert sinking(np.arange(6.0), np.array([5.0, 1.0, -1.0, -1.0, 2.0, -3.0]), 0.0) == (2.0, 4.0)
     assert sinking(np.arange(3.0), np.array([1.0, 2.0, 0.5]), 0.0) == (0.0, 0.0)
 
 
@@ -219,44 +177,28 @@ def test_an_arm_that_would_fly_off_gives_no_numbers(stiffness):
 
 
 # --- Tool paths that a cell refuses because their spindle, their tool axis or their moves cannot be meant ---
-SLOT = "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + "".join(
-    f"{x},0,-0.5,{{a}},{{b}},{{c}},3000\n" for x in range(-14, 20, 2)
-)
-
-
 def table(directory, a=0.0, b=0.0, c=180.0):
     """The cell with a slot as a table; A, B, C [deg] turn tcp."""
     path = directory / "slot.csv"
-    path.write_text(SLOT.format(a=a, b=b, c=c))
+    rows = "".join(f"{x},0,-0.5,{a},{b},{c},3000\n" for x in range(-14, 20, 2))
+    path.write_text("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + rows)
     return read_cell(find_file("paper.yaml"), [f"path.file={path}", "stock.max_mm=[40,14,0]"])
 
 
-@pytest.mark.parametrize(
-    ("program", "rotation", "reason", "line"),
-    [
-        (GCODE.replace("G1 Y10\n", "M5\nG1 Y10\n"), "clockwise", "while the spindle is off", 8),
-        (GCODE, "counterclockwise", "turns clockwise .* counterclockwise", None),
-        ("G21 G90\nG0 X-14 Y0 Z-0.5\nG0 X20\nM30\n", "clockwise", "no cutting move", None),
-    ],
-)
+@pytest.mark.parametrize(("program", "rotation", "reason", "line"), [
+    (GCODE.replace("G1 Y10\n", "M5\nG1 Y10\n"), "clockwise", "while the spindle is off", 8),
+    (GCODE, "counterclockwise", "turns clockwise .* counterclockwise", None),
+    ("G21 G90\nG0 X-14 Y0 Z-0.5\nG0 X20\nM30\n", "clockwise", "no cutting move", None),
+])  # fmt: skip
 def test_a_program_whose_spindle_or_moves_cannot_be_meant_is_refused(tmp_path, program, rotation, reason, line):
     with pytest.raises(InputError, match=reason) as caught:
         small_part(tmp_path, program, f"tool.rotation={rotation}").target()
     assert line is None or caught.value.line == line
 
 
-def test_a_program_without_a_spindle_leaves_it_to_the_cell(tmp_path):
-    silent = GCODE.replace(" S8000 M3", "").replace("M5\n", "")
-    assert len(small_part(tmp_path, silent, "tool.rotation=counterclockwise").target()) > 10
-
-
-@pytest.mark.parametrize(("turned", "tilt"), [(dict(c=210.0), 30), (dict(b=2.0), 2), (dict(c=0.0), 180)])
-def test_a_tilted_tool_is_refused_with_its_tilt(tmp_path, turned, tilt):
-    with pytest.raises(InputError, match=f"tilted by {tilt} deg") as caught:
-        table(tmp_path, **turned).target()
-    assert caught.value.line in (2, 3)
-
-
-def test_a_tool_within_a_degree_and_turned_about_its_axis_is_taken(tmp_path):
-    target = table(tmp_path, a=30.0, c=180.9).target()
-    assert np.ptp(target.position[:, 0]) == pytest.approx(32e-3)
+def test_a_tilted_tool_is_refused_with_its_tilt_and_one_within_a_degree_or_turned_about_its_axis_is_taken(tmp_path):
+    for turned, tilt in ((dict(c=210.0), 30), (dict(b=2.0), 2), (dict(c=0.0), 180)):
+        with pytest.raises(InputError, match=f"tilted by {tilt} deg") as caught:
+            table(tmp_path, **turned).target()
+        assert caught.value.line in (2, 3)
+    assert np.ptp(table(tmp_path, a=30.0, c=180.9).target().position[:, 0]) == pytest.approx(32e-3)

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import rotation_from_abc, rotation_from_quaternion
-from kr270_milling.path.cam.apt.reader import read_apt
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
-from kr270_milling.path.cam.readers import READERS, read_path_file, read_points, read_toolpath
+from kr270_milling.path.cam.readers import READERS, read_path_file, read_toolpath
 from kr270_milling.path.toolpath import REACH, Toolpath
 from kr270_milling.path.trajectory_csv import read_csv
 
@@ -100,12 +99,9 @@ def test_long_lines_take_no_time(tmp_path, suffix, line):
     assert time.process_time() - began < 5  # a reader that backtracks would take hours
 
 
-def test_another_kind_of_file_is_refused_by_its_name(tmp_path):
+def test_another_kind_of_file_a_tool_of_a_file_without_tools_and_a_recording_as_a_program_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"\.nc"):
         read_toolpath(tmp_path / "part.step")
-
-
-def test_a_tool_of_a_file_without_tools_and_a_recording_as_a_program_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"a \.csv file has no tools, so T1 cannot be chosen"):
         read_path_file(tmp_path / "points.csv", tool="T1")
     with pytest.raises(InputError, match=r"a \.mcap file has no tools"):
@@ -119,57 +115,52 @@ HEAD = "PARTNO TEST PIECE\nUNITS/MM\nSPINDL/8000,RPM,CLW\n"
 
 
 @pytest.fixture
-def apt(tmp_path):
-    def read(text: str):
-        (tmp_path / "part.apt").write_text(text)
-        return read_apt(tmp_path / "part.apt")
+def read(tmp_path):
+    def read(text: str, suffix: str = ".apt"):
+        (tmp_path / f"part{suffix}").write_text(text)
+        return read_toolpath(tmp_path / f"part{suffix}")
 
     return read
 
 
-def test_points_feeds_and_rapids_are_read(apt):
-    """RAPID holds for one move, and a statement may continue in the next line."""
-    path = apt(
+def test_points_feeds_in_mm_or_inches_rapids_tool_axes_and_features_are_read(read):
+    # RAPID holds for one move, and a statement may continue in the next line
+    path = read(
         HEAD + "FROM/0,0,50\nFEDRAT/600,MMPM\nRAPID\nGOTO/0,0,5\nGOTO/ 0, $\n0, -1\n$$ done\nGOTO/10,0,-1\nFINI\n"
     )
     np.testing.assert_allclose(path.position * 1e3, [[0, 0, 50], [0, 0, 5], [0, 0, -1], [10, 0, -1]])
     assert path.rapid.tolist() == [True, True, False, False] and path.line.tolist() == [4, 7, 8, 11]
     np.testing.assert_allclose(path.feed[2:], 0.01)
     np.testing.assert_allclose(path.spindle_speed, 8000 * 2 * np.pi / 60)
-
-
-def test_inches_are_inches(apt):
-    path = apt("UNITS/INCHES\nGOTO/0,0,0\nFEDRAT/60\nGOTO/1,0,0\nFEDRAT/60,MMPM\nGOTO/2,0,0\nFINI\n")
+    path = read("UNITS/INCHES\nGOTO/0,0,0\nFEDRAT/60\nGOTO/1,0,0\nFEDRAT/60,MMPM\nGOTO/2,0,0\nFINI\n")
     np.testing.assert_allclose(path.position[:, 0], [0, 0.0254, 0.0508])
     np.testing.assert_allclose(path.feed[1:], [0.0254, 0.001])
-
-
-def test_the_tool_axis_points_from_the_tip_to_the_spindle(apt):
-    path = apt(HEAD + "FEDRAT/600\nGOTO/0,0,0,0,0,1\nGOTO/1,0,0,0.6,0,0.8\nGOTO/2,0,0,0,-0.28,0.96\nFINI\n")
+    path = read(HEAD + "FEDRAT/600\nGOTO/0,0,0,0,0,1\nGOTO/1,0,0,0.6,0,0.8\nGOTO/2,0,0,0,-0.28,0.96\nFINI\n")
     rotation = rotation_from_quaternion(path.quaternion)
     np.testing.assert_allclose(rotation[0], np.diag([1.0, -1.0, -1.0]), atol=1e-15)
     np.testing.assert_allclose(-rotation[:, :, 2], [[0, 0, 1], [0.6, 0, 0.8], [0, -0.28, 0.96]], atol=1e-12)
-
-
-def test_one_word_comments_name_features(apt):
-    path = apt(HEAD + "FEDRAT/600\nGOTO/0,0,0\n$$ circle\nGOTO/1,0,0\nPPRINT/diamond\nGOTO/2,0,0\n$$ two words\nFINI\n")
+    path = read("FEDRAT/600\nGOTO/0,0,0\n$$ circle\nGOTO/1,0,0\nPPRINT/diamond\nGOTO/2,0,0\n$$ two words\nFINI\n")
     assert [path.features[i] for i in path.feature] == ["", "circle", "diamond"]
 
 
-def test_a_circle_leads_to_its_goto_and_turns_to_the_right_about_its_axis(apt):
-    left = apt(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/0,5,0\nFINI\n")
-    right = apt(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,-1,5\nGOTO/0,5,0\nEND\nrubbish\n")
+def test_a_circle_turns_to_the_right_about_its_axis_but_of_nx_and_leads_through_its_points_to_its_goto(read):
+    left = read(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/0,5,0\nFINI\n")
+    right = read(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,-1,5\nGOTO/0,5,0\nEND\nrubbish\n")
     assert left.length == pytest.approx(0.005 * np.pi / 2) and right.length == pytest.approx(0.005 * np.pi * 3 / 2)
     assert set(left.curvature[1:]) == {200.0} and set(right.curvature[1:]) == {-200.0}
     np.testing.assert_allclose(left.position[-1] * 1e3, [0, 5, 0], atol=1e-12)
-
-
-def test_the_axis_of_a_circle_of_nx_turns_the_other_way(apt):
-    """NX writes eleven numbers and means k = 1 clockwise: a path along -x, a quarter up to +y, and on without a corner.
-
-    The sense is that of the documentation of NX ("assuming a clockwise direction") and of tool paths that NX wrote.
-    """
-    path = apt(
+    # PTC Creo help, "CL output for circular interpolation": right-hand rule, helices, lists of points
+    helix = read(
+        "UNITS/INCHES\nFEDRAT / 8.0, IPM\nGOTO / 1.2, 0.0, -0.6\nCIRCLE / 1.0, 0.0, -0.6, $ $$ 1ST ORBIT\n"
+        "0.0, 0.0, 1.0, 0.2\nGOTO / 1.2, 0.0, -0.5\nFINI\n"
+    )
+    turn = 25.4e-3 * np.hypot(0.4 * np.pi, 0.1)
+    assert helix.length == pytest.approx(turn, rel=1e-5) and (helix.curvature[1:] > 0).all()
+    listed = read(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/4,3,0, $\n3,4,0, $\n0,5,0\nFINI\n")
+    assert listed.length == pytest.approx(5e-3 * np.pi / 2)
+    # NX writes eleven numbers and means k = 1 clockwise: a path along -x, a quarter up to +y, and on without a corner.
+    # The sense is that of the documentation of NX ("assuming a clockwise direction") and of tool paths that NX wrote.
+    path = read(
         "TOOL PATH/TRIM,TOOL,MILL\nFEDRAT/MMPM,600\nGOTO/8,-2,0\nGOTO/0,-2,0\n"
         "CIRCLE/0,0,0,0,0,1,2,0.06,0.5,10,0\nGOTO/-2,0,0\nGOTO/-2,6,0\nEND-OF-PATH\n"
     )
@@ -179,27 +170,12 @@ def test_the_axis_of_a_circle_of_nx_turns_the_other_way(apt):
     np.testing.assert_allclose(starts[1:], ends[:-1], atol=1e-9)
 
 
-def test_circles_of_creo_are_orbits_points_of_the_arc_and_continued_with_a_remark(apt):
-    """PTC Creo help, "CL output for circular interpolation": right-hand rule, helices, lists of points."""
-    helix = apt(
-        "UNITS/INCHES\nFEDRAT / 8.0, IPM\nGOTO / 1.2, 0.0, -0.6\nCIRCLE / 1.0, 0.0, -0.6, $ $$ 1ST ORBIT\n"
-        "0.0, 0.0, 1.0, 0.2\nGOTO / 1.2, 0.0, -0.5\nFINI\n"
-    )
-    turn = 25.4e-3 * np.hypot(0.4 * np.pi, 0.1)
-    assert helix.length == pytest.approx(turn, rel=1e-5) and (helix.curvature[1:] > 0).all()
-    listed = apt(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/4,3,0, $\n3,4,0, $\n0,5,0\nFINI\n")
-    assert listed.length == pytest.approx(5e-3 * np.pi / 2)
-
-
-def test_a_feed_per_revolution_goes_with_the_spindle_and_cclw_turns_it_the_other_way(apt):
-    path = apt("SPINDL/RPM,6000,CCLW\nGOTO/0,0,0\nFEDRAT/0.2,MMPR\nGOTO/1,0,0\nGODLTA/0,2,0\nFINI\n")
+def test_a_feed_per_revolution_goes_with_the_spindle_and_tools_and_what_moves_nothing_are_noted(read):
+    path = read("SPINDL/RPM,6000,CCLW\nGOTO/0,0,0\nFEDRAT/0.2,MMPR\nGOTO/1,0,0\nGODLTA/0,2,0\nFINI\n")
     np.testing.assert_allclose(path.feed[1:], 0.02)
     assert path.program.spindle_speeds == pytest.approx((-200 * np.pi,))
     np.testing.assert_allclose(path.position[-1] * 1e3, [1, 2, 0])
-
-
-def test_tools_and_what_moves_nothing_are_noted(apt):
-    path = apt(
+    path = read(
         "PARTNO BRACKET\nMULTAX/OFF\nMSYS/0,0,0,1,0,0,0,1,0\nLOADTL/3\nCUTTER/12,0\nCOOLNT/ON\nFEDRAT/600\nGOTO/0,0,5\n"
         "GOTO/0,0,0\nCOOLNT/OFF\nGOHOME\nRAPID\nGOTO/9,9,5\nFINI\n"
     )
@@ -212,34 +188,23 @@ def test_tools_and_what_moves_nothing_are_noted(apt):
 
 # --- Tool paths from CSV ---
 HEADER = "x_mm,y_mm,z_mm,feed_mm_per_min\n"
+TURNED = HEADER.replace("feed", "a_deg,b_deg,c_deg,feed")
 
 
-@pytest.fixture
-def points(tmp_path):
-    def read(text: str):
-        (tmp_path / "part.csv").write_text(text)
-        return read_points(tmp_path / "part.csv")
-
-    return read
-
-
-def test_points_and_feeds_are_read_in_their_units(points):
-    path = points(HEADER + "0,0,0,600\n\n1,2,3,1200\n")
+def test_points_feeds_and_kuka_angles_of_a_table_are_read_in_their_units(read):
+    path = read(HEADER + "0,0,0,600\n\n1,2,3,1200\n", ".csv")
     np.testing.assert_allclose(path.position, [[0, 0, 0], [0.001, 0.002, 0.003]])
     np.testing.assert_allclose(path.feed, [0.01, 0.02])
     assert path.line.tolist() == [2, 4] and path.rapid.tolist() == [True, False]
-    other = points("feed_m_per_min, z_m, y_m, x_m\n0.6,0,0,0\n1.2,0.003,0.002,0.001\n")
+    other = read("feed_m_per_min, z_m, y_m, x_m\n0.6,0,0,0\n1.2,0.003,0.002,0.001\n", ".csv")
     np.testing.assert_allclose(other.position, path.position)
     np.testing.assert_allclose(other.feed, path.feed)
-
-
-def test_kuka_angles_turn_the_tool(points):
-    path = points("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n0,0,0,0,0,180,60\n1,0,0,10,20,150,60\n")
+    path = read(TURNED + "0,0,0,0,0,180,60\n1,0,0,10,20,150,60\n", ".csv")
     expected = rotation_from_abc(np.radians([[0, 0, 180], [10, 20, 150]]))
     np.testing.assert_allclose(rotation_from_quaternion(path.quaternion), expected, atol=1e-14)
 
 
-APT_REFUSED = [
+REFUSED = {".apt": [
     ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5,0.1,0.5,9,0,TIMES,2\n", 3, "several turns"),
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
@@ -247,46 +212,29 @@ APT_REFUSED = [
     ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
     ("GOTO/5,0,0\nCYCLE/DRILL,5\n", 2, "CYCLE: let the CAM output drilling as GOTO"),
     ("GOTO/5,0,0\nCUTCOM/LEFT\n", 2, "CUTCOM: let the CAM output the path of the tool's centre"),
-    ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"),
-    ("SPINDL/800,SFM\n", 1, "SFM"),
+    ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"), ("SPINDL/800,SFM\n", 1, "SFM"),
     ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
-    ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"),
-    ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
-    ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"),
-    ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
-    ("GOTO/0,0,nan\n", 1, "NAN"),
-    ("GOTO/0,0\n", 1, "not 2 numbers"),
-    ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
-    ("GOTO/0,0,0,0,0,-1\n", 1, "below"),
-    ("UNITS/FURLONGS\n", 1, "FURLONGS"),
-    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"),
-    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
+    ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"), ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
+    ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"), ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
+    ("GOTO/0,0,nan\n", 1, "NAN"), ("GOTO/0,0\n", 1, "not 2 numbers"), ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
+    ("GOTO/0,0,0,0,0,-1\n", 1, "below"), ("UNITS/FURLONGS\n", 1, "FURLONGS"),
+    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"), ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
     ("GOTO/0,0,0\n{}\n", 2, "no APT statement"),
-]
-CSV_REFUSED = [
-    ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"),
-    ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
-    ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"),
-    ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
-    (HEADER + "0,0,0,600\n1,0,0\n", 3, "3 values"),
-    (HEADER + "0,0,0,600\n1,0,nan,600\n", 3, "z_mm is not finite"),
-    (HEADER + "0,0,0,600\n1,0,1_0,600\n", 3, "1_0"),
-    (HEADER + "0,0,0,600\n1,0,0,0\n", 3, "zero feed"),
-    (HEADER + "0,0,0,600\n1,0,0,-1\n", 3, "out of range"),
-    (HEADER + "0,0,0,600\n1e9,0,0,600\n", 3, "wrong unit"),
-    (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"),
-    (HEADER, 1, "no row"),
-]
+], ".csv": [
+    ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"), ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
+    ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"), ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
+    (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"), (HEADER, 1, "no row"),
+    *((f"{HEADER}0,0,0,600\n{row}\n", 3, word) for row, word in (
+        ("1,0,0", "3 values"), ("1,0,nan,600", "z_mm is not finite"), ("1,0,1_0,600", "1_0"), ("1,0,0,0", "zero feed"),
+        ("1,0,0,-1", "out of range"), ("1e9,0,0,600", "wrong unit"))),
+]}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("suffix", "text", "line", "word"),
-    [(".apt", *row) for row in APT_REFUSED] + [(".csv", *row) for row in CSV_REFUSED],
-)
-def test_what_cannot_be_run_is_refused_with_line_and_word(tmp_path, suffix, text, line, word):
-    (tmp_path / f"part{suffix}").write_text(text)
+@pytest.mark.parametrize("row", [(kind, *row) for kind in REFUSED for row in REFUSED[kind]])
+def test_what_cannot_be_run_is_refused_with_line_and_word(read, row):
+    suffix, text, line, word = row
     with pytest.raises(InputError, match=word) as caught:
-        read_toolpath(tmp_path / f"part{suffix}")
+        read(text, suffix)
     assert caught.value.line == line and "\n" not in str(caught.value)
 
 
@@ -326,14 +274,11 @@ def test_the_centre_found_from_a_radius_is_as_far_from_both_ends_and_gives_the_r
     assert length == pytest.approx(2 * math.pi * abs(radius) - minor if longer else minor, rel=2e-2)
 
 
-def test_equal_start_and_end_mean_a_full_circle_in_either_sense():
+def test_equal_start_and_end_mean_a_full_circle_in_either_sense_and_a_chord_beyond_the_diameter_does_not_close():
     for clockwise in (True, False):
         points, _ = arc_points((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0), clockwise, 1e-9, 1e-6)
         turn = np.unwrap(np.arctan2(points[:, 1], points[:, 0]))
         assert turn[-1] - turn[0] == pytest.approx((-1 if clockwise else 1) * 2 * math.pi * (1 - 1 / len(points)))
-
-
-def test_an_arc_longer_than_its_diameter_does_not_close():
     with pytest.raises(ArcError, match="does not close"):
         centre_from_radius((0.0, 0.0), (0.1, 0.0), 0.0499, True, 10e-6)
     centre_from_radius((0.0, 0.0), (0.1, 0.0), 0.049995, True, 10e-6)

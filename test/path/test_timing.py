@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -36,44 +37,25 @@ def corner() -> PathBuilder:
     return builder
 
 
-def test_points_on_the_path_lie_on_the_arc_with_its_tangent():
+def test_points_on_the_path_lie_on_the_arc_with_its_climbing_tangent_in_the_block_of_their_distance():
     path = corner().build()
     position, tangent, _ = path.on_path(np.array([0.0, 0.005, 0.01, 0.01 + 0.01 * np.pi / 6, path.length]))
     angle = np.pi / 6
     on_arc = [0.01 + 0.01 * np.sin(angle), 0.01 - 0.01 * np.cos(angle), 0]
     np.testing.assert_allclose(position[1:], [[0.005, 0, 0], [0.01, 0, 0], on_arc, [0.02, 0.01, 0]], atol=1e-17)
     np.testing.assert_allclose(tangent[2:], [[1, 0, 0], [np.cos(angle), np.sin(angle), 0], [0, 1, 0]], atol=1e-15)
-
-
-def test_the_tangent_of_a_helix_climbs():
     builder = corner()
     builder.move((0.01, 0.02, 0.01), 0.02, False, 4, 100.0)
     _, tangent, _ = builder.build().on_path(np.array([0.01 + 0.01 * np.pi / 2 + 1e-9]))
     np.testing.assert_allclose(tangent[0, 2], 1 / np.hypot(1, np.pi / 2), rtol=1e-6)
-
-
-def test_blocks_are_found_by_their_distance():
-    path = corner().build()
     assert path.block_at([-1.0, 0.0, 0.0099, 0.0101, 9.0]).tolist() == [1, 1, 1, 2, 2]
 
 
-def test_a_turn_on_the_spot_is_refused():
-    builder = corner()
-    builder.quaternion = (0.0, 1.0, 0.0, 0.0)
-    with pytest.raises(InputError, match="line 7"):
-        builder.move((0.02, 0.01, 0.0), 0.5, False, 7)
-
-
-@pytest.mark.parametrize(
-    ("change", "index"),
-    [
-        ({"feed": np.array([0.0, 0.1, 0.0])}, 2),
-        ({"feed": np.array([0.0, 0.1, np.nan])}, 2),
-        ({"curvature": np.array([0.0, np.inf, 0.0])}, 1),
-        ({"line": np.zeros(2)}, None),
-        ({"position": np.zeros((1, 3))}, None),
-    ],
-)
+@pytest.mark.parametrize(("change", "index"), [
+    ({"feed": np.array([0.0, 0.1, 0.0])}, 2), ({"feed": np.array([0.0, 0.1, np.nan])}, 2),
+    ({"curvature": np.array([0.0, np.inf, 0.0])}, 1), ({"line": np.zeros(2)}, None),
+    ({"position": np.zeros((1, 3))}, None),
+])  # fmt: skip
 def test_a_path_that_cannot_be_run_is_refused_with_its_block(change, index):
     names = ("position", "feed", "rapid", "line", "feature", "features", "curvature", "spindle_speed", "quaternion")
     path = corner().build()
@@ -92,11 +74,20 @@ def way(first, last):
     return (first + last) / 2 * ramp_time(last - first, A, J)
 
 
-@pytest.mark.parametrize(
-    ("change", "duration"), [(0.05, 2 * np.sqrt(0.05 / J)), (-1.0, 1.0 / A + A / J), (A**2 / J, 2 * A / J)]
-)
-def test_a_small_change_of_speed_takes_two_ramps_of_acceleration_and_a_large_one_holds_it(change, duration):
-    assert ramp_time(change, A, J) == pytest.approx(duration)
+def test_ramps_take_two_parts_or_hold_the_acceleration_and_are_derivatives_of_each_other_up_to_their_limits():
+    for change, duration in ((0.05, 2 * np.sqrt(0.05 / J)), (-1.0, 1.0 / A + A / J), (A**2 / J, 2 * A / J)):
+        assert ramp_time(change, A, J) == pytest.approx(duration)
+    first, last = np.array([0.0, 0.5, 0.5, 0.45, 0.0]), np.array([0.5, 0.5, 0.45, 0.0, 0.0])
+    more = np.array([0, 0.3, 0, 0.2, 0.1])  # the fourth is stretched
+    ramps = Ramps.make(ramp_time(last - first, A, J) + more, first, last, A, J)
+    time, step = np.linspace(0, ramps.start[-1], 40001, retstep=True)
+    distance, speed, acceleration = ramps.sample(time)
+    assert np.abs(np.gradient(distance, step) - speed)[1:-1].max() < step * A
+    assert np.abs(np.gradient(speed, step) - acceleration)[1:-1].max() < step * J
+    assert np.abs(acceleration).max() == pytest.approx(A, rel=1e-9)
+    assert np.abs(np.diff(acceleration)).max() / step == pytest.approx(J, rel=1e-6)
+    total = np.sum((ramps.first + ramps.last) / 2 * ramps.duration)  # mean speed times duration of each ramp
+    assert ramps.sample(np.array([ramps.start[-1] + 9.0]))[0] == pytest.approx(total)
 
 
 @given(speeds, lengths)
@@ -119,24 +110,6 @@ def test_speeds_at_the_vertices_are_below_their_caps_and_within_reach_of_each_ot
         assert np.any(way(higher[:-1], higher[1:]) > length * (1 - 1e-6))
 
 
-def chain() -> Ramps:
-    first, last = np.array([0.0, 0.5, 0.5, 0.45, 0.0]), np.array([0.5, 0.5, 0.45, 0.0, 0.0])
-    duration = ramp_time(last - first, A, J) + np.array([0, 0.3, 0, 0.2, 0.1])  # the fourth is stretched
-    return Ramps.make(duration, first, last, A, J)
-
-
-def test_distance_speed_and_acceleration_are_derivatives_of_each_other_and_reach_their_limits():
-    ramps = chain()
-    time, step = np.linspace(0, ramps.start[-1], 40001, retstep=True)
-    distance, speed, acceleration = ramps.sample(time)
-    assert np.abs(np.gradient(distance, step) - speed)[1:-1].max() < step * A
-    assert np.abs(np.gradient(speed, step) - acceleration)[1:-1].max() < step * J
-    assert np.abs(acceleration).max() == pytest.approx(A, rel=1e-9)
-    assert np.abs(np.diff(acceleration)).max() / step == pytest.approx(J, rel=1e-6)
-    total = np.sum((ramps.first + ramps.last) / 2 * ramps.duration)  # mean speed times duration of each ramp
-    assert ramps.sample(np.array([ramps.start[-1] + 9.0]))[0] == pytest.approx(total)
-
-
 # --- From tool path to trajectory ---
 STEP, FEED = 0.05, 4 / 60
 FINE = Timing(controller_step=0.001)
@@ -157,23 +130,15 @@ def fine(timed) -> np.ndarray:
     return np.arange(0, timed.trajectory.duration_ns, 500_000)
 
 
-def whole_steps(duration: float, step: float = STEP) -> int:
-    """[ns], rounded up"""
-    return int(np.ceil(duration / step)) * round(step * 1e9)
-
-
-@pytest.mark.parametrize(
-    ("text", "step", "duration", "peak"),
-    [
-        ("G1 X500\n", STEP, 0.5 / FEED + 2 * np.sqrt(FEED / 20), FEED),
-        ("G1 X2000 F60000\n", STEP, 2.0 / 1.0 + 1.0 / 2.0 + 2.0 / 20, 1.0),
-        ("G1 X1\n", 0.001, 4 * np.sqrt(SHORT_PEAK / 20), SHORT_PEAK),
-    ],
-)
+@pytest.mark.parametrize(("text", "step", "duration", "peak"), [
+    ("G1 X500\n", STEP, 0.5 / FEED + 2 * np.sqrt(FEED / 20), FEED),
+    ("G1 X2000 F60000\n", STEP, 2.0 / 1.0 + 1.0 / 2.0 + 2.0 / 20, 1.0),
+    ("G1 X1\n", 0.001, 4 * np.sqrt(SHORT_PEAK / 20), SHORT_PEAK),
+])  # fmt: skip
 def test_a_line_takes_length_by_feed_and_its_ramps(read, text, step, duration, peak):
     """L / v and two ramps; L / v + v / a + a / j where the acceleration is held; a line that never reaches its feed."""
     timed = time_path(read(text), Timing(controller_step=step))
-    assert timed.trajectory.duration_ns == whole_steps(duration, step)
+    assert timed.trajectory.duration_ns == math.ceil(duration / step) * round(step * 1e9)  # whole steps
     assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(peak, rel=0.01)
 
 
@@ -201,29 +166,20 @@ def test_any_path_is_run_forward_within_all_limits(moves, tolerance):
     np.testing.assert_allclose(timed.trajectory.position[-1], path.position[-1], atol=1e-15)
 
 
-def test_all_knots_lie_on_controller_steps_and_on_the_path(read):
+def test_all_knots_lie_on_steps_and_on_the_path_and_the_tool_stops_in_sharp_corners_and_at_no_tangential_arc(read):
     path = read("G1 X40\nG2 X60 Y-20 I0 J-20\nG1 Y-50\nX0 Y0\n")
     timed = time_path(path, Timing())
     assert np.all(np.diff(timed.trajectory.time_ns) == 50_000_000)
     np.testing.assert_allclose(timed.trajectory.position, path.on_path(timed.distance)[0], atol=1e-15)
     np.testing.assert_array_equal(timed.trajectory.position[[0, -1]], path.position[[0, -1]])
     assert timed.distance[-1] == pytest.approx(path.length, rel=1e-14) and np.all(np.diff(timed.distance) >= 0)
-
-
-def test_the_tool_stops_exactly_in_a_sharp_corner(read):
     run = time_path(read("G1 X33.3\nY-21.7\nX0 Z1\n"), Timing()).trajectory
     stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0)
     corners = np.array([[0, 0, 0], [0.0333, 0, 0], [0.0333, -0.0217, 0], [0, -0.0217, 0.001]])
     np.testing.assert_allclose(run.position[stops], corners, atol=1e-12)
-
-
-def test_a_tangential_arc_is_entered_and_left_at_the_feed(read):
     timed = time_path(read("G1 X50\nG3 X50 Y60 R30\nG1 X0\n"), Timing())
     inside = slice(int(0.5 / STEP), -int(0.5 / STEP))
     np.testing.assert_allclose(np.linalg.norm(timed.trajectory.velocity, axis=1)[inside], FEED, rtol=1e-9)
-
-
-def test_a_narrow_arc_is_run_no_faster_than_the_centripetal_acceleration_allows(read):
     timed = time_path(read("G1 X20\nG3 X20 Y2 R1\nG1 X0\n"), FINE)
     on_arc = timed.toolpath.curvature[timed.block] != 0
     assert np.linalg.norm(timed.trajectory.velocity[on_arc], axis=1).max() == pytest.approx(np.sqrt(2.0 * 0.001))
@@ -242,16 +198,13 @@ def test_between_the_knots_a_circle_is_met_with_the_fourth_order_of_the_step(rea
     assert errors[1] == pytest.approx(steady, rel=0.1)
 
 
-def polygon(count: int) -> str:
-    angle = 2 * np.pi * np.arange(count + 1) / count
-    return "".join(f"G1 X{37 * np.sin(a):.6f} Y{37 - 37 * np.cos(a):.6f}\n" for a in angle)
-
-
 def test_a_polygon_is_run_within_the_corner_tolerance_without_slowing_down_slower_or_with_stops(read):
     """Chords of 1 and of 6 deg with a tolerance, and of 6 deg without."""
     rates = []
     for count, tolerance in ((360, 20e-6), (60, 20e-6), (60, 0.0)):
-        timed = time_path(read(polygon(count)), Timing(corner_tolerance=tolerance))
+        angle = 2 * np.pi * np.arange(count + 1) / count
+        blocks = "".join(f"G1 X{37 * np.sin(a):.6f} Y{37 - 37 * np.cos(a):.6f}\n" for a in angle)
+        timed = time_path(read(blocks), Timing(corner_tolerance=tolerance))
         assert path_error(timed, fine(timed)).max() < 20e-6
         rates.append(np.linalg.norm(timed.trajectory.velocity, axis=1))
     assert rates[0][20:-20].min() > 0.9 * FEED
@@ -259,25 +212,21 @@ def test_a_polygon_is_run_within_the_corner_tolerance_without_slowing_down_slowe
     assert np.sum(rates[2] == 0) == 61
 
 
-def test_a_line_given_in_pieces_is_run_as_one(read):
+def test_pieces_of_a_line_are_run_as_one_rapid_moves_at_their_speed_and_each_time_has_its_feature(read):
     whole = time_path(read("G1 X60\n"), Timing()).trajectory
     pieces = time_path(read("G1 X0.003\nX1\nX17\nX59.999\nX60\n"), Timing()).trajectory
     np.testing.assert_allclose(pieces.position, whole.position, atol=1e-12)
-
-
-def test_rapid_moves_run_at_their_own_speed(read):
     timed = time_path(read("G0 X400\nG1 X800\n"), Timing(rapid_feed=0.3))
     assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(0.3, rel=1e-2)
-
-
-def test_each_time_belongs_to_the_feature_of_its_block(read):
     timed = time_path(read("(one)\nG1 X50\n(two)\nY50\n"), Timing())
     half = timed.trajectory.duration_ns // 2
     assert timed.toolpath.features == ("", "one", "two")
     assert timed.toolpath.feature[timed.block_at(np.array([0, half - 10**8, half + 10**8]))].tolist() == [1, 1, 2]
+    with pytest.raises(ToolpathError, match="feed"):
+        time_path(read("G1 X5000 F0.001\n"), FINE)
 
 
-def test_the_tool_turns_evenly_along_a_block():
+def test_the_tool_turns_evenly_along_a_block_and_not_on_the_spot():
     builder = PathBuilder("here")
     builder.move((0.0, 0.0, 0.0), 0.0, True, 1)
     builder.quaternion = (np.cos(0.1), 0.0, np.sin(0.1), 0.0)
@@ -285,11 +234,10 @@ def test_the_tool_turns_evenly_along_a_block():
     timed = time_path(builder.build(), Timing())
     angle = np.arctan2(timed.trajectory.quaternion[:, 2], timed.trajectory.quaternion[:, 0])
     np.testing.assert_allclose(angle, 0.1 * timed.distance / 0.1, atol=1e-12)
-
-
-def test_a_path_that_would_take_for_ever_is_refused(read):
-    with pytest.raises(ToolpathError, match="feed"):
-        time_path(read("G1 X5000 F0.001\n"), FINE)
+    builder = corner()
+    builder.quaternion = (0.0, 1.0, 0.0, 0.0)
+    with pytest.raises(InputError, match="line 7"):
+        builder.move((0.02, 0.01, 0.0), 0.5, False, 7)
 
 
 # --- Slowing down for the joints ---
@@ -305,9 +253,7 @@ def motion(joints: np.ndarray, velocity=None) -> Trajectory:
 
 def within_limits(run: Trajectory, joints) -> bool:
     speed, acceleration = joint_rates(run.time, joints, at_rest=False)
-    return bool(
-        np.all(np.abs(speed) <= SPEED * (1 + 1e-9)) and np.all(np.abs(acceleration) <= ACCELERATION * (1 + 1e-6))
-    )
+    return np.all(np.abs(speed) <= SPEED * (1 + 1e-9)) and np.all(np.abs(acceleration) <= ACCELERATION * (1 + 1e-6))
 
 
 def test_rates_of_a_parabola_are_exact_and_a_start_from_rest_counts_as_acceleration():
@@ -320,27 +266,25 @@ def test_rates_of_a_parabola_are_exact_and_a_start_from_rest_counts_as_accelerat
     np.testing.assert_allclose(acceleration[:2], 3.0)
 
 
-def test_a_trajectory_within_its_limits_stays_as_it_is():
+def test_only_the_steps_about_a_violation_grow_by_the_factor_of_the_excess():
     joints = np.tile(np.linspace(0, 0.5, 21)[:, None], 6)
     run = motion(joints)
     assert limit_by_joints(run, joints, SPEED, ACCELERATION) is run
-
-
-def test_an_even_motion_too_fast_by_a_factor_takes_longer_by_that_factor():
     joints = np.zeros((21, 6))
     joints[:, 3] = np.linspace(0, 3.0, 21)  # 3 rad/s
     run = limit_by_joints(motion(joints, np.tile([1.0, 0, 0], (21, 1))), joints, SPEED, ACCELERATION)
     assert run.duration_ns == pytest.approx(3 * 10**9, rel=1e-6)
     np.testing.assert_allclose(run.velocity[:, 0], 1 / 3, rtol=1e-6)
-
-
-def test_only_the_steps_about_a_violation_grow():
     joints = np.zeros((81, 6))
     joints[:, 0] = 0.2 * np.tanh(np.linspace(-20, 20, 81) * 2)
     run = limit_by_joints(motion(joints), joints, SPEED, ACCELERATION)
     step = np.diff(run.time_ns)
     assert within_limits(run, joints) and step.max() > 60_000_000
     assert np.all(step[:25] == 50_000_000) and np.all(step[-25:] == 50_000_000)
+    joints = np.zeros((21, 6))
+    for arguments in ((joints[:20], SPEED), (np.full((21, 6), np.nan), SPEED), (joints, 0 * SPEED)):
+        with pytest.raises(TrajectoryError):
+            limit_by_joints(motion(joints), *arguments, ACCELERATION)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -352,15 +296,7 @@ def test_rough_motions_end_up_within_all_limits_and_no_step_gets_shorter(seed):
     np.testing.assert_array_equal(run.position, motion(joints).position)
 
 
-def test_joints_that_do_not_fit_or_limits_of_nothing_are_refused():
-    joints = np.zeros((21, 6))
-    for arguments in ((joints[:20], SPEED), (np.full((21, 6), np.nan), SPEED), (joints, 0 * SPEED)):
-        with pytest.raises(TrajectoryError):
-            limit_by_joints(motion(joints), *arguments, ACCELERATION)
-
-
 # --- The shipped test piece has the dimensions that its comments claim ---
-FILE = Path(__file__).parents[2] / "config" / "test_piece.nc"
 CUTTER = 10.0  # mm, radius
 STOCK = 50.0  # mm, half of its side
 LEAN = np.radians(3.0)  # of the inclined side
@@ -368,7 +304,7 @@ LEAN = np.radians(3.0)  # of the inclined side
 
 @pytest.fixture(scope="module")
 def piece():
-    return read_toolpath(FILE)
+    return read_toolpath(Path(__file__).parents[2] / "config" / "test_piece.nc")
 
 
 def cuts(piece, feature: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -377,18 +313,13 @@ def cuts(piece, feature: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return piece.position[k - 1] * 1e3, piece.position[k] * 1e3, piece.curvature[k] * 1e-3
 
 
-@pytest.mark.parametrize(
-    ("feature", "directions", "distance", "level"),
-    [
-        ("square", {0, 90, 180, 270}, 40, -1.2),
-        ("circle", {0}, 27, -0.4),  # lead in and out along the tangent
-        ("diamond", {45, 135, 225, 315}, 40 / np.sqrt(2), -0.8),
-        ("inclined_side", {267}, 40 * (np.sin(LEAN) + np.cos(LEAN)), -1.6),  # from the corner of the square
-    ],
-)
-def test_straight_cuts_leave_walls_in_these_directions_distances_and_levels(
-    piece, feature, directions, distance, level
-):
+@pytest.mark.parametrize(("feature", "directions", "distance", "level"), [
+    ("square", {0, 90, 180, 270}, 40, -1.2),
+    ("circle", {0}, 27, -0.4),  # lead in and out along the tangent
+    ("diamond", {45, 135, 225, 315}, 40 / np.sqrt(2), -0.8),
+    ("inclined_side", {267}, 40 * (np.sin(LEAN) + np.cos(LEAN)), -1.6),  # from the corner of the square
+])  # fmt: skip
+def test_straight_cuts_leave_walls_in_these_directions_and_levels(piece, feature, directions, distance, level):
     """Outward normals [deg]; the part is on the right of a tool that runs clockwise."""
     start, end, curvature = cuts(piece, feature)
     along = (end - start)[curvature == 0, :2]
@@ -399,7 +330,7 @@ def test_straight_cuts_leave_walls_in_these_directions_distances_and_levels(
     assert set(end[:, 2]) == {level}
 
 
-def test_the_corners_of_the_square_are_rolled_round_and_the_circle_has_a_diameter_of_54_mm_and_is_closed(piece):
+def test_the_square_has_round_corners_the_circle_54_mm_and_every_feature_is_cut_clockwise(piece):
     start, _, curvature = cuts(piece, "square")
     corners = start[curvature != 0, :2]
     np.testing.assert_allclose(np.linalg.norm(np.abs(corners) - 40, axis=1), CUTTER, atol=1e-9)
@@ -408,9 +339,6 @@ def test_the_corners_of_the_square_are_rolled_round_and_the_circle_has_a_diamete
     arc = curvature != 0
     np.testing.assert_allclose(2 * (np.linalg.norm(start[arc, :2], axis=1) - CUTTER), 54, atol=1e-9)
     np.testing.assert_allclose(start[arc][0], end[arc][-1], atol=1e-12)
-
-
-def test_every_feature_is_cut_clockwise_so_that_the_clockwise_spindle_mills_down(piece):
     assert np.all(piece.curvature <= 0) and len(piece.features) == 6
     np.testing.assert_allclose(piece.spindle_speed, 8000 * 2 * np.pi / 60)
     np.testing.assert_allclose(piece.feed[~piece.rapid], 4 / 60)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 
 import numpy as np
 import pytest
@@ -23,71 +24,53 @@ PATH = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.0], [6.0, -1.0, 1.0], [9.0, 0.0, 
 FINE = np.linspace(0, TIME[-1], 777).astype(np.int64)
 
 
-def test_without_velocities_the_tool_runs_straight_from_knot_to_knot():
+def test_a_path_is_straight_from_knot_to_knot_or_with_velocities_a_spline_as_scipy_evaluates_it():
     expected = [np.interp(FINE, TIME, PATH[:, i]) for i in range(3)]
     np.testing.assert_allclose(Trajectory(TIME, PATH, TOOL_DOWN).sample(FINE), np.transpose(expected), atol=1e-17)
-
-
-@pytest.mark.parametrize("ends", ["natural", "not-a-knot", "clamped"])
-def test_a_spline_is_run_as_scipy_evaluates_it(ends):
-    oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
-    run = spline(TIME, PATH, ends=ends)
-    np.testing.assert_allclose(run.sample(FINE), oracle(FINE * 1e-9), atol=1e-16)
-    np.testing.assert_allclose(run.sample_velocity(FINE), oracle(FINE * 1e-9, 1), rtol=1e-10, atol=1e-14)
-
-
-def test_orientation_follows_scipys_slerp_and_takes_the_short_way():
-    turns = Rotation.from_euler("ZYX", np.random.default_rng(1).uniform(-1, 1, (5, 3)))
-    quaternion = turns.as_quat() * np.array([1, -1, 1, 1, -1])[:, None]  # q and -q are one rotation
-    run = Trajectory(TIME, PATH, quaternion)
-    sampled = Rotation.from_quat(run.sample_orientation(FINE))
-    assert (sampled.inv() * Slerp(TIME, turns)(FINE)).magnitude().max() < 1e-7
-
-
-def test_a_constant_orientation_stays_the_same_to_the_last_bit():
-    assert np.all(Trajectory(TIME, PATH, TOOL_DOWN).sample_orientation(FINE) == TOOL_DOWN)
-
-
-def test_the_tool_rests_before_the_first_and_after_the_last_knot():
+    for ends in ("natural", "not-a-knot", "clamped"):
+        oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
+        run = spline(TIME, PATH, ends=ends)
+        np.testing.assert_allclose(run.sample(FINE), oracle(FINE * 1e-9), atol=1e-16)
+        np.testing.assert_allclose(run.sample_velocity(FINE), oracle(FINE * 1e-9, 1), rtol=1e-10, atol=1e-14)
     run = spline(TIME, PATH)
     outside = np.array([-5, TIME[-1] + 1])
     np.testing.assert_array_equal(run.sample(outside), PATH[[0, -1]])
     assert np.all(run.feed(outside) == 0)
 
 
-def test_a_line_has_its_knots_at_the_controller_step_ends_exactly_and_keeps_its_feed_to_the_end():
+def test_orientation_follows_scipys_slerp_the_short_way_and_a_constant_one_stays_to_the_last_bit():
+    turns = Rotation.from_euler("ZYX", np.random.default_rng(1).uniform(-1, 1, (5, 3)))
+    quaternion = turns.as_quat() * np.array([1, -1, 1, 1, -1])[:, None]  # q and -q are one rotation
+    run = Trajectory(TIME, PATH, quaternion)
+    sampled = Rotation.from_quat(run.sample_orientation(FINE))
+    assert (sampled.inv() * Slerp(TIME, turns)(FINE)).magnitude().max() < 1e-7
+    assert np.all(Trajectory(TIME, PATH, TOOL_DOWN).sample_orientation(FINE) == TOOL_DOWN)
+
+
+def test_a_line_has_its_knots_at_the_step_ends_exactly_keeps_its_feed_and_needs_length_feed_and_step():
     line = Trajectory.straight_line([0.0, 0.01, 0.0], [2.0, 0.0, 0.0], 0.080, 4 / 60, 0.05)
     assert len(line) == 25 and line.duration_ns == 1_200_000_000
     np.testing.assert_array_equal(line.position[-1], [0.08, 0.01, 0.0])
     line = Trajectory.straight_line(np.zeros(3), [0.0, 1.0, 0.0], 0.081, 4 / 60, 0.05)
     assert line.duration_ns == 1_215_000_000 and np.all(np.diff(line.time_ns)[:-1] == 50_000_000)
     np.testing.assert_allclose(line.feed(line.time_ns), 4 / 60, rtol=1e-9)
+    for value in (0.0, -1.0, np.nan):
+        for arguments in ([value, 1.0, 1.0], [1.0, value, 1.0], [1.0, 1.0, value]):
+            with pytest.raises(TrajectoryError):
+                Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], *arguments)
 
 
-@pytest.mark.parametrize(
-    ("change", "index"),
-    [
-        ({"time_ns": TIME + 1}, 0),
-        ({"time_ns": np.array([0, 1, 1, 2, 3])}, 2),
-        ({"time_ns": TIME * 1.0}, None),
-        ({"time_ns": TIME[:1], "position": PATH[:1]}, None),
-        ({"position": np.vstack([PATH[:3], np.full((2, 3), np.nan)])}, 3),
-        ({"position": PATH[:4]}, None),
-        ({"quaternion": np.diag([1.0, 1.0, 1.0, 0.0, 1.0])[:, :4]}, 3),
-        ({"velocity": np.full((5, 3), np.inf)}, 0),
-    ],
-)
+@pytest.mark.parametrize(("change", "index"), [
+    ({"time_ns": TIME + 1}, 0), ({"time_ns": np.array([0, 1, 1, 2, 3])}, 2), ({"time_ns": TIME * 1.0}, None),
+    ({"time_ns": TIME[:1], "position": PATH[:1]}, None), ({"position": PATH[:4]}, None),
+    ({"position": np.vstack([PATH[:3], np.full((2, 3), np.nan)])}, 3),
+    ({"quaternion": np.diag([1.0, 1.0, 1.0, 0.0, 1.0])[:, :4]}, 3),
+    ({"velocity": np.full((5, 3), np.inf)}, 0),
+])  # fmt: skip
 def test_a_trajectory_that_no_tool_can_follow_is_refused_with_its_knot(change, index):
     with pytest.raises(TrajectoryError) as caught:
         Trajectory(**({"time_ns": TIME, "position": PATH, "quaternion": TOOL_DOWN} | change))
     assert caught.value.index == index
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
-def test_a_line_without_length_feed_or_step_is_refused(value):
-    for arguments in ([value, 1.0, 1.0], [1.0, value, 1.0], [1.0, 1.0, value]):
-        with pytest.raises(TrajectoryError):
-            Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], *arguments)
 
 
 # --- Trajectories as CSV ---
@@ -99,40 +82,29 @@ RUN = spline(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("run", [RUN, RUN.with_position(RUN.position)], ids=["with velocity", "without"])
-@pytest.mark.parametrize("joints", [None, RANDOM.uniform(-3, 3, (7, 6))], ids=["without joints", "with joints"])
-def test_a_trajectory_comes_back_from_its_file(tmp_path, run, joints):
-    write_csv(tmp_path / "t.csv", run, joints)
-    back, angles = read_csv(tmp_path / "t.csv")
-    for name in ("time_ns", "position", "velocity"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(run, name))
-    np.testing.assert_allclose(back.quaternion, run.quaternion, rtol=0, atol=1e-15)
-    assert (angles is None) == (joints is None) and (joints is None or np.abs(angles - joints).max() < 1e-15)
-
-
-def test_the_file_has_one_header_that_a_csv_reader_understands(tmp_path):
-    write_csv(tmp_path / "t.csv", RUN, np.zeros((7, 6)))
-    with open(tmp_path / "t.csv", newline="") as stream:
-        rows = list(csv.DictReader(stream))
+def test_a_trajectory_comes_back_from_its_file_whose_header_a_csv_reader_understands(tmp_path):
+    file = tmp_path / "t.csv"
+    for run, joints in itertools.product((RUN.with_position(RUN.position), RUN), (None, RANDOM.uniform(-3, 3, (7, 6)))):
+        write_csv(file, run, joints)
+        back, angles = read_csv(file)
+        for name in ("time_ns", "position", "velocity"):
+            np.testing.assert_array_equal(getattr(back, name), getattr(run, name))
+        np.testing.assert_allclose(back.quaternion, run.quaternion, rtol=0, atol=1e-15)
+        assert (angles is None) == (joints is None) and (joints is None or np.abs(angles - joints).max() < 1e-15)
+    rows = list(csv.DictReader(file.read_text().splitlines()))
     assert len(rows) == 7 and float(rows[2]["time_s"]) == 0.054
     assert float(rows[2]["x_mm"]) == pytest.approx(1e3 * RUN.position[2, 0], rel=1e-15)
     assert {"qx", "qw", "a1_deg", "a6_deg"} <= set(rows[0])
 
 
-@pytest.mark.parametrize(
-    ("change", "line"),
-    [
-        (lambda text: text.replace("time_s", "t"), 1),
-        (lambda text: text.rstrip("\n"), 8),
-        (lambda text: text.replace("0.054000000,", "0.054000000,nan,", 1), 4),
-        (lambda text: text.replace("0.054000000,", "0.001000000,"), 4),
-        (lambda text: text.replace("0.054000000,", "zero,"), 4),
-        (lambda text: text.replace("0.000000000,", "1e300,"), 2),
-    ],
-)
-def test_a_spoilt_file_is_refused_with_its_line(tmp_path, change, line):
+@pytest.mark.parametrize(("old", "new", "line"), [
+    ("time_s", "t", 1), ("0.054000000,", "0.054000000,nan,", 4), ("0.054000000,", "0.001000000,", 4),
+    ("0.054000000,", "zero,", 4), ("0.000000000,", "1e300,", 2), ("\n", "", 8),
+])  # fmt: skip
+def test_a_spoilt_file_is_refused_with_its_line(tmp_path, old, new, line):
     write_csv(tmp_path / "t.csv", RUN)
-    (tmp_path / "t.csv").write_text(change((tmp_path / "t.csv").read_text()))
+    text = (tmp_path / "t.csv").read_text()
+    (tmp_path / "t.csv").write_text(text.replace(old, new, 1) if new else text.rstrip(old))  # the last end of a line
     with pytest.raises(InputError) as caught:
         read_csv(tmp_path / "t.csv")
     assert caught.value.line == line
@@ -153,16 +125,11 @@ def corner(rest_speed: float = 0.0) -> Trajectory:
     return Trajectory(time, np.stack([x, y, 0.0 * x], axis=1), TOOL_DOWN, velocity)
 
 
-def sharp(rest_speed: float) -> Trajectory:
-    """The same corner without the rest: one knot of it, and no segment without length."""
-    run = corner(rest_speed)
-    kept = np.delete(np.arange(12), 6)
-    return Trajectory(np.arange(11) * 12_000_000, run.position[kept], TOOL_DOWN, run.velocity[kept])
-
-
-def moved(run: Trajectory) -> Trajectory:
-    """Corrected by 50 um, less than the 88 um by which a blended corner of these legs would be rounded off."""
-    return run.with_position(run.position + [0.0, 0.0, 50e-6], run.velocity)
+def rounded_off(rest_speed: float) -> list:
+    """What is rounded off of the same corner as one knot, corrected by 50 um, less than the 88 um of blending."""
+    run, kept = corner(rest_speed), np.delete(np.arange(12), 6)
+    run = Trajectory(np.arange(11) * 12_000_000, run.position[kept], TOOL_DOWN, run.velocity[kept])
+    return corner_blending(run, run.with_position(run.position + [0.0, 0.0, 50e-6], run.velocity), 1e-3)
 
 
 @pytest.mark.parametrize("speed", [0.0, 1e-12, 3e-9, 0.9 * AT_REST])
@@ -176,16 +143,12 @@ def test_a_stop_is_one_for_correction_program_and_check_whatever_rounding_left_o
     assert np.ptp(revised.position[5:7], axis=0).max() == 0.0  # the correction is held
     points = point_numbers(Program(point_spacing=0.6e-3), run, revised)
     assert STOP in points or STOP + 1 in points  # though it is nearer to the point before than others may be
-    assert corner_blending(sharp(speed), moved(sharp(speed)), 1e-3) == []  # the robot stops: nothing is rounded off
+    assert rounded_off(speed) == []  # the robot stops: nothing is rounded off
 
 
-def test_what_creeps_does_not_stand():
+def test_what_creeps_and_straight_lines_through_the_knots_do_not_stand():
     run = corner(2 * AT_REST)
     assert not run.standing.any() and not resting_segments(run).any()
-    rounded = corner_blending(sharp(2 * AT_REST), moved(sharp(2 * AT_REST)), 1e-3)
-    assert [violation.point for violation in rounded] == [STOP + 1]
-
-
-def test_straight_lines_through_the_knots_never_stand():
+    assert [violation.point for violation in rounded_off(2 * AT_REST)] == [STOP + 1]
     run = corner()
     assert not run.with_position(run.position).standing.any()

@@ -29,10 +29,12 @@ KNOTS = np.arange(0, 1_200_000_001, 50_000_000)
 TARGET = Trajectory(KNOTS, np.outer(KNOTS * 1e-9, [0.0667, 0.0, 0.0]), (1.0, 0.0, 0.0, 0.0))
 STAMPS = np.arange(0, TARGET.duration_ns + 1, 500_000)
 LIMITS = {"max_change_per_tick": 10e-3}
+UM = 1e-6
+COARSE = ("stock.grid_step_um=40", "exchange.micro_step_deg=3", "dynamics.reference_inertia=true")
 
 
-def sway(t, amplitude=50e-6):
-    return amplitude * np.outer(np.sin(7.0 * t) ** 2 + 0.2 * np.sin(45.0 * t), [0.1, 1.0, 0.2])
+def sway(t):
+    return 50e-6 * np.outer(np.sin(7.0 * t) ** 2 + 0.2 * np.sin(45.0 * t), [0.1, 1.0, 0.2])
 
 
 def pass_along(reference, share=0.0, noise=0.0, wrench=None):
@@ -47,21 +49,14 @@ def compensator(method, **changes):
     return Compensator(CompensationSettings(method, **{**LIMITS, **changes}), TARGET)
 
 
-def same(first, second):
-    return np.array_equal(first.position, second.position)
-
-
 # --- remaining error ---
-def test_the_remaining_error_is_across_the_feed_and_counts_where_it_is_scored():
+def test_the_remaining_error_is_across_the_feed_and_counts_where_it_is_scored_and_not_in_the_air():
     position = TARGET.sample(STAMPS)
     position += [5e-3, 0.0, 0.0]  # along the feed: no error
     position[100] += [0.0, 9e-3, 0.0]  # before it is scored
     position[1000] += [0.0, 30e-6, 40e-6]
     assert remaining_error(TARGET, PassRecord(STAMPS, position, 150_000_000)) == pytest.approx(50e-6, rel=1e-9)
     assert remaining_error(TARGET, PassRecord(STAMPS, position, 0)) == pytest.approx(9e-3, rel=1e-9)
-
-
-def test_a_pass_is_not_scored_in_the_air_and_one_that_ends_before_it_is_scored_is_scored_at_its_end():
     short = PassRecord(STAMPS[:100], TARGET.sample(STAMPS[:100]) + [0.0, 7e-6, 0.0], 10**12)
     assert remaining_error(TARGET, short) == pytest.approx(7e-6, rel=1e-9)
     position, wrench = TARGET.sample(STAMPS), np.ones((STAMPS.size, 6))
@@ -71,8 +66,6 @@ def test_a_pass_is_not_scored_in_the_air_and_one_that_ends_before_it_is_scored_i
 
 
 # --- the states ---
-
-
 @pytest.mark.parametrize("knots", [2, 7, KNOTS.size])
 @pytest.mark.parametrize("method", ["inverse", "learned"])
 def test_nothing_is_learned_from_a_reference_with_other_knots(method, knots):
@@ -83,49 +76,38 @@ def test_nothing_is_learned_from_a_reference_with_other_knots(method, knots):
         found.revise(pass_along(other))
 
 
-@pytest.mark.parametrize("method", ["linear", "spline"])
-def test_a_method_that_does_not_repeat_revises_after_every_pass(method):
-    found = compensator(method)
-    first = found.revise(pass_along(TARGET, 0.3))
-    second = found.revise(pass_along(first, 0.3))
-    assert not same(first, second) and found.reference is second and not found.finished
-    assert found.errors[1] < found.errors[0]
+def test_a_method_revises_after_every_pass_and_repeating_ends_at_a_reference_no_worse_than_any_that_was_run():
+    for method in ("linear", "spline"):
+        found = compensator(method)
+        first = found.revise(pass_along(TARGET, 0.3))
+        second = found.revise(pass_along(first, 0.3))
+        assert not np.array_equal(first.position, second.position) and found.reference is second and not found.finished
+        assert found.errors[1] < found.errors[0]
+    for method in ("linear", "spline", "learned"):
+        found, tried = compensator(method, repeat=True), []
+        kept = found.improve(pass_along(TARGET, 0.3), lambda r, tried=tried: tried.append(r) or pass_along(r, 0.3))
+        assert found.finished and len(tried) >= 2 and kept is found.reference
+        assert kept is min(tried, key=lambda r: remaining_error(TARGET, pass_along(r, 0.3)))
+        assert remaining_error(TARGET, pass_along(kept, 0.3)) == min(found.errors)
 
 
-@pytest.mark.parametrize("method", ["linear", "spline", "learned"])
-def test_repeating_ends_at_a_reference_no_worse_than_any_that_was_run(method):
-    found = compensator(method, repeat=True)
-    tried = []
-
-    def run(reference):
-        tried.append((remaining_error(TARGET, pass_along(reference, 0.3)), reference))
-        return pass_along(reference, 0.3)
-
-    kept = found.improve(pass_along(TARGET, 0.3), run)
-    assert found.finished and len(tried) >= 2 and kept is found.reference
-    assert kept is min(tried, key=lambda t: t[0])[1]
-    assert remaining_error(TARGET, pass_along(kept, 0.3)) == min(found.errors)
-
-
-def test_learning_keeps_the_target_where_every_revision_harms():
-    """An arm that gives way three times as much to a correction."""
+def test_learning_ends_where_revisions_harm_or_bring_less_than_a_percent_or_the_noise_or_are_as_many_as_allowed():
+    # an arm that gives way three times as much to a correction
     found = compensator("learned")
     assert found.improve(pass_along(TARGET, -3.0), lambda r: pass_along(r, -3.0)) is TARGET
     assert found.finished and found.errors[1] > found.errors[0]
     assert "no pass better than the one without compensation" in found.note
+    # an arm that takes all but 1 + share of each correction back
+    for share, passes in ((-0.995, 2), (-0.98, 4)):
+        found = compensator("learned", max_passes=3)
+        found.improve(pass_along(TARGET, share), lambda r, share=share: pass_along(r, share))
+        assert found.finished and len(found.errors) == passes
+    for most in (1, 3):  # converges slowly
+        found, runs = compensator("learned", max_passes=most), []
+        found.improve(pass_along(TARGET, 0.6), lambda r, runs=runs: runs.append(r) or pass_along(r, 0.6))
+        assert found.finished and len(runs) == most
 
-
-@pytest.mark.parametrize(("share", "passes"), [(-0.995, 2), (-0.98, 4)])
-def test_learning_stops_at_a_pass_that_brings_less_than_a_percent(share, passes):
-    """An arm that takes all but 1 + share of each correction back."""
-    found = compensator("learned", max_passes=3)
-    found.improve(pass_along(TARGET, share), lambda r: pass_along(r, share))
-    assert found.finished and len(found.errors) == passes
-
-
-def test_learning_ends_after_two_passes_that_bring_less_than_the_noise():
-    """The noise of a least-squares fit: sigma times the root of 25 knots over 2401 samples."""
-
+    # the noise of a least-squares fit: sigma times the root of 25 knots over 2401 samples
     def noisy(reference):
         return dataclasses.replace(pass_along(reference, noise=1e-6), noise=1e-6)
 
@@ -137,37 +119,19 @@ def test_learning_ends_after_two_passes_that_bring_less_than_the_noise():
     assert not any(np.all(gains[k : k + 2] < floor) for k in range(len(gains) - 2))
 
 
-@pytest.mark.parametrize("most", [1, 3])
-def test_no_more_passes_are_taken_than_allowed(most):
-    runs = []
-
-    def run(reference):
-        runs.append(reference)
-        return pass_along(reference, 0.6)  # converges slowly
-
-    found = compensator("learned", max_passes=most)
-    found.improve(pass_along(TARGET, 0.6), run)
-    assert found.finished and len(runs) == most
-
-
-def test_after_the_end_a_pass_changes_nothing_and_reset_goes_back_to_the_target():
+def test_after_the_end_a_pass_changes_nothing_another_method_or_reset_begins_anew_and_the_limited_part_is_known():
     found = compensator("learned")
     kept = found.improve(pass_along(TARGET, 0.3), lambda r: pass_along(r, 0.3))
     assert found.revise(pass_along(kept, -5.0)) is kept and found.finished
     found.reset()
     assert found.reference is TARGET and found.errors == () and not found.finished and found.limited == ()
-
-
-def test_another_method_goes_on_from_the_pass_along_the_target():
     found = compensator("learned")
     found.improve(pass_along(TARGET, 0.2), lambda r: pass_along(r, 0.2))
     for method in ("linear", "spline"):
         alone = compensator(method)
         alone.revise(pass_along(TARGET, 0.2))
-        assert same(found.choose(method), alone.reference) and found.method == method and not found.finished
-
-
-def test_what_the_limit_took_away_is_known_until_the_next_revision():
+        np.testing.assert_array_equal(found.choose(method).position, alone.reference.position)
+        assert found.method == method and not found.finished
     found = compensator("linear", max_correction=20e-6)
     found.revise(pass_along(TARGET))
     size = np.linalg.norm(sway(TARGET.time), axis=1).max()
@@ -193,9 +157,8 @@ def test_a_method_object_runs_through_the_compensator_and_a_cell_without_being_i
     by.revise(pass_along(TARGET))
     full = compensator("linear")
     full.revise(pass_along(TARGET))
-    np.testing.assert_allclose(
-        by.reference.position - TARGET.position, 0.5 * (full.reference.position - TARGET.position), atol=1e-16
-    )
+    half, whole = (one.reference.position - TARGET.position for one in (by, full))
+    np.testing.assert_allclose(half, 0.5 * whole, atol=1e-16)
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=30", "stock.grid_step_um=40"])
     original = simulate(cell)
     ran = compensated(cell, original, Halved())
@@ -203,7 +166,7 @@ def test_a_method_object_runs_through_the_compensator_and_a_cell_without_being_i
 
 
 # --- mirror ---
-def test_mirror_hands_the_mean_wrench_at_the_knots_over_and_takes_the_modified_points():
+def test_mirror_takes_the_points_of_its_model_for_the_mean_wrench_at_the_knots_and_needs_both():
     asked = []
 
     def mirror(target, wrench):
@@ -215,23 +178,15 @@ def test_mirror_hands_the_mean_wrench_at_the_knots_over_and_takes_the_modified_p
     found.revise(pass_along(TARGET, wrench=wrench))
     assert asked[0][0] is TARGET
     np.testing.assert_allclose(asked[0][1][1:-1, 1], TARGET.time[1:-1], atol=3e-4)  # half a sample off centre
-    np.testing.assert_allclose(
-        found.reference.position - TARGET.position, [[0, -30e-6, 10e-6]] * len(TARGET), atol=1e-15
-    )
-
-
-def test_mirror_without_a_model_of_the_arm_or_a_wrench_is_refused():
+    moved = found.reference.position - TARGET.position
+    np.testing.assert_allclose(moved, [[0, -30e-6, 10e-6]] * len(TARGET), atol=1e-15)
     with pytest.raises(RevisionError, match="the method mirror needs the model of the arm"):
         compensator("mirror").revise(pass_along(TARGET, wrench=np.ones((STAMPS.size, 6))))
     with pytest.raises(RevisionError, match="needs the wrench"):
-        Compensator(CompensationSettings("mirror"), TARGET, models=CellModels(lambda t, w: t)).revise(
-            pass_along(TARGET)
-        )
+        Compensator(CompensationSettings("mirror"), TARGET, models=CellModels(mirror)).revise(pass_along(TARGET))
 
 
 # --- Learning of an arm that is not the model's ---
-UM = 1e-6
-COARSE = ("stock.grid_step_um=40", "exchange.micro_step_deg=3", "dynamics.reference_inertia=true")
 FREQUENCY, DAMPING, SOFT = 1.15, 0.5, 1.1
 
 
@@ -258,8 +213,8 @@ def learned(cell):
     return plant, original, by, compensated(cell, original, "learned", by=by, plant=plant)
 
 
-def test_frequency_damping_and_compliance_of_the_plant_are_identified(cell, learned):
-    plant, _, by, _ = learned
+def test_learning_identifies_the_plant_leaves_less_than_a_hundredth_and_changes_no_copy_of_itself(cell, learned):
+    plant, original, by, ran = learned
     true = plant.cell.modal_model.frequency / (2 * np.pi)
     found = by.identified
     assert 1 in found.mode
@@ -267,18 +222,17 @@ def test_frequency_damping_and_compliance_of_the_plant_are_identified(cell, lear
         assert frequency == pytest.approx(true[mode - 1], rel=0.01)
         assert damping == pytest.approx(plant.cell.dynamics.damping_ratio, rel=0.15)
     assert found.compliance_factor == pytest.approx(SOFT, rel=0.02) and found.gain == pytest.approx(1.0, abs=0.01)
-
-
-def test_learning_leaves_less_than_a_hundredth_though_the_model_is_wrong(learned):
-    _, original, by, ran = learned
     assert by.finished and len(by.errors) <= 5
     assert original.scores.max_deviation > 70 * UM and ran.scores.max_deviation < 0.01 * original.scores.max_deviation
+    # the node tries a revision on a copy of its compensator
+    by = jobs.compensator(cell, cell.target(), "learned")
+    twin = copy.copy(by)
+    twin.revise(record_of(cell, original))
+    assert by.learner is None and by.errors == () and len(twin.learner.passes) == 1
 
 
-@check(
-    "pass with reference inertia, zeta 0.04, linear / none",
-    "97 um / 79 um; here the sampled displacement is a mean over a revolution",
-)
+@check("pass with reference inertia, zeta 0.04, linear / none",
+       "97 um / 79 um; here the sampled displacement is a mean over a revolution")  # fmt: skip
 def test_linear_excites_the_arm():
     """The paper's method makes the part worse."""
     cell = read_cell(find_file("paper.yaml"), ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04"))
@@ -287,15 +241,7 @@ def test_linear_excites_the_arm():
     return 97.0 / 79.2, linear.scores.max_deviation / original.scores.max_deviation, 0.1
 
 
-SHALLOW = """\
-G21 G90 S8000 M3
-G0 X-14 Y0 Z5
-(slot)
-G0 Z-0.4
-G1 X30 F4000
-G0 Z5
-M30
-"""
+SHALLOW = "G21 G90 S8000 M3\nG0 X-14 Y0 Z5\n(slot)\nG0 Z-0.4\nG1 X30 F4000\nG0 Z5\nM30\n"
 
 
 def test_the_cut_answers_a_tool_that_sinks(tmp_path):
@@ -327,35 +273,19 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
     assert before.min() > 30 * UM and after.max() < 1 * UM
 
 
-def test_straight_lines_between_the_knots_do_nearly_as_well(cell):
+def test_lines_between_the_knots_a_missing_wrench_and_noise_of_the_pose_leave_little(cell, learned):
     lines = cell.replace(compensation=cell.compensation.replace(interpolation="linear"))
     ran = compensated(lines, simulate(lines), "learned")
     assert ran.reference.velocity is None and ran.scores.max_deviation < 1 * UM
-
-
-def test_without_a_measured_wrench_that_of_the_model_is_taken(cell):
-    plant = plant_of(cell)
-    original = simulate(cell, plant=plant)
+    plant, original, *_ = learned
     blind = dataclasses.replace(record_of(cell, original), wrench=None)
     reference = jobs.compensator(cell, cell.target(), "inverse").revise(blind)
     ran = simulate(cell, reference, plant=plant)
     assert ran.scores.max_deviation < 0.1 * original.scores.max_deviation
-
-
-def test_noise_of_the_measured_pose_is_averaged_and_not_milled(cell):
     plant = plant_of(cell, pose_noise=20 * UM, seed=5)
     original = simulate(cell, plant=plant)
     assert original.record.noise == 20 * UM
     assert compensated(cell, original, "learned", plant=plant).scores.max_deviation < 6 * UM
-
-
-def test_a_learner_that_was_copied_does_not_change(cell, learned):
-    """The node tries a revision on a copy of its compensator."""
-    _, original, _, _ = learned
-    by = jobs.compensator(cell, cell.target(), "learned")
-    twin = copy.copy(by)
-    twin.revise(record_of(cell, original))
-    assert by.learner is None and by.errors == () and len(twin.learner.passes) == 1
 
 
 # --- The page of the folder ---
@@ -364,26 +294,21 @@ COMMANDS = [line for block in pages.blocks(PAGE) for line in block.commands]
 QUICK = ["--set", "path.length_mm=30", "--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3"]
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
+@pytest.mark.parametrize("words", [line.split()[1:] for line in COMMANDS if line.startswith("kr270_milling")])
+def test_the_commands_of_the_page_run_and_help(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
     for line in COMMANDS:
         if line.startswith("cat "):
             pages.run_here(line)
-    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
-
-
-@pytest.mark.parametrize("words", [line.split()[1:] for line in COMMANDS if line.startswith("kr270_milling")])
-def test_the_commands_of_the_page_run_and_help(words, folder, capsys):
     assert main([*words, *QUICK, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     original, kept = found["passes"]
     assert original["name"] == "original" and kept["name"] == found["method"]
     assert {"static_deviation_um", "max_deviation_um"} <= set(kept)
     assert kept["max_deviation_um"] < 0.1 * original["max_deviation_um"]
-    assert found["identified"]["modes"][0]["frequency_hz"] == pytest.approx(
-        6.69 * (1.1 if "--plant" in words else 1), rel=0.03
-    )
+    frequency = 6.69 * (1.1 if "--plant" in words else 1)
+    assert found["identified"]["modes"][0]["frequency_hz"] == pytest.approx(frequency, rel=0.03)
 
 
 def test_a_method_that_makes_the_part_worse_says_so_beside_the_decision(tmp_path, capsys):

@@ -24,20 +24,13 @@ from kr270_milling.physics.compensation.response import ArmResponse, Segments, c
 OMEGA, ZETA = 42.0, 0.04
 KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
 SEGMENTS = Segments(KNOTS, 16)
+FINE = np.arange(0, KNOTS[-1] + 1, 50_000)
 
 
 def one_mode(frequency=OMEGA, damping=ZETA) -> ArmResponse:
     """A mass of 1 kg on a spring across the feed, y; the other axes are rigid."""
-    m, axis = len(SEGMENTS), np.array([0.0, 1.0, 0.0])
-    tile = np.ones((m, 1, 1))
-    return ArmResponse(
-        frequency=np.full((m, 1), frequency),
-        damping=np.full((m, 1), damping),
-        inward=tile * axis[None, None, :],
-        outward=tile * axis[None, :, None],
-        push=tile * np.concatenate([axis, np.zeros(3)])[None, None, :],
-        carry=tile.copy(),
-    )
+    y, one = np.eye(6)[1], np.ones((len(SEGMENTS), 1, 1))
+    return ArmResponse(frequency * one[..., 0], damping * one[..., 0], one * y[:3], one * y[:3, None], one * y, one)
 
 
 # --- The response of the arm to a correction and to a wrench, against scipy's simulation of the transfer functions ---
@@ -46,17 +39,11 @@ def correction(smooth: bool) -> Trajectory:
     return spline(KNOTS, values) if smooth else Trajectory(KNOTS, values, (0.0, 0.0, 0.0, 1.0))
 
 
-def fine(step_ns: int = 50_000) -> np.ndarray:
-    return np.arange(0, KNOTS[-1] + 1, step_ns)
-
-
-@check(
-    "lifted model: tool along a correction of 50 um, {kind}, zeta {damping}",
-    "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)", "m",
-    cases=("kind damping", [(kind, zeta) for kind in ("spline", "lines") for zeta in (0.04, 0.182)]),
-)  # fmt: skip
+@check("lifted model: tool along a correction of 50 um, {kind}, zeta {damping}",
+       "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)", "m",
+       cases=("kind damping", [(kind, zeta) for kind in ("spline", "lines") for zeta in (0.04, 0.182)]))  # fmt: skip
 def test_lifted_response(kind, damping):
-    run, time = correction(kind == "spline"), fine()
+    run, time = correction(kind == "spline"), FINE
     shift = run.sample(time)[:, 1]
     top, bottom = [2 * damping * OMEGA, OMEGA**2], [1.0, 2 * damping * OMEGA, OMEGA**2]
     expected = lsim((top, bottom), shift - shift[0], time * 1e-9)[1] + shift[0]
@@ -70,7 +57,7 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     force = 80.0
     wrench = np.zeros((len(SEGMENTS), 16, 6))
     wrench[4:, :, 1] = force
-    time = fine()
+    time = FINE
     step = np.where(time >= KNOTS[4], force, 0.0)
     expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, time * 1e-9)[1]
     obtained = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
@@ -80,8 +67,8 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     assert stiff == pytest.approx(1.5 * force / OMEGA**2, rel=1e-3)  # softness alone changes it, not the frequency
 
 
-def test_two_postures_hand_the_displacement_over_whatever_their_modes_are_called():
-    """A posture whose mode has the other sign is the same arm."""
+def test_postures_hand_the_displacement_over_whatever_their_modes_are_called_and_share_the_row_of_their_segments():
+    # a posture whose mode has the other sign is the same arm
     arm, run = one_mode(), correction(True)
     cubic = cubic_coefficients(KNOTS, run.position, run.velocity)
     sign = np.where(np.arange(12) % 3 == 0, -1.0, 1.0)[:, None, None]
@@ -90,10 +77,7 @@ def test_two_postures_hand_the_displacement_over_whatever_their_modes_are_called
         np.concatenate([sign[1:] * sign[:-1], [[[1.0]]]]),
     )  # fmt: skip
     assert turned.follow(SEGMENTS, cubic) == pytest.approx(arm.follow(SEGMENTS, cubic), abs=1e-16)
-
-
-def test_segments_of_one_posture_share_its_row():
-    """Three postures of five, four and three segments, beside an arm with a row of each segment."""
+    # three postures of five, four and three segments, beside an arm with a row of each segment
     rng, m = np.random.default_rng(3), len(SEGMENTS)
     posture = np.repeat([0, 1, 2], [5, 4, 3])
     shared = ArmResponse(
@@ -148,6 +132,7 @@ def test_eq_1_as_printed_moves_the_tool_with_the_reference():
 EIGHTH = Segments(KNOTS, 8)
 M = len(EIGHTH)
 SMOOTH = 1e-3
+WEIGHTS = np.where(EIGHTH.middle_ns < 150_000_000, 0.05**2, 1.0)[..., None, None] * np.diag([0.1, 1.0, 0.5])
 
 
 def course(smooth=True, resting=(), held=()) -> KnotConditions:
@@ -156,20 +141,18 @@ def course(smooth=True, resting=(), held=()) -> KnotConditions:
     return KnotConditions(smooth, still, rest)
 
 
-def deviation(seed=0) -> np.ndarray:
-    t = EIGHTH.middle_ns * 1e-9
-    waves = np.stack([np.sin(20 * t + i) + 0.3 * np.cos(55 * t * (i + 1)) for i in range(3)], axis=-1)
-    return 1e-5 * waves + 1e-6 * np.random.default_rng(seed).standard_normal(waves.shape)
+WAVES = [np.sin(20e-9 * EIGHTH.middle_ns + i) + 0.3 * np.cos(55e-9 * EIGHTH.middle_ns * (i + 1)) for i in range(3)]
+DEVIATION = 1e-5 * np.stack(WAVES, axis=-1) + 1e-6 * np.random.default_rng(0).standard_normal((M, 8, 3))
 
 
-def weights() -> np.ndarray:
-    size = np.where(EIGHTH.middle_ns < 150_000_000, 0.05**2, 1.0)
-    return size[..., None, None] * np.diag([0.1, 1.0, 0.5])
-
-
-def dense(arm, numbers_to_cubic, count, smooth):
+def dense(arm, smooth):
     """The same least squares with every column of H simulated by itself; y only."""
-    weight = weights()[..., 1, 1].ravel()
+    count = M + 3 if smooth else M + 1
+
+    def numbers_to_cubic(number):
+        return spline_numbers(number) if smooth else cubic_coefficients(KNOTS, number[:, None], None)[..., 0]
+
+    weight = WEIGHTS[..., 1, 1].ravel()
     typical = np.median(EIGHTH.duration)
     columns, rough = [], []
     for number in np.eye(count):
@@ -177,7 +160,7 @@ def dense(arm, numbers_to_cubic, count, smooth):
         cubic[:, :, 1] = numbers_to_cubic(number)
         columns.append(arm.follow(EIGHTH, cubic)[..., 1].ravel())
         rough.append(cubic[:, 3, 1] * typical**3 if smooth else np.diff(cubic[:, 1, 1]) * typical)
-    h, r, d = np.array(columns).T, np.array(rough).T, deviation()[..., 1].ravel()
+    h, r, d = np.array(columns).T, np.array(rough).T, DEVIATION[..., 1].ravel()
     rows = np.vstack([h * np.sqrt(weight)[:, None], np.sqrt(SMOOTH) * r])
     right = np.concatenate([-d * np.sqrt(weight), np.zeros(len(r))])
     best = np.linalg.lstsq(rows, right, rcond=None)[0]
@@ -190,15 +173,11 @@ def spline_numbers(number):
     return cubic_coefficients(KNOTS, number[:-2, None], spline(KNOTS * 1e-9, 1)[:, None])[..., 0]
 
 
-def line_numbers(number):
-    return cubic_coefficients(KNOTS, number[:, None], None)[..., 0]
-
-
 @pytest.mark.parametrize("smooth", [True, False])
 def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     arm = one_mode()
-    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
-    expected = dense(arm, *((spline_numbers, M + 3) if smooth else (line_numbers, M + 1)), smooth)
+    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(DEVIATION, WEIGHTS, SMOOTH)
+    expected = dense(arm, smooth)
     scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
     difference = np.abs(obtained.cubic[:, :, 1] - expected)[:, : scale.size]
     assert np.all(difference.max(axis=0) < 1e-5 * scale)
@@ -211,15 +190,14 @@ def test_lifted_inverse():
     arm = one_mode(damping=0.005)
     cubic = np.zeros((M, 4, 3))
     cubic[:, :, 1] = spline_numbers(np.random.default_rng(1).normal(0, 1e-5, M + 3) * ([1] * (M + 1) + [10, 10]))
-    obtained = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), weights(), 1e-14)
+    obtained = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), WEIGHTS, 1e-14)
     assert np.abs(cubic[:, 0, 1]).max() > 1e-5
     return 0.0, np.abs(obtained.left[..., 1]).max(), 1e-9
 
 
-def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_path_rests():
-    obtained = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,))).least_squares(
-        deviation(), weights(), SMOOTH
-    )
+def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_even_peaks():
+    lifted = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,)))
+    obtained = lifted.least_squares(DEVIATION, WEIGHTS, SMOOTH)
     t = EIGHTH.duration[:, None]
     c, v, a, j = np.swapaxes(obtained.cubic, 0, 1)
     ends = c + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
@@ -231,18 +209,10 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_
         assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
     assert not obtained.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
     assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a separate bend after a stop
-
-
-def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():
     scored = EIGHTH.middle_ns >= 150_000_000
     lifted = Lifted(one_mode(), EIGHTH, course())
-    plain, even = (
-        np.abs(obtained.left[..., 1][scored])
-        for obtained in (
-            lifted.least_squares(deviation(), weights(), 1e-9),
-            lifted.min_max(deviation(), weights(), 1e-9, scored),
-        )
-    )
+    both = lifted.least_squares(DEVIATION, WEIGHTS, 1e-9), lifted.min_max(DEVIATION, WEIGHTS, 1e-9, scored)
+    plain, even = (np.abs(obtained.left[..., 1][scored]) for obtained in both)
     assert even.max() < 0.9 * plain.max() and even.std() / even.max() < plain.std() / plain.max() + 0.1
 
 
@@ -254,16 +224,14 @@ def test_a_limited_correction_is_in_reach_at_a_lower_feed():
 
 
 # --- a long path: pieces identify the arm, and blocks of segments are one path ---
-
-
 MANY = 9000
 LONG = Segments(np.arange(MANY + 1) * 12_000_000, 4)
 LONG_ARM = one_mode().cut(np.zeros(MANY, int))
 LONG_PATH = np.zeros((MANY, 4, 3))
 
 
-def test_pieces_of_a_long_path_identify_the_arm():
-    """A hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments."""
+def test_pieces_of_a_long_path_identify_the_arm_and_it_costs_in_proportion_to_its_length():
+    # a hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments
     assert MANY > arm_fit.MOST_FITTED
     true = LONG_ARM.scaled(1.1, 0.8, 1.0, 1.15)
     wrench = np.random.default_rng(3).normal(0.0, 0.1, (MANY, 4, 6))
@@ -273,6 +241,18 @@ def test_pieces_of_a_long_path_identify_the_arm():
     assert obtained.frequency_hz[0] * 2 * np.pi == pytest.approx(true.frequency[0, 0], rel=1e-3)
     assert obtained.damping_ratio[0] == pytest.approx(true.damping[0, 0], rel=0.02)
     assert obtained.compliance_factor == pytest.approx(1.15, rel=1e-3)
+
+    # ten times the knots take about ten times as long; a dense lifted model would take a thousand times
+    def cost(count: int) -> float:
+        arm, segments = LONG_ARM.cut(slice(0, count)), LONG.cut(slice(0, count))
+        conditions = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
+        d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
+        start = time.process_time()
+        Lifted(arm, segments, conditions).least_squares(d0, np.broadcast_to(np.eye(3), (count, 4, 3, 3)), 1e-6)
+        return time.process_time() - start
+
+    cost(50)
+    assert cost(3000) < 40 * cost(300)
 
 
 def test_blocks_of_segments_are_one_path(monkeypatch):
@@ -294,21 +274,6 @@ def test_blocks_of_segments_are_one_path(monkeypatch):
     monkeypatch.setattr(response, "BLOCK", 7)
     for whole, in_blocks in zip(at_once, results(), strict=True):
         np.testing.assert_allclose(in_blocks, whole, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
-
-
-def test_a_long_path_costs_in_proportion_to_its_length():
-    """Ten times the knots take about ten times as long; a dense lifted model would take a thousand times."""
-
-    def cost(count: int) -> float:
-        arm, segments = LONG_ARM.cut(slice(0, count)), LONG.cut(slice(0, count))
-        conditions = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
-        d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
-        start = time.process_time()
-        Lifted(arm, segments, conditions).least_squares(d0, np.broadcast_to(np.eye(3), (count, 4, 3, 3)), 1e-6)
-        return time.process_time() - start
-
-    cost(50)
-    assert cost(3000) < 40 * cost(300)
 
 
 @pytest.mark.parametrize("period_ms", [0.5, 4.0, 5.0])

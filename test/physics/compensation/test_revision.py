@@ -1,9 +1,10 @@
-"""Revision of the reference at the controller step and along a tool path."""
+"""Revision of the reference at the controller step and along a tool path, and the static mirror (30) to (32)."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from arm_oracle import ARM, PAPER
 from book import check
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
@@ -17,16 +18,10 @@ from kr270_milling.decide.path_limits import correction_per_tick, correction_siz
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, remaining_error
 from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds
-from kr270_milling.physics.compensation.mirror import loaded_pose
-from kr270_milling.physics.compensation.revision import (
-    PassRecord,
-    RevisionError,
-    corrected,
-    sampled_correction,
-)
+from kr270_milling.physics.compensation.mirror import LEVER, MirrorError, loaded_pose, mirror
+from kr270_milling.physics.compensation.revision import PassRecord, RevisionError, corrected, sampled_correction
 from kr270_milling.physics.compensation.settings import CompensationSettings
-
-SAMPLE_NS = 500_000
+from kr270_milling.physics.robot import Mount, equilibrium, pose
 
 
 def line(step_ns=50_000_000, duration_ns=1_200_000_000):
@@ -37,7 +32,7 @@ def line(step_ns=50_000_000, duration_ns=1_200_000_000):
 
 def ran(reference, displacement):
     """The pass of an arm that gives way by displacement(t) (n, 3) whatever the reference does."""
-    stamps = np.arange(0, reference.duration_ns + 1, SAMPLE_NS)
+    stamps = np.arange(0, reference.duration_ns + 1, 500_000)
     return PassRecord(stamps, reference.sample(stamps) + displacement(stamps * 1e-9))
 
 
@@ -72,39 +67,27 @@ def ringing(t, frequency=6.69, damping=0.18):
     return np.column_stack([-0.2 * y, y, 0.1 * y])
 
 
-# --- exact cases ---
-@pytest.mark.parametrize("smooth", [False, True])
-def test_what_the_knots_can_make_is_taken_away(smooth):
+def test_a_displacement_that_the_knots_can_make_is_taken_away_and_not_twice_in_a_second_pass():
     target = line()
-    displacement = knot_displacement(target, smooth)
-    reference, cut_off = sampled(smooth, target, target, ran(target, displacement))
-    assert left(target, reference, displacement) < 1e-16 and cut_off == () and (reference.velocity is None) != smooth
+    for smooth in (False, True):
+        displacement = knot_displacement(target, smooth)
+        reference, cut_off = sampled(smooth, target, target, ran(target, displacement))
+        assert left(target, reference, displacement) < 1e-16 and cut_off == ()
+        assert (reference.velocity is None) != smooth
+        # the displacement is taken against the reference that was run, so it does not add up
+        first, _ = sampled(smooth, target, target, ran(target, ringing))
+        second, _ = sampled(smooth, target, first, ran(first, ringing))
+        np.testing.assert_allclose(second.position, first.position, atol=1e-16)
+        assert second.frame == "fixture" and np.array_equal(second.time_ns, target.time_ns)
+    for criterion in ("min_max", "least_squares"):
+        reference = revised("learned", target, ran(target, displacement), criterion)
+        # it sees the means of parts of 3.1 ms, not each sample
+        assert left(target, reference, displacement) < 1e-3 * 50e-6
 
 
-@pytest.mark.parametrize("criterion", ["min_max", "least_squares"])
-def test_learned_takes_away_a_spline_that_starts_and_ends_without_slope(criterion):
-    target = line()
-    displacement = knot_displacement(target, True)
-    reference = revised("learned", target, ran(target, displacement), criterion)
-    assert left(target, reference, displacement) < 1e-3 * 50e-6  # it sees the means of parts of 3.1 ms, not each sample
-
-
-@pytest.mark.parametrize("smooth", [False, True])
-def test_a_second_pass_leads_to_the_same_reference(smooth):
-    """The displacement is taken against the reference that was run, so it does not add up."""
-    target = line()
-    first, _ = sampled(smooth, target, target, ran(target, ringing))
-    second, _ = sampled(smooth, target, first, ran(first, ringing))
-    np.testing.assert_allclose(second.position, first.position, atol=1e-16)
-    assert second.frame == "fixture" and np.array_equal(second.time_ns, target.time_ns)
-
-
-# --- orders of convergence ---
-@check(
-    "order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline; "
-    "learned gains at the ends too", cases=("method expected low high", [
-        ("linear", 2.0, 1.65, 2.35), ("spline", 4.0, 3.65, 4.35), ("learned", 4.0, 3.65, 5.2)]),
-)  # fmt: skip
+@check("order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline; "
+       "learned gains at the ends too", cases=("method expected low high", [
+           ("linear", 2.0, 1.65, 2.35), ("spline", 4.0, 3.65, 4.35), ("learned", 4.0, 3.65, 5.2)]))  # fmt: skip
 def test_interpolation_order(method, expected, low, high):
     """The error left of a smooth displacement without slope at the ends, as the motion of the program needs it."""
 
@@ -123,32 +106,24 @@ def test_interpolation_order(method, expected, low, high):
     return expected, found, high - expected
 
 
-# --- limits and errors ---
-def test_knots_without_samples_stay_bounded():
-    """A pass that was heard of only up to its middle."""
+def test_knots_without_samples_stay_bounded_and_a_pass_that_shows_nothing_is_refused():
+    # a pass that was heard of only up to its middle
     target = line()
     half = ran(target, ringing)
     half = PassRecord(half.time_ns[:1200], half.position[:1200])
     for criterion in ("min_max", "least_squares"):
         reference = revised("learned", target, half, criterion)
         assert np.abs(reference.position - target.position).max() < 1e-3
+    for smooth in (False, True):
+        for stamps, position in (([0], [[0.0, 0, 0]]), ([], np.zeros((0, 3))), ([0, 1], [[0.0, 0, 0], [np.nan, 0, 0]])):
+            with pytest.raises(RevisionError):
+                sampled(smooth, target, target, PassRecord(np.array(stamps, np.int64), np.array(position)))
 
 
-@pytest.mark.parametrize("smooth", [False, True])
-def test_a_pass_that_shows_nothing_is_refused(smooth):
-    target = line()
-    for stamps, position in (([0], [[0.0, 0, 0]]), ([], np.zeros((0, 3))), ([0, 1], [[0.0, 0, 0], [np.nan, 0, 0]])):
-        with pytest.raises(RevisionError):
-            sampled(smooth, target, target, PassRecord(np.array(stamps, np.int64), np.array(position)))
-
-
-def test_the_mean_wrench_belongs_to_the_nearest_knot():
+def test_the_mean_wrench_belongs_to_the_nearest_knot_and_the_displacement_is_free_of_what_every_revolution_repeats():
     wrench = np.outer([1.0, 2, 3, 4, 5, 6], np.ones(6))
     record = PassRecord(np.array([0, 4, 6, 10, 14, 30]), np.zeros((6, 3)), 0, wrench)
     np.testing.assert_allclose(record.mean_wrench(np.array([0, 10, 20, 30]))[:, 0], [1.5, 4.0, 0.0, 6.0])
-
-
-def test_the_sampled_displacement_is_free_of_what_repeats_every_revolution():
     target = Trajectory.straight_line([0, 0, 0], [1, 0, 0], 0.05, 0.05, 0.05)
     time_ns, revolution = np.arange(0, 10**9, 500_000), 7_500_000
     slow = 50e-6 + 20e-6 * time_ns * 1e-9  # [m]
@@ -162,7 +137,6 @@ def test_the_sampled_displacement_is_free_of_what_repeats_every_revolution():
 
 # --- Compensation along a tool path ---
 METHODS = ("linear", "spline", "learned", "mirror")
-SMOOTH = ("spline", "learned", "mirror")
 
 
 @pytest.fixture(scope="module")
@@ -181,32 +155,27 @@ def passes(cell):
     return found
 
 
-def error(cell, ran) -> float:
-    return remaining_error(cell.target(), record_of(cell, ran.result))
-
-
-def stops(cell) -> np.ndarray:
-    return np.flatnonzero(~cell.target().velocity.any(axis=1))
-
-
-@pytest.mark.parametrize(("method", "left"), [("linear", 0.25), ("spline", 0.1), ("learned", 0.1), ("mirror", 0.5)])
-def test_every_method_takes_the_error_of_the_whole_path_away(cell, passes, method, left):
-    assert error(cell, passes[method][1]) < left * error(cell, passes["original"][1])
-
-
-@pytest.mark.parametrize("method", SMOOTH)
-def test_the_reference_is_c2_between_stops_and_rests_in_them(cell, passes, method):
-    run = passes[method][1].reference
-    assert len(stops(cell)) == 5 and np.array_equal(run.velocity[stops(cell)], np.zeros((5, 3)))
-    shift, rate = run.position, run.velocity
-    h = np.diff(run.time)[:, None]
-    move = 3 * np.diff(shift, axis=0) / h
-    starts = 2 * (move - 2 * rate[:-1] - rate[1:]) / h  # second derivative at both ends of a Hermite segment
-    ends = 2 * (rate[:-1] + 2 * rate[1:] - move) / h
-    jump = np.abs(ends[:-1] - starts[1:])
-    between = np.setdiff1d(np.arange(1, len(run) - 1), stops(cell))
-    assert jump[between - 1].max() < 1e-9 * np.abs(starts).max()
-    assert jump[stops(cell)[1:-1] - 1].max() > 1e-3 * np.abs(starts).max()
+def test_every_method_takes_the_error_away_by_a_c2_reference_at_rest_in_stops_and_near_in_the_air(cell, passes):
+    errors = {name: remaining_error(cell.target(), record_of(cell, one.result)) for name, (_, one) in passes.items()}
+    for method, left in (("linear", 0.25), ("spline", 0.1), ("learned", 0.1), ("mirror", 0.5)):
+        assert errors[method] < left * errors["original"]
+    stops = np.flatnonzero(~cell.target().velocity.any(axis=1))
+    for method in METHODS[1:]:
+        run = passes[method][1].reference
+        assert len(stops) == 5 and np.array_equal(run.velocity[stops], np.zeros((5, 3)))
+        shift, rate = run.position, run.velocity
+        h = np.diff(run.time)[:, None]
+        move = 3 * np.diff(shift, axis=0) / h
+        starts = 2 * (move - 2 * rate[:-1] - rate[1:]) / h  # second derivative at both ends of a Hermite segment
+        ends = 2 * (rate[:-1] + 2 * rate[1:] - move) / h
+        jump = np.abs(ends[:-1] - starts[1:])
+        between = np.setdiff1d(np.arange(1, len(run) - 1), stops)
+        assert jump[between - 1].max() < 1e-9 * np.abs(starts).max()
+        assert jump[stops[1:-1] - 1].max() > 1e-3 * np.abs(starts).max()
+    # the spline must not swing out where nothing is scored: beside the part it would cut
+    run, ran = passes["learned"][1].reference, passes["original"][1].result
+    largest = np.linalg.norm(ran.deflection[:, :3], axis=1).max()
+    assert np.linalg.norm(run.position - cell.target().position, axis=1).max() < 1.5 * largest
 
 
 def test_a_rest_is_held_at_one_correction():
@@ -227,14 +196,12 @@ def test_a_rest_is_held_at_one_correction():
 
 def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
     """A wrench with moments: what (30) makes of the modified poses is the target again, its orientation as well."""
-    k = np.arange(0, len(cell.target()), 20)
     target = cell.target()
+    k = np.arange(0, len(target), 20)
     some = Trajectory(target.time_ns[k] - target.time_ns[k[0]], target.position[k], target.quaternion[k])
     wrench = np.tile([80.0, -150.0, 60.0, 20.0, -30.0, 40.0], (len(some), 1))
-    by = compensator(cell, some, "mirror")
     points = mirrored(cell, some, wrench)
     modified, _ = corrected(some, points.position - some.position, False, quaternion=points.quaternion)
-    assert by.method == "mirror"
     turn, part = np.kron(np.eye(2), cell.workpiece.pose.rotation), cell.workpiece.pose
     loaded = loaded_pose(cell.arm, cell.mount, cell.joints(modified), wrench @ turn.T, True)
     wanted = part @ Pose(some.position, rotation_from_quaternion(some.quaternion))
@@ -245,16 +212,31 @@ def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
     assert turned.min() > 1e-5 and left.max() < 1e-7
 
 
-def test_a_shortened_correction_turns_the_tool_by_the_same_share():
-    line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.25)
+def test_a_limit_shortens_the_turn_alike_bounds_a_spline_between_its_knots_and_shares_a_step_before_and_after():
+    way = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.25)
     whole = (Rotation.from_rotvec([0, 2e-3, 0]) * Rotation.from_quat(TOOL_DOWN)).as_quat()
-    shift = np.tile([0.0, 4e-4, 0.0], (len(line), 1))
-    run, limited = corrected(line, shift, False, Bounds(1e-4), quaternion=np.tile(whole, (len(line), 1)))
+    shift = np.tile([0.0, 4e-4, 0.0], (len(way), 1))
+    run, limited = corrected(way, shift, False, Bounds(1e-4), quaternion=np.tile(whole, (len(way), 1)))
     turned = Rotation.from_quat(run.quaternion) * Rotation.from_quat(TOOL_DOWN).inv()
-    assert turned.as_rotvec() == pytest.approx(np.tile([0, 0.5e-3, 0], (len(line), 1)), abs=1e-9)
+    assert turned.as_rotvec() == pytest.approx(np.tile([0, 0.5e-3, 0], (len(way), 1)), abs=1e-9)
     (found,) = limited
-    assert (found.kind, found.first, found.last) == ("size", 1, len(line))
+    assert (found.kind, found.first, found.last) == ("size", 1, len(way))
     assert found.wanted == pytest.approx(4e-4) and found.missing == pytest.approx(3e-4)
+    way = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.012)
+    step = np.outer(np.where(np.arange(len(way)) < 40, 0.0, 80e-6), [0.0, 1.0, 0.0])
+    run, (found,) = corrected(way, step, False, Bounds(max_change=10e-6, tick=12e-3))
+    y = run.position[:, 1]
+    assert np.diff(y).max() == pytest.approx(10e-6) and np.all(np.diff(y) >= 0)
+    assert y[:40] + y[79:39:-1] == pytest.approx(np.full(40, 80e-6)) and y[31] == 0 and y[33] > 0
+    assert found.kind == "change" and found.first <= 40 <= found.last
+    for kind, bounds in (("size", Bounds(20e-6)), ("change", Bounds(max_change=6e-6))):
+        target = line()
+        reference, limited = sampled(True, target, target, ran(target, ringing), bounds)
+        ticks = np.arange(0, target.duration_ns, 12_000_000)
+        correction = reference.sample(ticks) - target.sample(ticks)
+        values, most = (correction, 20e-6) if kind == "size" else (np.diff(correction, axis=0), 6e-6)
+        largest = np.linalg.norm(values, axis=1).max()
+        assert {part.kind for part in limited} == {kind} and 0.97 * most < largest <= most * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -276,34 +258,6 @@ def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, met
         assert found.time == target.time[found.worst - 1] and f"at point {found.worst} (" in found.sentence
         told[found.first - 1 : found.last] = True
     assert not np.any((missing > 1e-8) & ~told)
-
-
-@pytest.mark.parametrize(("kind", "bounds"), [("size", Bounds(20e-6)), ("change", Bounds(max_change=6e-6))])
-def test_a_spline_does_not_overshoot_its_limits_between_its_knots(kind, bounds):
-    target = line()
-    reference, limited = sampled(True, target, target, ran(target, ringing), bounds)
-    ticks = np.arange(0, target.duration_ns, 12_000_000)
-    correction = reference.sample(ticks) - target.sample(ticks)
-    values, most = (correction, 20e-6) if kind == "size" else (np.diff(correction, axis=0), 6e-6)
-    largest = np.linalg.norm(values, axis=1).max()
-    assert {part.kind for part in limited} == {kind} and 0.97 * most < largest <= most * (1 + 1e-6)
-
-
-def test_a_step_is_taken_half_before_and_half_after_so_that_it_does_not_lag():
-    line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.012)
-    step = np.outer(np.where(np.arange(len(line)) < 40, 0.0, 80e-6), [0.0, 1.0, 0.0])
-    run, (found,) = corrected(line, step, False, Bounds(max_change=10e-6, tick=12e-3))
-    y = run.position[:, 1]
-    assert np.diff(y).max() == pytest.approx(10e-6) and np.all(np.diff(y) >= 0)
-    assert y[:40] + y[79:39:-1] == pytest.approx(np.full(40, 80e-6)) and y[31] == 0 and y[33] > 0
-    assert found.kind == "change" and found.first <= 40 <= found.last
-
-
-def test_learning_keeps_still_in_the_air(cell, passes):
-    """The spline must not swing out where nothing is scored: beside the part it would cut."""
-    run, ran = passes["learned"][1].reference, passes["original"][1].result
-    largest = np.linalg.norm(ran.deflection[:, :3], axis=1).max()
-    assert np.linalg.norm(run.position - cell.target().position, axis=1).max() < 1.5 * largest
 
 
 def test_a_corner_out_of_reach_says_at_which_feed_it_is_in_reach(tmp_path, capsys):
@@ -329,3 +283,70 @@ def test_controller_order():
         errors.append(compensated(cell, original, "linear").scores.max_deviation)
     ripple = compensated(cell, original, "spline").scores.max_deviation
     return 2.0, np.polyfit(np.log(steps), np.log(np.array(errors) - ripple), 1)[0], 0.4
+
+
+# --- The static mirror (30)-(32): under load the modified target ends where the target is ---
+SPINDLE = Mount(xyz=np.array([0.25, 0.0, 0.1]), mass=60.0, mass_centre=np.array([0.1, 0.0, 0.05]))
+START = pose(ARM, SPINDLE, PAPER)
+TARGET = Pose(
+    START.position + np.linspace(0, 0.08, 5)[:, None] * START.rotation[:, 0], np.tile(START.rotation, (5, 1, 1))
+)
+WRENCH = np.array([800.0, -600.0, 400.0, 60.0, -90.0, 40.0])
+LOADS = {"1 kN and moments": [1] * 6, "1 kN": [1, 1, 1, 0, 0, 0], "moments": [0, 0, 0, 1, 1, 1]}
+
+
+def gap(first: Pose, second: Pose) -> tuple[float, float]:
+    """Largest distance [m] and angle [rad] between two stacks of poses."""
+    turn = Rotation.from_matrix(first.rotation @ np.swapaxes(second.rotation, -1, -2)).magnitude()
+    return np.linalg.norm(first.position - second.position, axis=-1).max(), np.max(turn)
+
+
+@check(
+    "mirror (31), {load}, alpha {relaxation}: loaded tool where the target is", "(31) solved: the target; link weights",
+    "m", cases=("load relaxation", [(load, alpha) for load in LOADS for alpha in (0.5, 0.9, 1.0)]),
+)  # fmt: skip
+def test_mirror_target(load, relaxation):
+    force = WRENCH * LOADS[load]
+    found = mirror(ARM, SPINDLE, TARGET, force, PAPER, relaxation=relaxation, sag_compensated=False)
+    loaded = equilibrium(ARM, SPINDLE, found.joints, np.tile(force, (5, 1)), gravity=True).pose
+    assert gap(loaded, TARGET)[1] < 1e-8
+    assert gap(pose(ARM, SPINDLE, found.joints), found.pose)[0] < 1e-12  # the joints command the modified target
+    return 0.0, gap(loaded, TARGET)[0], 1e-9
+
+
+def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs_turns_and_states_what_is_left():
+    found = mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER)
+    heavy, light = (
+        equilibrium(ARM, SPINDLE, found.joints, w * np.ones((5, 1)), gravity=True).pose for w in (WRENCH, 0 * WRENCH)
+    )
+    moved = found.pose.position + heavy.position - light.position
+    np.testing.assert_allclose(moved, TARGET.position, atol=1e-9)
+    turned = heavy.rotation @ np.swapaxes(light.rotation, -1, -2) @ found.pose.rotation
+    assert gap(Pose(moved, turned), TARGET)[1] < 1e-8
+    wrenches = WRENCH * np.linspace(-1, 1, 5)[:, None]
+    whole = mirror(ARM, SPINDLE, TARGET, wrenches, PAPER).pose
+    for k in range(5):
+        one = mirror(ARM, SPINDLE, Pose(TARGET.position[k : k + 1], TARGET.rotation[:1]), wrenches[k], PAPER).pose
+        assert gap(one, Pose(whole.position[k : k + 1], whole.rotation[k : k + 1]))[0] < 2e-9
+    moment = np.array([0, 0, 0, 0, 0, 30.0])
+    found = mirror(ARM, SPINDLE, TARGET, moment, PAPER)
+    tilted = loaded_pose(ARM, SPINDLE, np.tile(PAPER, (1, 1)), moment[None], True)
+    shift, turn = gap(tilted, Pose(START.position[None], START.rotation[None]))
+    assert found.history[0] == pytest.approx(shift + LEVER * turn, rel=0.05)
+    for relaxation, iterations in ((0.01, 60), (0.9, 3), (1.0, 1)):
+        with pytest.raises(MirrorError, match="did not converge") as caught:
+            mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=iterations)
+        history = caught.value.history
+        assert len(history) == iterations and history[-1] > caught.value.tolerance == 1e-9
+        assert f"{history[-1]:.3g} m left" in str(caught.value)
+
+
+@check(
+    "mirror (32): error of an iteration / of the one before, alpha {relaxation}", "1 - alpha for a nearly linear arm",
+    cases=("relaxation", [(0.2,), (0.5,), (0.8,), (0.9,)]),
+)  # fmt: skip
+def test_mirror_rate(relaxation):
+    history = np.array(mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=200).history)
+    assert np.all(np.diff(history) < 0)
+    rate = np.exp(np.polyfit(np.arange(len(history) - 1), np.log(history[:-1]), 1)[0])
+    return 1 - relaxation, rate, 0.05 * (1 - relaxation)

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cuttings import LAWS
-from kienzle import KienzleLaw
+from cuttings import LAWS, fitted_order
 from milled_part import POCKET, small_cell
-from slot import fitted_order
+from small_part import GCODE, small_part
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.record import find_file, parameter
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.cutting.engagement import BINS, FLOORS_KNOWN
+from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.motion.milling_pass import run_pass
 
 RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
@@ -26,17 +27,29 @@ SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
 VELOCITY = FEED * TEETH * SPEED / (2.0 * math.pi)
 MICRO_STEP = math.radians(1.0)
 AXIAL = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=2e3))
-THIRD = KienzleLaw(700e6, 0.25, 0.35)  # ordinary aluminium
+
+
+def kienzle(h, c):
+    """F_t / a_p = k_c1.1 h (h / 1 mm)^-m_c [Kienzle1952], F_r = k_r F_t, each per depth of cut [N/m]."""
+    tangential = c[0] * h * (h / 1e-3) ** -c[1] if h > 0.0 else 0.0
+    return tangential, c[2] * tangential, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class KienzleLaw(ForceLaw):
+    specific_force: float = parameter(700e6)  # ordinary aluminium
+    exponent: float = parameter(0.25)
+    radial_ratio: float = parameter(0.35)
+
+    force = staticmethod(kienzle)
+
+
+THIRD = KienzleLaw()
 THIRD_CUTTING = SimpleNamespace(active=THIRD, coefficients=THIRD.coefficients, moments=True, end_ratio=1.0)
 CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL, "kienzle": THIRD_CUTTING}
 #: y of the material as shares of R: the tool turns clockwise and feeds along +x
-IMMERSIONS = {
-    "slot": (-1.1, 1.1),
-    "half up": (-1.1, 0.0),
-    "half down": (0.0, 1.1),
-    "5 % up": (-1.1, -0.9),
-    "5 % down": (0.9, 1.1),
-}
+IMMERSIONS = {"slot": (-1.1, 1.1), "half up": (-1.1, 0.0), "half down": (0.0, 1.1), "5 % up": (-1.1, -0.9),
+              "5 % down": (0.9, 1.1)}  # fmt: skip
 
 
 def tool(helix: float = 0.0) -> Tool:
@@ -44,9 +57,8 @@ def tool(helix: float = 0.0) -> Tool:
 
 
 def block(low: float, high: float, grid_step: float = 1e-4, length: float = 40e-3) -> Stock:
-    return Stock(
-        min=np.array([0.0, low * RADIUS, -5e-3]), max=np.array([length, high * RADIUS, 0.0]), grid_step=grid_step
-    )
+    corners = np.array([[0.0, low * RADIUS, -5e-3], [length, high * RADIUS, 0.0]])
+    return Stock(min=corners[0], max=corners[1], grid_step=grid_step)
 
 
 def straight(dt: float, length: float, start: float = -RADIUS - 1e-3) -> tuple[np.ndarray, np.ndarray]:
@@ -57,7 +69,7 @@ def straight(dt: float, length: float, start: float = -RADIUS - 1e-3) -> tuple[n
     return np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)]), n * np.arange(x.size)
 
 
-def closed_form(cutting, cutter: Tool, low: float, high: float, feed: float = FEED) -> np.ndarray:
+def closed_form(cutting, low: float, high: float, feed: float = FEED) -> np.ndarray:
     """Mean force (3,) [N] over a revolution, (29) integrated over phi from the feed, clockwise from -y to +y."""
     edges = np.linspace(-math.pi / 2, math.pi / 2, 20001)
     phi, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
@@ -66,8 +78,8 @@ def closed_form(cutting, cutter: Tool, low: float, high: float, feed: float = FE
     forward, across = np.cos(phi), np.sin(phi)
     share = TEETH / (2 * math.pi) * width * DEPTH
     return share * np.array([
-        np.sum(-radial * forward + cutter.sense * tangential * across),
-        np.sum(-radial * across - cutter.sense * tangential * forward),
+        np.sum(-radial * forward + tool().sense * tangential * across),
+        np.sum(-radial * across - tool().sense * tangential * forward),
         -np.sum(axial),
     ])  # fmt: skip
 
@@ -81,7 +93,7 @@ def forces(cutting, immersion: str, helix=0.0, dt=4e-3, grid_step=1e-4, bins: in
 
 def error(cutting, immersion: str, **options) -> float:
     """Of the mean force, a share of its size."""
-    exact = closed_form(cutting, tool(), *IMMERSIONS[immersion])
+    exact = closed_form(cutting, *IMMERSIONS[immersion])
     mean = forces(cutting, immersion, **options).mean(axis=0)
     return float(np.abs(mean - exact).max() / np.linalg.norm(exact))
 
@@ -107,8 +119,7 @@ def test_wrench_and_torque_are_the_means_of_the_swept_teeth(immersion, helix):
     for model, grid_step in ((Cut, 2e-5), (EngagementCut, 1e-4)):
         cut = model(tool(helix), AXIAL, block(low, high, grid_step, 20e-3), MICRO_STEP)
         wrench, torque, volume = cut.along(path, steps)
-        full = path[:, 0] > RADIUS / 5
-        full &= path[:, 0] < 9e-3
+        full = (path[:, 0] > RADIUS / 5) & (path[:, 0] < 9e-3)
         results.append((wrench[full].mean(axis=0), torque[full].mean(), volume[full].sum()))
     (teeth, teeth_torque, teeth_volume), (mean, torque, volume) = results
     assert mean[:3] == pytest.approx(teeth[:3], abs=0.015 * np.linalg.norm(teeth[:3]))
@@ -117,20 +128,29 @@ def test_wrench_and_torque_are_the_means_of_the_swept_teeth(immersion, helix):
     assert volume == pytest.approx(teeth_volume, rel=0.01)
 
 
-@pytest.mark.parametrize("immersion", IMMERSIONS)
-def test_the_removed_volume_is_that_of_the_geometry_and_none_is_lost_between_steps(immersion):
-    low, high = (min(max(side, -1.0), 1.0) for side in IMMERSIONS[immersion])
-    cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS[immersion]), MICRO_STEP)
-    path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)  # through the stock
-    volume = cut.along(path, steps)[2]
-    assert path[-1, 0] > 40e-3
-    assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-9)
-    past = path[:, 0] < 38e-3
-    assert cut.removed_volume == pytest.approx((high - low) * RADIUS * 40e-3 * DEPTH, rel=0.01)
-    assert (volume[past] >= 0.0).all()
+def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_below_the_path():
+    for immersion in IMMERSIONS:
+        low, high = (min(max(side, -1.0), 1.0) for side in IMMERSIONS[immersion])
+        cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS[immersion]), MICRO_STEP)
+        path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)  # through the stock
+        volume = cut.along(path, steps)[2]
+        assert path[-1, 0] > 40e-3
+        assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-9)
+        past = path[:, 0] < 38e-3
+        assert cut.removed_volume == pytest.approx((high - low) * RADIUS * 40e-3 * DEPTH, rel=0.01)
+        assert (volume[past] >= 0.0).all()
+    cut = EngagementCut(tool(), AXIAL, block(-1.5, 1.5), MICRO_STEP)
+    path, steps = straight(4e-3, 20e-3, start=12e-3)
+    path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
+    cut.along(path, steps)
+    x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
+    lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
+    inside = x + RADIUS < path[-1, 0]
+    assert np.ptp(path[:, 0]) > 19e-3
+    assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
-def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth():
+def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth_times_the_end_ratio_which_no_level_cut_has():
     """Each tooth takes a layer of dz / passes over the radius: h = A / (R dphi) = R / 2 on average, a = dz / passes."""
     n = round(SPEED * 4e-3 / MICRO_STEP)
     depth = 0.05e-3 * np.arange(20)
@@ -146,23 +166,7 @@ def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth():
     assert np.abs(wrench[-1, :2]).max() < 0.02 * abs(wrench[-1, 2])
     assert torque[-1] > 0.0
     assert twice.along(path, n * np.arange(20))[0][-1, 2] == pytest.approx(2 * wrench[-1, 2], rel=1e-12)
-
-
-def test_the_end_ratio_leaves_a_level_cut_unchanged():
     assert np.array_equal(forces(AXIAL.replace(end_ratio=3.0), "half up"), forces(AXIAL, "half up"))
-
-
-def test_a_ramp_removes_the_wedge_below_the_path():
-    cut = EngagementCut(tool(), AXIAL, block(-1.5, 1.5), MICRO_STEP)
-    path, steps = straight(4e-3, 20e-3, start=12e-3)
-    path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
-    cut.along(path, steps)
-    way = path[-1, 0] - path[0, 0]
-    x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
-    lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
-    inside = x + RADIUS < path[-1, 0]
-    assert way > 19e-3
-    assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
 @pytest.mark.parametrize("sinking", [0.0, 2e-5])
@@ -205,24 +209,19 @@ def test_a_sinking_tool_need_not_visit_again_what_it_has_cut(iterated):
         np.testing.assert_array_equal(getattr(cuts[0].state, name), getattr(cuts[1].state, name))
 
 
-def test_the_error_falls_with_the_step_of_the_map():
-    """Scatter of the force over the steps: cells that are cut in part alias with the step of the path."""
-    steps = [8e-4, 4e-4, 2e-4, 1e-4, 5e-5]
+def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and_has_no_order_in_the_length_of_a_step():
+    """Scatter of the force over the steps: cells that are cut in part alias with the step of the path.
+
+    The chip thickness belongs to the feed per tooth and not to the step.
+    """
+    steps, bins = [8e-4, 4e-4, 2e-4, 1e-4, 5e-5], [8, 12, 16, 24]
     scatter = [float(forces(AXIAL, "slot", grid_step=step).std(axis=0).max()) for step in steps]
     assert fitted_order(steps, scatter) > 0.8
-    assert scatter[2] < 0.006 * np.linalg.norm(closed_form(AXIAL, tool(), -1.0, 1.0))
-
-
-def test_the_mean_force_does_not_depend_on_the_length_of_a_step():
-    """The chip thickness belongs to the feed per tooth and not to the step: the error has no order in dt to lose."""
-    assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
-
-
-def test_the_error_falls_with_the_square_of_the_number_of_bins():
-    bins = [8, 12, 16, 24]
+    assert scatter[2] < 0.006 * np.linalg.norm(closed_form(AXIAL, -1.0, 1.0))
     errors = [error(THIRD_CUTTING, "half down", bins=count) for count in bins]
     assert fitted_order(1.0 / np.array(bins), errors) > 1.7
     assert error(THIRD_CUTTING, "half down") < errors[-1] / 4
+    assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
 
 
 def test_the_deflection_converges_with_the_exchange_period(tmp_path):
@@ -243,19 +242,10 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
     assert errors[2] < 0.5e-6
 
 
-@pytest.fixture(scope="module")
-def milled():
-    """The result of the pass, its assessment, the pass and the cell by each model."""
-    results = {}
-    for detail in ("teeth", "engagement"):
-        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}", "compensation.max_passes=2"])
-        ran = simulate(cell)
-        results[detail] = ran.result, assess(cell, ran).whole, ran, cell
-    return results
-
-
-def test_the_test_piece_deflects_as_under_the_swept_teeth(milled):
-    teeth, mean = (milled[detail][0] for detail in ("teeth", "engagement"))
+def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
+    cells = [read_cell(find_file("test_piece.yaml"), [f"cutting.detail={name}"]) for name in ("teeth", "engagement")]
+    passes = [simulate(cell) for cell in cells]
+    teeth, mean = (ran.result for ran in passes)
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
     swept, engaged = teeth.deflection[at, :3], mean.deflection[1:-1, :3]
     for axis in range(3):
@@ -266,29 +256,31 @@ def test_the_test_piece_deflects_as_under_the_swept_teeth(milled):
     assert difference.max() < 5e-6
     assert rms(difference) < 1e-6
     assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.002)
+    parts = [assess(cell, ran).whole for cell, ran in zip(cells, passes, strict=True)]
+    for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
+        swept, engaged = (getattr(part, name) for part in parts)
+        assert engaged == pytest.approx(swept, rel=0.02, abs=0.5e-6), name
 
 
-@pytest.mark.parametrize("name", ["max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"])
-def test_errors_of_the_test_piece_are_those_of_the_swept_teeth(milled, name):
-    teeth, mean = (getattr(milled[detail][1], name) for detail in ("teeth", "engagement"))
-    assert mean == pytest.approx(teeth, rel=0.02, abs=0.5e-6)
+def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under_the_swept_teeth(tmp_path):
+    words = ("compensation.max_passes=2", "dynamics.reference_inertia=true", "stock.grid_step_um=20")
+    teeth, mean = (small_part(tmp_path, GCODE, f"cutting.detail={name}", *words) for name in ("teeth", "engagement"))
+    original = simulate(teeth)
+    planned = compensated(mean, simulate(mean), "learned").reference
+    best = compensated(teeth, original, "learned").scores.max_deviation
+    assert simulate(teeth, planned).scores.max_deviation < 1.2 * best < 0.04 * original.scores.max_deviation
 
 
-def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under_the_swept_teeth(milled):
-    (*_, original, cell), (*_, engaged, engagement_cell) = milled["teeth"], milled["engagement"]
-    planned = compensated(engagement_cell, engaged, "learned").reference
-    left = simulate(cell, planned).scores.max_deviation
-    assert left < 1.2 * compensated(cell, original, "learned").scores.max_deviation < 4e-6
-
-
-@pytest.mark.parametrize("value, detail", [("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")])
-def test_the_detail_of_a_short_program_is_that_of_the_key(value, detail):
-    cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
-    assert cell.cutting.detail == detail
-    assert isinstance(cell.cut(), EngagementCut if detail == "engagement" else Cut)
-
-
-def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_path):
+def test_the_detail_is_that_of_the_key_or_of_the_length_with_a_finer_map_for_a_small_cutter(tmp_path):
+    for value, detail in (("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")):
+        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
+        assert cell.cutting.detail == detail
+        assert isinstance(cell.cut(), EngagementCut if detail == "engagement" else Cut)
+    small = read_cell(find_file("test_piece.yaml"), ["cutting.detail=engagement", "tool.diameter_mm=2"])
+    assert small.stock.grid_step == pytest.approx(1e-3 / 50)
+    assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
+    with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
+        read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
     program = tmp_path / "long.nc"
     moves = "".join(f"G1 X{40 * (-1) ** k} Y{k % 40 - 20}\n" for k in range(60))
     program.write_text(f"G21 G90 G17\nS8000 M3\nG0 X60 Y0 Z5\nG0 Z-0.5\nG1 X40 F4000\n{moves}G0 Z5\nM30\n")
@@ -314,24 +306,13 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
     x = 8e-3 + feed * TEETH * np.arange(5)
     path = np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)])
     force = cut.along(path, n * np.arange(5))[0][-1, :3]
-    ratio = np.linalg.norm(force) / np.linalg.norm(closed_form(AXIAL, tool(), *IMMERSIONS["slot"], feed))
+    ratio = np.linalg.norm(force) / np.linalg.norm(closed_form(AXIAL, *IMMERSIONS["slot"], feed))
     rate = 60 * feed * TEETH * SPEED / (2 * math.pi)
     words = [f"path.feed_rate_m_per_min={rate}", f"stock.grid_step_um={grid_um}"]
     words += [f"exchange.micro_step_deg={micro_step}", "exchange.period_ms=7.5", "path.length_mm=1"]
     stated = "the force of thin chips is too low" in read_cell(find_file("paper.yaml"), words).cut_text
     assert stated == (share < 0.95)
     assert ratio < share if stated else ratio == pytest.approx(1.0, abs=0.05)
-
-
-def test_the_map_of_a_small_cutter_is_finer():
-    words = ["cutting.detail=engagement", "tool.diameter_mm=2"]
-    assert read_cell(find_file("test_piece.yaml"), words).stock.grid_step == pytest.approx(1e-3 / 50)
-
-
-def test_a_straight_cut_stays_with_the_teeth():
-    assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
-    with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
-        read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 
 import numpy as np
 import pytest
 from book import check
-from cuttings import ALUMINIUM, LAWS, PAPER_LAW
-from slot import convergence, slot_chip
+from cuttings import ALUMINIUM, LAWS, PAPER_LAW, convergence, slot_chip
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build, flatten
@@ -101,10 +101,8 @@ def test_slot_mean_between_trochoids(law, axis, share):
     return expected, mean(law)["xy".index(axis)], share * abs(expected)
 
 
-@check(
-    "rigid slot, linear-edge law, mean F_{axis}", "-+ N a (K f_z / 4 + K_e / pi), Al7075-T6", "N",
-    cases=("axis cutting edge", [("x", -180.96, -20.42), ("y", 600.46, 17.9)]),
-)  # fmt: skip
+@check("rigid slot, linear-edge law, mean F_{axis}", "-+ N a (K f_z / 4 + K_e / pi), Al7075-T6", "N",
+       cases=("axis cutting edge", [("x", -180.96, -20.42), ("y", 600.46, 17.9)]))  # fmt: skip
 def test_linear_edge_slot_mean(axis, cutting, edge):
     """Coefficients [N/mm^2, N/mm] times 4 teeth, 1 mm and f_z / 4, 1 / pi; terms of f_z / R are left out."""
     expected = cutting * 0.125 + 4 / np.pi * edge
@@ -183,15 +181,12 @@ def test_backing_off():
     return 0.0, np.abs(ways).max(), 0.0
 
 
-def test_counterclockwise_rotation_mirrors_the_cut():
+def test_counterclockwise_rotation_mirrors_the_cut_and_force_is_proportional_to_the_depth_down_to_the_bottom():
     right, left = np.zeros((720, 3)), np.zeros((720, 3))
     for rotation, forces in (("clockwise", right), ("counterclockwise", left)):
         cut, here, first = engaged(PAPER.replace(rotation=rotation))
         cut.sweep(here, here + [8 * FEED, 0.0, 0.0], first, 720, forces)
     assert left * [1, -1, 1] == pytest.approx(right, rel=1e-6, abs=1e-6) and np.abs(right[:, 1]).max() > 100.0
-
-
-def test_force_is_proportional_to_depth_and_stops_at_the_stock_s_bottom():
     obtained = []
     for depth in (1e-3, 2e-3, 5e-3, 8e-3):
         cut = Cut(PAPER, PAPER_LAW, block(-12e-3, 12e-3), np.radians(1.0))
@@ -207,12 +202,9 @@ AXIAL = Cutting("linear_edge", linear_edge=LAW)
 SHARP = Cutting("linear_edge", linear_edge=LAW.replace(tangential_edge=0.0, radial_edge=0.0, axial_edge=0.0))
 TURN = 360  # micro-steps
 IMMERSIONS = {  # y of the material as shares of R; phi of [Altintas2012] from +y clockwise, where a tooth cuts
-    "slot": (-1.2, 1.2, 0.0, np.pi),
-    "half up": (0.0, 1.2, 0.0, np.pi / 2),
-    "half down": (-1.2, 0.0, np.pi / 2, np.pi),
-    "quarter up": (0.5, 1.2, 0.0, np.pi / 3),
-    "quarter down": (-1.2, -0.5, 2 * np.pi / 3, np.pi),
-}
+    "slot": (-1.2, 1.2, 0.0, np.pi), "half up": (0.0, 1.2, 0.0, np.pi / 2), "half down": (-1.2, 0.0, np.pi / 2, np.pi),
+    "quarter up": (0.5, 1.2, 0.0, np.pi / 3), "quarter down": (-1.2, -0.5, 2 * np.pi / 3, np.pi),
+}  # fmt: skip
 
 
 def helical(helix: float = 0.0, rotation: str = "clockwise") -> Tool:
@@ -250,11 +242,9 @@ def altintas(phi: float) -> np.ndarray:
     return np.array([x, y, z, RADIUS * (-LAW.tangential_cutting * SMALL_FEED * c + LAW.tangential_edge * phi)])
 
 
-@check(
-    "helix of {helix} deg, {name}: mean {component}", "closed form of [Altintas2012], chapter 2, linear-edge law",
-    "N, N m", cases=("helix name component", [(helix, name, c) for helix in (0, 30) for name in IMMERSIONS
-                                              for c in ("F_x", "F_y", "F_z", "M_z")]),
-)  # fmt: skip
+@check("helix of {helix} deg, {name}: mean {component}", "closed form of [Altintas2012], chapter 2, linear-edge law",
+       "N, N m", cases=("helix name component", [(helix, name, c) for helix in (0, 30) for name in IMMERSIONS
+                                                 for c in ("F_x", "F_y", "F_z", "M_z")]))  # fmt: skip
 def test_altintas(helix, name, component):
     """In the plane 1 % of the resultant; along the axis and about it 1 % of the value."""
     _, _, entry, leave = IMMERSIONS[name]
@@ -265,10 +255,17 @@ def test_altintas(helix, name, component):
     return expected[which], obtained[which], 0.01 * scale
 
 
-@pytest.mark.parametrize("rotation, sign", [("clockwise", 1.0), ("counterclockwise", -1.0)])
-def test_the_reaction_of_the_spindle_turns_against_the_teeth(rotation, sign):
-    wrench, torque = mean_wrench(AXIAL, helical(rotation=rotation))
-    assert torque > 0.0 and wrench[5] == pytest.approx(sign * torque, rel=1e-12)
+def test_the_reaction_turns_against_the_teeth_a_helix_of_no_lag_changes_nothing_and_moments_may_be_left_out():
+    for rotation, sign in (("clockwise", 1.0), ("counterclockwise", -1.0)):
+        wrench, torque = mean_wrench(AXIAL, helical(rotation=rotation))
+        assert torque > 0.0 and wrench[5] == pytest.approx(sign * torque, rel=1e-12)
+    loads = [immersed("slot", helix)[0] for helix in (0, 1e-9, 1e-3)]
+    np.testing.assert_allclose(loads[1], loads[0], rtol=1e-9)
+    np.testing.assert_allclose(loads[2], loads[0], rtol=1e-3, atol=1e-4)
+    torque = immersed("slot", 0)[1]
+    without, same = mean_wrench(Cutting("linear_edge", linear_edge=LAW, moments=False), helical())
+    np.testing.assert_array_equal(without, [*loads[0][:3], 0.0, 0.0, 0.0])
+    assert torque == same
 
 
 def edge_integral(cutter, law, phi):
@@ -300,12 +297,6 @@ def test_force_and_moment_of_each_micro_step_are_integrals_along_the_lagging_edg
     assert rms.max() < 0.015, rms
 
 
-def test_a_helix_that_lags_by_next_to_nothing_changes_next_to_nothing():
-    loads = [immersed("slot", helix)[0] for helix in (0, 1e-9, 1e-3)]
-    np.testing.assert_allclose(loads[1], loads[0], rtol=1e-9)
-    np.testing.assert_allclose(loads[2], loads[0], rtol=1e-3, atol=1e-4)
-
-
 def test_a_sweep_is_taken_back_with_the_loads_that_it_left_to_later_micro_steps():
     cut, here, first = deep(AXIAL, helical(30.0))
     step = np.array([SMALL_FEED / 10, 0.0, 0.0])
@@ -317,13 +308,6 @@ def test_a_sweep_is_taken_back_with_the_loads_that_it_left_to_later_micro_steps(
     cut.restore()
     parts = [cut.sweep(there + k * step / 2, there + (k + 1) * step / 2, first + 12 + 6 * k, 6) for k in range(2)]
     np.testing.assert_allclose(np.mean(parts, axis=0), whole, rtol=1e-9)
-
-
-def test_forces_only_are_what_the_paper_sums_up():
-    with_moments, torque = immersed("slot", 0)
-    without, same = mean_wrench(Cutting("linear_edge", linear_edge=LAW, moments=False), helical())
-    np.testing.assert_array_equal(without, [*with_moments[:3], 0.0, 0.0, 0.0])
-    assert torque == same
 
 
 # --- the oracle of chips between two trochoids, and orders of convergence ---
@@ -357,56 +341,12 @@ def test_angle_order(law):
 
 
 # --- force laws as functions of the chip thickness, and their coefficients in a file ---
-def test_fractional_law_has_the_stiffness_k_0_at_first_and_r_k_0_at_last():
+def test_laws_have_their_slopes_no_force_without_a_chip_and_an_axial_force_by_coefficients_of_its_own():
     law = PAPER_LAW.fractional
     slope = [(fractional(h + d, 5e6, 18e-6, 0.1) - fractional(h, 5e6, 18e-6, 0.1)) / d for h, d in ((0, 1e-10), (1, 1))]
     assert slope == pytest.approx([law.stiffness / 1e-3, law.ratio * law.stiffness / 1e-3], rel=1e-4)
-
-
-@pytest.mark.parametrize("cutting", [PAPER_LAW, ALUMINIUM], ids=["fractional", "linear_edge"])
-def test_no_chip_means_no_force(cutting):
-    for h in (0.0, -1e-6, -1.0):
+    for cutting, h in itertools.product((PAPER_LAW, ALUMINIUM), (0.0, -1e-6, -1.0)):
         assert cutting.force_per_depth(h) == (0.0, 0.0)
-
-
-LINEAR_EDGE = {
-    "tangential_cutting_n_per_mm2": 700.0,
-    "tangential_edge_n_per_mm": 17.9,
-    "radial_cutting_n_per_mm2": 180.96,
-    "radial_edge_n_per_mm": 20.42,
-}
-FRACTIONAL = {"stiffness_n_per_m": 5e6, "specific_chip_thickness_um": 18.0, "ratio": 0.1, "radial_ratio": 0.3}
-
-
-def test_a_file_names_only_the_law_that_it_uses():
-    cutting = build(Cutting, {"law": "linear_edge", "linear_edge": LINEAR_EDGE})
-    assert cutting.coefficients == pytest.approx([700e6, 17.9e3, 180.96e6, 20.42e3, 0.0, 0.0])
-    assert build(Cutting, {"fractional": FRACTIONAL}).coefficients == pytest.approx([5e6, 18e-6, 0.1, 0.3, 0.0])
-    axial = ("axial_cutting_n_per_mm2", "axial_edge_n_per_mm")
-    assert {key for key in flatten(cutting) if "linear" in key} == {f"linear_edge.{k}" for k in (*LINEAR_EDGE, *axial)}
-    assert {key for key in flatten(cutting) if "fractional" in key} == {"fractional.axial_ratio"}
-
-
-@pytest.mark.parametrize("law, coefficients", [("linear_edge", LINEAR_EDGE), ("fractional", FRACTIONAL)])
-def test_a_law_without_one_of_its_coefficients_is_refused_with_its_key(law, coefficients):
-    for missing in coefficients:
-        given = {key: value for key, value in coefficients.items() if key != missing}
-        with pytest.raises(ConfigError, match=f"{law}.{missing}: has no value, it must be given where cutting.law is"):
-            build(Cutting, {"law": law, law: given})
-    with pytest.raises(ConfigError, match="has no value"):
-        build(Cutting, {"law": law})
-    with pytest.raises(ParameterError, match="must be given"):
-        Cutting(law)
-
-
-def test_not_a_number_is_not_a_missing_coefficient():
-    with pytest.raises(ConfigError, match="nan is not usable"):
-        build(Cutting, {"fractional": {**FRACTIONAL, "ratio": math.nan}})
-    with pytest.raises(ConfigError, match="nan is not usable"):
-        build(Cutting, {"fractional": FRACTIONAL, "linear_edge": {"radial_edge_n_per_mm": math.nan}})
-
-
-def test_the_axial_force_has_coefficients_of_its_own():
     steel = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=1e3))
     assert steel.axial and not ALUMINIUM.axial and not PAPER_LAW.axial
     assert steel.axial_per_depth(1e-4) == pytest.approx(220e6 * 1e-4 + 1e3) and steel.axial_per_depth(0.0) == 0.0
@@ -414,7 +354,36 @@ def test_the_axial_force_has_coefficients_of_its_own():
     assert bent.axial_per_depth(1e-4) == pytest.approx(0.4 * bent.force_per_depth(1e-4)[0])
 
 
-@pytest.mark.parametrize("tree", [{"law": "kienzle"}, {"fractional": {"ratio": 1.5}}, {"fractional": {"ratio": True}}])
-def test_unusable_laws_are_refused(tree):
-    with pytest.raises(ConfigError):
+LINEAR_EDGE = {"tangential_cutting_n_per_mm2": 700.0, "tangential_edge_n_per_mm": 17.9,
+               "radial_cutting_n_per_mm2": 180.96, "radial_edge_n_per_mm": 20.42}  # fmt: skip
+FRACTIONAL = {"stiffness_n_per_m": 5e6, "specific_chip_thickness_um": 18.0, "ratio": 0.1, "radial_ratio": 0.3}
+
+
+def test_a_file_names_only_the_law_that_it_uses_and_all_coefficients_of_that_one():
+    cutting = build(Cutting, {"law": "linear_edge", "linear_edge": LINEAR_EDGE})
+    assert cutting.coefficients == pytest.approx([700e6, 17.9e3, 180.96e6, 20.42e3, 0.0, 0.0])
+    assert build(Cutting, {"fractional": FRACTIONAL}).coefficients == pytest.approx([5e6, 18e-6, 0.1, 0.3, 0.0])
+    axial = ("axial_cutting_n_per_mm2", "axial_edge_n_per_mm")
+    assert {key for key in flatten(cutting) if "linear" in key} == {f"linear_edge.{k}" for k in (*LINEAR_EDGE, *axial)}
+    assert {key for key in flatten(cutting) if "fractional" in key} == {"fractional.axial_ratio"}
+    for law, coefficients in (("linear_edge", LINEAR_EDGE), ("fractional", FRACTIONAL)):
+        for missing in coefficients:
+            given = {key: value for key, value in coefficients.items() if key != missing}
+            with pytest.raises(
+                ConfigError, match=f"{law}.{missing}: has no value, it must be given where cutting.law is"
+            ):
+                build(Cutting, {"law": law, law: given})
+        with pytest.raises(ConfigError, match="has no value"):
+            build(Cutting, {"law": law})
+        with pytest.raises(ParameterError, match="must be given"):
+            Cutting(law)
+
+
+@pytest.mark.parametrize(("tree", "says"), [
+    ({"law": "kienzle"}, "law"), ({"fractional": {"ratio": 1.5}}, "ratio"), ({"fractional": {"ratio": True}}, "ratio"),
+    ({"fractional": {**FRACTIONAL, "ratio": math.nan}}, "nan is not usable"),  # which is no missing coefficient
+    ({"fractional": FRACTIONAL, "linear_edge": {"radial_edge_n_per_mm": math.nan}}, "nan is not usable"),
+])  # fmt: skip
+def test_unusable_laws_are_refused(tree, says):
+    with pytest.raises(ConfigError, match=says):
         build(Cutting, tree)

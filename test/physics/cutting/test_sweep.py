@@ -1,11 +1,14 @@
-"""The sweep: cutter, stock, filling of polygons, vector instructions, and a brute-force oracle on small grids."""
+"""The sweep: cutter, stock, polygons, vector instructions, a brute-force oracle on small grids, and the workpiece."""
 
 from __future__ import annotations
 
 import ctypes
+import resource
+import sys
 
 import numpy as np
 import pytest
+from book import check
 from budget import budget
 from cuttings import PAPER_LAW
 from hypothesis import example, given, settings
@@ -15,84 +18,51 @@ from numba import njit
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build
-from kr270_milling.physics.cutting import Cut, Stock, Tool, lanes, make_params, make_state
+from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError, lanes
 from kr270_milling.physics.cutting.fill import clear_quad
-from kr270_milling.physics.cutting.grid import tile_count
+from kr270_milling.physics.cutting.grid import TILE, tile_count
 from kr270_milling.physics.cutting.lanes import LANES, NODE, build_lanes, lower_lanes, lower_one_by_one
+from kr270_milling.physics.cutting.state import make_params, make_state
 
 PAPER = {"diameter_mm": 20.0, "teeth": 4, "spindle_speed_rpm": 8000.0}
 STOCK = Stock(min=np.zeros(3), max=np.array([10e-3, 5e-3, 2e-3]))
+BOX = {"min_mm": [0.0, -12.0, -10.0], "max_mm": [100.0, 12.0, 0.0]}
 
 
-def test_paper_cutter_has_four_teeth_a_quarter_turn_apart():
+def test_teeth_stand_at_their_pitch_clockwise_at_cos_phi_minus_sin_phi_and_a_micro_step_divides_a_revolution():
     tool = build(Tool, PAPER)
     assert tool.angles == pytest.approx(np.radians([0, 90, 180, 270]))
-    assert tool.radii == pytest.approx(np.full(4, 10e-3))
-    assert tool.spindle_speed == pytest.approx(837.758, abs=1e-3)
-
-
-def test_pitch_angles_add_up_in_the_sense_of_rotation():
-    tool = build(Tool, {**PAPER, "teeth": 3, "pitch_deg": [100.0, 110.0, 150.0], "start_angle_deg": 10.0})
-    assert tool.angles == pytest.approx(np.radians([10, 110, 220]))
-
-
-def test_clockwise_teeth_stand_at_cos_phi_minus_sin_phi():
+    assert tool.radii == pytest.approx(np.full(4, 10e-3)) and tool.spindle_speed == pytest.approx(837.758, abs=1e-3)
+    uneven = build(Tool, {**PAPER, "teeth": 3, "pitch_deg": [100.0, 110.0, 150.0], "start_angle_deg": 10.0})
+    assert uneven.angles == pytest.approx(np.radians([10, 110, 220]))
     for rotation, sense in (("clockwise", -1), ("counterclockwise", 1)):
         params = make_params(build(Tool, {**PAPER, "rotation": rotation}), PAPER_LAW, STOCK, np.radians(1.0))
         assert params.directions[0, 30] == pytest.approx([np.cos(np.pi / 6), sense * 0.5])
         assert params.directions[1, 0] == pytest.approx([0.0, sense], abs=0)
         assert np.array_equal(params.directions[:, 0], params.directions[:, -1])
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"pitch_deg": [90.0, 90.0, 90.0]},
-        {"pitch_deg": [90.0, 90.0, 90.0, 91.0]},
-        {"pitch_deg": [90.0, 90.0, 180.0, 0.0]},
-        {"runout_um": [1.0]},
-        {"diameter_mm": 1.0, "runout_um": [0.0, 0.0, 0.0, -600.0]},
-        {"teeth": 0},
-        {"rotation": "left"},
-        {"diameter_mm": float("nan")},
-    ],
-)
-def test_impossible_cutters_are_refused(change):
-    with pytest.raises(ConfigError):
-        build(Tool, {**PAPER, **change})
-
-
-@pytest.mark.parametrize("degrees", [0.0, -1.0, 0.7, 16.0, float("nan")])
-def test_a_micro_step_must_divide_a_revolution(degrees):
-    with pytest.raises(ParameterError, match="micro_step"):
-        make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(degrees))
-    assert make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(0.75)).steps == 480
-
-
-# --- The stock's record, its levels and its tiles ---
-BOX = {"min_mm": [0.0, -12.0, -10.0], "max_mm": [100.0, 12.0, 0.0]}
+    assert make_params(tool, PAPER_LAW, STOCK, np.radians(0.75)).steps == 480
+    for degrees in (0.0, -1.0, 0.7, 16.0, float("nan")):
+        with pytest.raises(ParameterError, match="micro_step"):
+            make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(degrees))
 
 
 def test_stock_counts_its_nodes_and_tiles():
     stock = build(Stock, {**BOX, "grid_step_um": 10.0})
-    assert stock.nodes == (10000, 2400)
-    assert tile_count(stock) == (40, 10)
+    assert stock.nodes == (10000, 2400) and tile_count(stock) == (40, 10)
     assert stock.level_step * 65535 == pytest.approx(10e-3)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"max_mm": [100.0, -12.0, 0.0]},
-        {"max_mm": [100.0, 12.0, -10.0]},
-        {"max_mm": [100.0, 12.0]},
-        {"max_mm": [float("inf"), 12.0, 0.0]},
-        {"grid_step_um": 0.0},
-    ],
-)
-def test_impossible_stocks_are_refused(change):
+@pytest.mark.parametrize(("kind", "change"), [
+    *((Tool, {"pitch_deg": pitch}) for pitch in ([90.0] * 3, [90.0, 90.0, 90.0, 91.0], [90.0, 90.0, 180.0, 0.0])),
+    (Tool, {"runout_um": [1.0]}), (Tool, {"diameter_mm": 1.0, "runout_um": [0.0, 0.0, 0.0, -600.0]}),
+    (Tool, {"teeth": 0}), (Tool, {"rotation": "left"}), (Tool, {"diameter_mm": float("nan")}),
+    *((Stock, {"max_mm": high}) for high in ([100.0, -12.0, 0.0], [100.0, 12.0, -10.0], [100.0, 12.0],
+                                             [float("inf"), 12.0, 0.0])),
+    (Stock, {"grid_step_um": 0.0}),
+])  # fmt: skip
+def test_impossible_cutters_and_stocks_are_refused(kind, change):
     with pytest.raises(ConfigError):
-        build(Stock, {**BOX, **change})
+        build(kind, {**{Tool: PAPER, Stock: BOX}[kind], **change})
 
 
 # --- The innermost step of the sweep ---
@@ -109,17 +79,15 @@ def by_vectors(pool, start, log, place, count, level):
     lower_lanes(pool, start, log, place, count, level)
 
 
-@pytest.mark.parametrize("count", [0, 1, 7, LANES])
-def test_plain_loop_and_vector_instructions_lower_the_same_nodes(count):
-    expected, _ = lowered(lambda *_: None, count)
-    before = expected[5 : 5 + count].copy()
-    expected[5 : 5 + count] = np.maximum(before, 300)
-    for lower in (lower_one_by_one, by_vectors):
-        pool, log = lowered(lower, count)
-        assert np.array_equal(pool, expected) and np.array_equal(log[2 : 2 + count], before)
+def test_plain_loop_and_vector_instructions_lower_the_same_nodes_and_without_instructions_the_loop_is_taken():
+    for count in (0, 1, 7, LANES):
+        expected, _ = lowered(lambda *_: None, count)
+        before = expected[5 : 5 + count].copy()
+        expected[5 : 5 + count] = np.maximum(before, 300)
+        for lower in (lower_one_by_one, by_vectors):
+            pool, log = lowered(lower, count)
+            assert np.array_equal(pool, expected) and np.array_equal(log[2 : 2 + count], before)
 
-
-def test_an_llvmlite_that_cannot_build_the_instructions_gets_the_plain_loop():
     def build(builder, *values):  # as before 0.44
         builder.load(values[0], no_such_argument=NODE)
 
@@ -151,15 +119,8 @@ def test_the_instructions_are_valid_with_opaque_pointers(monkeypatch):
 
 # --- Clearing of polygons, against a point-in-polygon test by crossing numbers ---
 SIZE = 30
-STOCK_FILL = Stock(min=np.zeros(3), max=np.array([3e-3, 3e-3, 1e-3]), grid_step=1e-4)
-PARAMS = make_params(Tool(diameter=1e-3, teeth=1, spindle_speed=1.0), PAPER_LAW, STOCK_FILL, np.radians(10.0))
+SHEET = Stock(min=np.zeros(3), max=np.array([3e-3, 3e-3, 1e-3]), grid_step=1e-4)
 corner = st.floats(-10.0, 40.0)
-
-
-def cleared(xs, ys):
-    state = make_state(PARAMS, STOCK_FILL, 4096)
-    clear_quad(state, xs, ys, SIZE, SIZE, 7)
-    return state.pool[: 256 * SIZE].reshape(SIZE, 256)[:, :SIZE] == 7
 
 
 def inside(xs, ys):
@@ -178,9 +139,12 @@ def inside(xs, ys):
 @example((0.0, 0.0, 0.0, 2.2e-309), (0.0, 0.0, 0.0, 1.0))
 @given(st.tuples(*[corner] * 4), st.tuples(*[corner] * 4))
 def test_a_quadrilateral_is_cleared_inside_and_nowhere_else(xs, ys):
+    tool = Tool(diameter=1e-3, teeth=1, spindle_speed=1.0)
+    state = make_state(make_params(tool, PAPER_LAW, SHEET, np.radians(10.0)), SHEET, 4096)
+    clear_quad(state, xs, ys, SIZE, SIZE, 7)
+    cleared = state.pool[: 256 * SIZE].reshape(SIZE, 256)[:, :SIZE] == 7
     odd, near = inside(xs, ys)
-    sure = near > 1e-6
-    assert np.array_equal(cleared(xs, ys)[sure], odd[sure])
+    assert np.array_equal(cleared[near > 1e-6], odd[near > 1e-6])
 
 
 # --- The compiled sweep against a brute-force oracle on small grids, and what a sweep must conserve ---
@@ -200,6 +164,12 @@ def levels(cut):
     x, y, z = cut.heights([0.0, 0.0], [NODES * STEP, NODES * STEP])
     assert z.shape == (NODES, NODES)
     return np.rint(-z / cut.stock.level_step).astype(int)
+
+
+def below(centre):
+    """The nodes of a small cut below a cutter of 9 nodes radius."""
+    middle = (np.arange(NODES) + 0.5) * STEP
+    return np.hypot(middle[:, None] - centre[0], middle[None, :] - centre[1]) < 8.99 * STEP
 
 
 class Oracle:
@@ -299,22 +269,19 @@ def test_every_node_has_the_level_that_brute_force_gives_it(case):
         assert np.all(levels(cut) <= oracle.may + 1), "a node that no tooth reached is gone"
 
 
-def test_a_node_beside_the_axis_is_not_left_standing_when_the_centre_passes_it():
-    """Seen from the centre it turns by half a turn, away from the teeth, while the whole sectors are swept."""
+def test_the_oracle_leaves_little_undecided_and_finds_a_node_beside_the_axis_that_the_centre_passes():
+    cut = small_cut()
+    oracle = Oracle(cut)
+    oracle.sweep(np.array([2e-3, 2e-3, -5e-4]), np.array([2.2e-3, 2e-3, -5e-4]), 0, 36)
+    assert np.mean(oracle.must != oracle.may) < 0.02
+    assert np.mean(oracle.must > 0) > 0.2
+    # seen from the centre it turns by half a turn, away from the teeth, while the whole sectors are swept
     cut = small_cut(radius=10.0, teeth=5, degrees=6.0, pitch=np.radians([90.0, 67.5, 67.5, 67.5, 67.5]))
     start, end = np.array([1.138e-3, 1.824e-3, -4e-4]), np.array([1.259e-3, 1.782e-3, -4e-4])
     oracle = Oracle(cut)
     cut.sweep(start, end, 0, 30)
     oracle.sweep(start, end, 0, 30)
     assert np.all(levels(cut) >= oracle.must)
-
-
-def test_the_oracle_leaves_little_undecided():
-    cut = small_cut()
-    oracle = Oracle(cut)
-    oracle.sweep(np.array([2e-3, 2e-3, -5e-4]), np.array([2.2e-3, 2e-3, -5e-4]), 0, 36)
-    assert np.mean(oracle.must != oracle.may) < 0.02
-    assert np.mean(oracle.must > 0) > 0.2
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.003, 0.02, 0.06, 0.3, 3.0])
@@ -329,45 +296,31 @@ def test_nothing_is_left_standing_behind_a_tool_that_turned_once(speed):
         cut.sweep(last, end, 72 + 6 * k, 6)
         last = end
     cut.sweep(last, last, 72 + 360, 72)
-    middle = (np.arange(NODES) + 0.5) * STEP
-    x, y = np.meshgrid(middle, middle, indexing="ij")
-    for centre in (start, last):
-        inside = np.hypot(x - centre[0], y - centre[1]) < 8.99 * STEP
-        assert np.all(levels(cut)[inside] > 0)
+    assert all(np.all(levels(cut)[below(centre)] > 0) for centre in (start, last))
 
 
-def test_each_node_counts_once_whatever_teeth_touch_it():
+def test_each_node_counts_once_whatever_teeth_touch_it_and_a_second_level_removes_the_volume_between():
     cut = small_cut(radius=9.0)
     ends = STEP * np.array([[-12.0, 20.0], [10.0, 18.0], [30.0, 25.0], [20.0, 5.0]])
     for k, (a, b) in enumerate(zip(ends, ends[1:], strict=False)):
         cut.sweep([*a, -5e-4], [*b, -5e-4], 2000 * k, 2000)
     assert cut.removed_area == pytest.approx(np.count_nonzero(levels(cut)) * STEP**2, rel=1e-12)
     assert cut.removed_volume == pytest.approx(cut.removed_area * 5e-4, rel=1e-12)
-
-
-def test_two_levels_remove_the_volume_between_them():
-    cut = small_cut(radius=9.0)
-    way = [2e-3, 2e-3], [2.4e-3, 2e-3]
+    twice = small_cut(radius=9.0)
     for k, z in enumerate((-2e-4, -5e-4)):
-        cut.sweep([*way[0], z], [*way[1], z], 1000 * k, 1000)
-    nodes = np.count_nonzero(levels(cut))
-    assert cut.removed_volume == pytest.approx(nodes * STEP**2 * 5e-4, rel=1e-4)
-    assert cut.removed_area == pytest.approx(nodes * STEP**2, rel=1e-12)  # not again when it is cut deeper
+        twice.sweep([2e-3, 2e-3, z], [2.4e-3, 2e-3, z], 1000 * k, 1000)
+    nodes = np.count_nonzero(levels(twice))
+    assert twice.removed_volume == pytest.approx(nodes * STEP**2 * 5e-4, rel=1e-4)
+    assert twice.removed_area == pytest.approx(nodes * STEP**2, rel=1e-12)  # not again when it is cut deeper
 
 
-def test_a_plunge_lowers_the_whole_footprint():
+def test_a_plunge_lowers_the_whole_footprint_and_the_floor_is_within_its_tolerance_of_the_tool():
     cut = small_cut(radius=9.0, degrees=5.0)
     here = np.array([2.013e-3, 2.007e-3, 0.0])
     cut.sweep(here, here + [0.0, 0.0, -3e-4], 0, 720)
     cut.sweep(here + [0.0, 0.0, -3e-4], here + [0.0, 0.0, -3e-4], 720, 72)
-    middle = (np.arange(NODES) + 0.5) * STEP
-    x, y = np.meshgrid(middle, middle, indexing="ij")
-    inside = np.hypot(x - here[0], y - here[1]) < 8.99 * STEP
-    floor = levels(cut)[inside] * cut.stock.level_step
+    floor = levels(cut)[below(here)] * cut.stock.level_step
     assert floor == pytest.approx(3e-4, abs=cut.stock.level_step)
-
-
-def test_the_floor_is_within_its_tolerance_of_the_tool():
     tool = Tool(diameter=18 * STEP, teeth=2, spindle_speed=100.0)
     stock = Stock(min=np.array([0, 0, -1e-3]), max=np.array([4e-3, 4e-3, 0]), grid_step=STEP, floor_tolerance=5e-6)
     cut = Cut(tool, PAPER_LAW, stock, np.radians(5.0))
@@ -380,12 +333,11 @@ def test_the_floor_is_within_its_tolerance_of_the_tool():
     assert np.all(floor > 1.2e-4)
 
 
-def test_result_does_not_depend_on_where_tile_borders_fall():
-    """The same way in a stock that reaches further to the left, so that the tiles' borders cross the cut elsewhere."""
+def test_result_depends_neither_on_where_tile_borders_fall_nor_on_the_number_of_calls():
+    # the same way in a stock that reaches further to the left, so that the tiles' borders cross the cut elsewhere
     found = []
     for shift in (0, 240, 251):
         cut = small_cut(radius=9.3, shift=shift)
-        # the added material is cleared first where the tool touches it later, so that the forces compare
         forces = np.zeros((3000, 3))
         cut.sweep([1.613e-3, 1.721e-3, -5e-4], [2.717e-3, 2.519e-3, -5e-4], 0, 3000, forces)
         found.append((levels(cut), forces))
@@ -393,9 +345,6 @@ def test_result_does_not_depend_on_where_tile_borders_fall():
         assert np.array_equal(other_levels, found[0][0])
         assert other_forces == pytest.approx(found[0][1], rel=1e-9, abs=1e-12)
     assert np.abs(found[0][1]).max() > 1.0
-
-
-def test_one_call_and_many_calls_do_the_same():
     a, b = small_cut(radius=9.0), small_cut(radius=9.0)
     start, end = np.array([-1e-3, 2e-3, -5e-4]), np.array([1e-3, 2e-3, -5e-4])
     mean = a.sweep(start, end, 0, 1200)
@@ -403,3 +352,127 @@ def test_one_call_and_many_calls_do_the_same():
     means = [b.sweep(parts[k], parts[k + 1], 12 * k, 12) for k in range(100)]
     assert np.count_nonzero(levels(a) != levels(b)) <= 2  # positions differ in the last digits
     assert np.mean(means, 0) == pytest.approx(mean, rel=0.01)
+
+
+# --- The workpiece object: areas, undo, copies, tiles, export ---
+FEED = 0.5e-3  # [m] per revolution
+Z = -1e-3
+
+
+def new_cut(size=(30e-3, 24e-3), grid_step=10e-6, law=PAPER_LAW, **kwargs):
+    tool = Tool(diameter=20e-3, teeth=4, spindle_speed=837.0)
+    low = np.array([0.0, -size[1] / 2, -5e-3])
+    stock = Stock(min=low, max=np.array([size[0], size[1] / 2, 0.0]), grid_step=grid_step)
+    return Cut(tool, law, stock, np.radians(1.0), **kwargs)
+
+
+@check("removed area of an oblique slot 6 mm long, grid of {step} um", "2 R L + pi R^2: a half disc at both ends",
+       "m^2", cases=("step", [(40,), (10,)]))  # fmt: skip
+def test_area(step):
+    """The tool turns once at both ends, so that every tooth reaches them."""
+    cut = new_cut(grid_step=1e-6 * step)
+    ends = np.array([11.5e-3, 0.7e-3, Z]), np.array([17.5e-3, -0.3e-3, Z])
+    cut.sweep(ends[0], ends[0], 0, 360)
+    cut.sweep(ends[0], ends[1], 360, 12 * 360)
+    cut.sweep(ends[1], ends[1], 13 * 360, 360)
+    assert cut.removed_volume == pytest.approx(cut.removed_area * 1e-3, rel=1e-9)
+    length = np.hypot(6e-3, 1e-3)
+    border = 2 * np.pi * 10e-3 + 2 * length
+    return np.pi * 1e-4 + 20e-3 * length, cut.removed_area, 0.05 * border * 1e-6 * step
+
+
+def test_restore_brings_back_the_very_same_grid_and_force_also_after_a_jump_to_a_deeper_level():
+    cut, other = new_cut(), new_cut()
+    here = np.array([-8e-3, 0.0, Z])
+    for k in range(12):
+        end = here + [24 * FEED / 360, 0.3e-6 * np.sin(k), 0.0]
+        cut.sweep(here, end + [2e-6, 3e-6, -1e-6], 24 * k, 24)  # a first guess
+        cut.restore()
+        assert np.array_equal(cut.sweep(here, end, 24 * k, 24), other.sweep(here, end, 24 * k, 24))
+        here = end
+    cut.sweep(here, here + [3e-3, 5e-3, Z], 288, 30)
+    assert not np.array_equal(cut.heights()[2], other.heights()[2])
+    cut.restore()
+    assert np.array_equal(cut.heights()[2], other.heights()[2])
+    assert (cut.removed_area, cut.removed_volume) == (other.removed_area, other.removed_volume)
+    assert cut.removed_area > 0
+
+
+def test_a_sweep_without_room_in_the_log_cannot_be_taken_back_and_one_without_tiles_is_refused():
+    a, b = new_cut(log_size=1024), new_cut()
+    forces = [np.zeros((2880, 3)) for _ in range(2)]
+    for cut, force in zip((a, b), forces, strict=True):
+        cut.sweep([-10e-3, 0.0, Z], [-6e-3, 0.0, Z], 0, 2880, force)
+    assert np.array_equal(*forces) and a.removed_volume == b.removed_volume > 0
+    with pytest.raises(UndoError, match="1024"):
+        a.restore()
+    cut = new_cut()
+    cut.state = cut.state._replace(pool=cut.state.pool[: 4 * TILE**2 + LANES].copy())
+    with pytest.raises(GridError, match="4 tiles"):
+        cut.sweep([-10e-3, 0.0, Z], [10e-3, 0.0, Z], 0, 14400)
+
+
+def test_a_course_is_swept_as_its_parts_are():
+    whole, parts = new_cut(), new_cut()
+    places = np.column_stack([np.linspace(-10e-3, -6e-3, 9), 1e-4 * np.arange(9.0), np.full(9, Z)])
+    steps = 40 * np.arange(9)
+    wrench, torque, volume = whole.along(places, steps)
+    for k in range(1, 9):
+        before = parts.removed_volume
+        assert np.array_equal(parts.sweep(places[k - 1], places[k], steps[k - 1], 40), wrench[k])
+        assert parts.torque == torque[k] and parts.removed_volume - before == pytest.approx(volume[k], rel=1e-9)
+    assert not (wrench[0].any() or torque[0] or volume[0]) and volume[1:].min() > 0.0
+
+
+def test_a_tool_that_sinks_cuts_with_its_whole_end():
+    """Its end sweeps pi R^2 v_z; with F_a = K_ac A / (R dphi) H the axial force is K_ac pi R v_z / omega: it damps."""
+    cut = new_cut(law=Cutting(law="linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6)))
+    radius, omega, speed, turns = 10e-3, cut.tool.spindle_speed, 1e-3, 10
+    middle = cut.stock.min[:2] + 0.5 * (cut.stock.max - cut.stock.min)[:2]
+    end = np.array([*middle, Z - speed * turns * 2 * np.pi / omega])
+    cut.sweep([*middle, Z], [*middle, Z], 0, 720)  # a hole as large as the tool
+    sinking = cut.sweep([*middle, Z], end, 720, 360 * turns)[2]
+    assert sinking == pytest.approx(-220e6 * np.pi * radius * speed / omega, rel=0.02)
+    rising = cut.sweep(end, [*middle, Z], 720 + 360 * turns, 720)[2]
+    left = cut.stock.floor_tolerance / (speed * 2 * 2 * np.pi / omega)  # in two turns
+    assert abs(rising) < left * abs(sinking) and left < 0.15
+
+
+def test_memory_follows_the_area_cut():
+    """A corner of a stock that as a whole would take 1.8 GB."""
+    cut = new_cut(size=(300e-3, 300e-3))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    cut.sweep([-10e-3, 0.0, Z], [20e-3, 0.0, Z], 0, 60 * 360)
+    used = cut.tiles * TILE**2 * 2
+    side = TILE * 10e-6
+    assert cut.tiles <= (30e-3 + 2 * side) * (20e-3 + 2 * side) / side**2
+    scale = 1024 if sys.platform == "linux" else 1
+    assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * scale < used + 40e6
+
+
+def test_heights_show_the_slot_thinned_and_in_a_window_and_of_a_narrow_sheet_a_row():
+    cut = new_cut()
+    cut.sweep([-10e-3, 0.0, Z], [10e-3, 0.0, Z], 0, 40 * 360)
+    x, y, z = cut.heights(thinning=10)
+    assert z.shape == (x.size, y.size) == (300, 240)
+    inside = (x[:, None] < 10e-3) & (np.abs(y) < 9.9e-3)
+    assert z[inside] == pytest.approx(Z, abs=cut.stock.level_step)
+    assert np.all(z[:, np.abs(y) > 10.1e-3] == 0.0)
+    x, y, z = cut.heights(low=[1e-3, -11e-3], high=[2e-3, -9e-3])
+    assert (x.size, y.size) == (100, 200) and x[0] == pytest.approx(1.005e-3) and y[-1] == pytest.approx(-9.005e-3)
+    assert np.count_nonzero(z[50]) == pytest.approx(100, abs=1)
+    x, y, height = new_cut(size=(30e-3, 0.2e-3)).heights(thinning=100)
+    assert height.shape == (x.size, 1) == (30, 1) and abs(y[0]) <= 0.1e-3 and np.all(height == 0.0)
+
+
+def test_a_senseless_sweep_is_refused_and_absurd_positions_do_no_harm():
+    cut = new_cut()
+    for arguments in (([0, 0, np.nan], [0, 0, 0], 0, 1), ([0, 0], [0, 0], 0, 1), ([0] * 3, [0] * 3, -1, 1)):
+        with pytest.raises(SweepError):
+            cut.sweep(*arguments)
+    with pytest.raises(SweepError):
+        cut.sweep([0] * 3, [0] * 3, 0, 5, np.zeros((4, 3)))
+    assert cut.removed_area == 0.0
+    for far in (1e3, 1e30, 1e300):
+        assert np.isfinite(cut.sweep([-1.0, 0, Z], [far, far, Z], 0, 3)).all()
+        assert np.isfinite(cut.sweep([-1.0, 0, Z], [0.0, 0.0, -far], 3, 3)).all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from book import check
@@ -63,18 +65,16 @@ def run(model, zeta, period, steps, state, wrench):
     return states, deflections
 
 
-def damping_matrix(model, zeta):
-    """C of (1) for one ratio in every mode: M phi diag(2 zeta omega) phi^T M."""
-    to_mass = model.mass @ model.shape
-    return to_mass @ np.diag(2 * zeta * model.frequency) @ to_mass.T
+def system(model, zeta, more):
+    """x' = A x of (1) for x, x' and some further states, whose effect on x'' is the caller's; its first two rows."""
+    r, inverse, to_mass = model.frequency.size, np.linalg.inv(model.mass), model.mass @ model.shape
+    matrix = np.zeros((2 * r + more, 2 * r + more))
+    matrix[:r, r : 2 * r] = np.eye(r)
+    for columns, values in ((slice(r), model.frequency**2), (slice(r, 2 * r), 2 * zeta * model.frequency)):
+        matrix[r : 2 * r, columns] = -inverse @ to_mass @ np.diag(values) @ to_mass.T  # K and C
+    return matrix
 
 
-def stiffness_matrix(model):
-    to_mass = model.mass @ model.shape
-    return to_mass @ np.diag(model.frequency**2) @ to_mass.T
-
-
-# --- closed forms ---
 @check("free vibration of one degree of freedom over 0.5 s", "closed form, relative to the start")
 def test_free_vibration():
     states, deflections = run(one_degree(), ZETA, 1e-3, 500, np.array([1e-4, 2e-3]), np.zeros(6))
@@ -85,10 +85,8 @@ def test_free_vibration():
     return 0.0, np.abs(states[:, 0] - expected).max() / 1e-4, 1e-11
 
 
-@check(
-    "step of 81 N on one degree of freedom, zeta {zeta}", "closed form, relative to F / k",
-    cases=("zeta", [(0.0,), (0.05,), (0.18,), (0.99,)]),
-)  # fmt: skip
+@check("step of 81 N on one degree of freedom, zeta {zeta}", "closed form, relative to F / k",
+       cases=("zeta", [(0.0,), (0.05,), (0.18,), (0.99,)]))  # fmt: skip
 def test_step_response(zeta):
     _, deflections = run(one_degree(), zeta, 5e-4, 1500, np.zeros(2), np.array([0, 81.0, 0, 0, 0, 0]))
     t, damped = np.arange(1501) * 5e-4, OMEGA * np.sqrt(1 - zeta**2)
@@ -102,13 +100,9 @@ def test_step_response(zeta):
 )  # fmt: skip
 def test_exponential(inertia, period):
     model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
-    r, inverse = model.frequency.size, np.linalg.inv(model.mass)
-    system = np.zeros((2 * r + 6, 2 * r + 6))  # the constant wrench as further states
-    system[:r, r : 2 * r] = np.eye(r)
-    system[r : 2 * r, :r] = -inverse @ stiffness_matrix(model)
-    system[r : 2 * r, r : 2 * r] = -inverse @ damping_matrix(model, ZETA)
-    system[r : 2 * r, 2 * r :] = inverse @ model.force
-    exact = expm(system * period)
+    r, matrix = model.frequency.size, system(model, ZETA, 6)  # the constant wrench as further states
+    matrix[r : 2 * r, 2 * r :] = np.linalg.inv(model.mass) @ model.force
+    exact = expm(matrix * period)
     transition, held, _, _ = discretise(model, ZETA, period)
     scale = np.repeat([1.0, model.frequency[-1]], r)[:, None]  # velocities are larger by omega
     forced = exact[: 2 * r, 2 * r :] / scale
@@ -116,23 +110,20 @@ def test_exponential(inertia, period):
     return 0.0, np.abs((transition - exact[: 2 * r, : 2 * r]) / scale * scale.T).max(), 1e-11
 
 
-@check(
-    "long constant wrench, {inertia} inertias: deflection of all six components",
-    "compliance times wrench (condensed, not sliced)", cases=("inertia", [("six",), ("three",)]),
-)  # fmt: skip
+@check("long constant wrench, {inertia} inertias: deflection of all six components",
+       "compliance times wrench (condensed, not sliced)", cases=("inertia", [("six",), ("three",)]))  # fmt: skip
 def test_static_limit(inertia):
     model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
     _, deflections = run(model, ZETA, 0.05, 400, np.zeros(2 * model.frequency.size), WRENCH)
     return 0.0, np.abs(deflections[-1] / (COMPLIANCE @ WRENCH) - 1).max(), 1e-10
 
 
-# --- energy ---
 def energies(model, states):
     """Kinetic and potential energy [J], (n,)."""
     r = model.frequency.size
     x, v = states[:, :r], states[:, r:]
     kinetic = 0.5 * np.einsum("ni,ij,nj->n", v, model.mass, v)
-    return kinetic, 0.5 * np.einsum("ni,ij,nj->n", x, stiffness_matrix(model), x)
+    return kinetic, 0.5 * np.sum((x @ model.mass @ model.shape * model.frequency) ** 2, axis=1)
 
 
 @check("energy of an undamped vibration after 100,000 periods / at the start", "conservation of energy")
@@ -144,8 +135,7 @@ def test_energy():
     return 1.0, (total / total[0])[np.argmax(np.abs(total / total[0] - 1.0))], 1e-9
 
 
-# --- several postures ---
-def test_between_two_postures_the_matrices_are_interpolated_and_after_the_last_they_stay():
+def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_stay_after_the_last():
     models = [modes(COMPLIANCE * s, TRANSLATIONS) for s in (1.0, 1.3, 0.8)]
     arm = arm_model(models, ZETA, 5e-4, 4.0)
     state, out, deflection = RANDOM.normal(size=6) * 1e-4, np.zeros(6), np.zeros(6)
@@ -156,22 +146,21 @@ def test_between_two_postures_the_matrices_are_interpolated_and_after_the_last_t
         advance(step, state, WRENCH, STILL, arm.arrays, out, deflection)
         np.testing.assert_allclose(out, mixed[0] @ state + mixed[1] @ WRENCH, rtol=1e-12, atol=1e-18)
         np.testing.assert_allclose(deflection, mixed[2] @ out + mixed[3] @ WRENCH, rtol=1e-12, atol=1e-18)
+    rng = np.random.default_rng(4)
+    response, motion, found = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
+    push(motion, response, 4.0, 0, found)
+    between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
+    np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("softness", "mass"),
-    [
-        (COMPLIANCE, np.zeros((6, 6))),
-        (COMPLIANCE, np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0])),
-        (COMPLIANCE, np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) + np.eye(6, k=2) + np.eye(6, k=-2)),
-        (-COMPLIANCE, TRANSLATIONS),
-        (np.diag([1e-6, -1e-6, 1e-6, 1e-6, 1e-6, 1e-6]), MASS),
-        (COMPLIANCE, np.full((6, 6), np.nan)),
-        (np.zeros((6, 6)), TRANSLATIONS),
-        (np.diag([1e-6, 0.0, 1e-6, 1e-6, 1e-6, 1e-6]), TRANSLATIONS),
-        (np.full((6, 6), np.nan), TRANSLATIONS),
-    ],
-)
+@pytest.mark.parametrize(("softness", "mass"), [
+    *((COMPLIANCE, mass) for mass in (
+        np.zeros((6, 6)), np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0]), np.full((6, 6), np.nan),
+        np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) + np.eye(6, k=2) + np.eye(6, k=-2))),
+    *((softness, TRANSLATIONS) for softness in (
+        -COMPLIANCE, np.zeros((6, 6)), np.full((6, 6), np.nan), np.diag([1e-6, 0.0, 1e-6, 1e-6, 1e-6, 1e-6]))),
+    (np.diag([1e-6, -1e-6, 1e-6, 1e-6, 1e-6, 1e-6]), MASS),
+])  # fmt: skip
 def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
     with pytest.raises(DynamicsError):
         modes(softness, mass)
@@ -179,7 +168,6 @@ def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
 
 # --- The term -M r'' against transfer functions, closed forms, exact integration and energy ---
 LIGHT, PERIOD = 0.07, 1e-3
-LINKS = 790.4  # [kg]
 DAMPED = OMEGA * np.sqrt(1 - LIGHT**2)
 
 
@@ -209,12 +197,9 @@ def polygon(periods=400, every=20, size=1e-4):
     return knots(times, RANDOM.normal(size=(times.size, 3)) * size)
 
 
-# --- transfer function ---
-@check(
-    "M delta'' + C delta' + K delta = -M r'', straight lines with corners, zeta {zeta}",
-    "scipy.signal.lsim of (C s + K) / (M s^2 + C s + K), exact for lines, relative",
-    cases=("zeta", [(0.001,), (0.04,), (0.182,)]),
-)  # fmt: skip
+@check("M delta'' + C delta' + K delta = -M r'', straight lines with corners, zeta {zeta}",
+       "scipy.signal.lsim of (C s + K) / (M s^2 + C s + K), exact for lines, relative",
+       cases=("zeta", [(0.001,), (0.04,), (0.182,)]))  # fmt: skip
 def test_moving_reference(zeta):
     reference, time = polygon(), np.arange(401) * PERIOD
     y = reference.sample(Clock(PERIOD, 1).stamp(np.arange(401)))[:, 1]
@@ -242,7 +227,6 @@ def test_every_mode_of_a_coupled_arm_follows_its_own_filter(mass):
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
-# --- closed forms ---
 @check("corner of 0.4 mm/s in the reference, zeta {zeta}", "-dv / omega_d exp(-zeta omega t) sin(omega_d t), 9.5 um at "
        "6.7 Hz without damping, relative", cases=("zeta", [(0.0,), (LIGHT,)]))  # fmt: skip
 def test_corner(zeta):
@@ -260,18 +244,15 @@ def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
     times = np.arange(5) * 0.04
     positions, rates = RANDOM.normal(size=(5, 3)) * 1e-4, RANDOM.normal(size=(5, 3)) * 1e-3
     found, states = deflections(model, knots(times, positions, rates), 160)
-    inverse, r, state = np.linalg.inv(model.mass), 6, np.zeros(12)
+    state = np.zeros(12)
     for k in range(4):
         h, move = 0.04, positions[k + 1] - positions[k]
         start = (6 * move / h - 4 * rates[k] - 2 * rates[k + 1]) / h
         change = (-6 * move / h + 2 * rates[k] + 4 * rates[k + 1]) / h - start
-        system = np.zeros((14, 14))
-        system[:r, r:12] = np.eye(6)
-        system[r:12, :r] = -inverse @ stiffness_matrix(model)
-        system[r:12, r:12] = -inverse @ damping_matrix(model, LIGHT)
-        system[r : r + 3, 12], system[r : r + 3, 13] = -start, -change / h
-        system[13, 12] = 1.0  # 1 and t as further states: t' = 1
-        state = (expm(system * h) @ np.concatenate([state, [1.0, 0.0]]))[:12]
+        matrix = system(model, LIGHT, 2)
+        matrix[6:9, 12], matrix[6:9, 13] = -start, -change / h
+        matrix[13, 12] = 1.0  # 1 and t as further states: t' = 1
+        state = (expm(matrix * h) @ np.concatenate([state, [1.0, 0.0]]))[:12]
         np.testing.assert_allclose(found[(k + 1) * 40], state[:6], atol=1e-9 * np.abs(found).max())
     np.testing.assert_allclose(states[-1], state, atol=1e-9 * np.abs(states).max())
 
@@ -290,7 +271,6 @@ def test_a_corner_within_a_period_costs_an_error_of_second_order_in_the_period()
     assert np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(gaps), 1)[0] == pytest.approx(2.0, abs=0.15)
 
 
-# --- energy ---
 @check("energy of the undamped arm / work of its motors, r' (M z'') over straight lines", "conservation of energy")
 def test_work_of_the_motors():
     """Without damping z'M z' / 2 + delta' K delta / 2 grows by the work of M z'' along r', lines between corners."""
@@ -307,12 +287,11 @@ def test_work_of_the_motors():
     return 1.0, (energy[-1] - energy[0]) / work.sum(), 1e-9
 
 
-# --- rotations, start, corners ---
 def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     angles = np.array([0.0, 0.0, 0.02, 0.02])
     turned = Rotation.from_rotvec(np.outer(angles, [1.0, 0.0, 0.0])).as_quat()
     reference = knots([0.0, 0.05, 0.1, 0.4], np.zeros((4, 3)), quaternion=turned)
-    diagonal = np.diag([LINKS] * 3 + [40.0] * 3)
+    diagonal = np.diag([790.4] * 3 + [40.0] * 3)
     model = modes(np.diag([1e-6] * 3 + [2e-6] * 3), diagonal)
     found, _ = deflections(model, reference, 100)
     w = np.sqrt(1 / (2e-6 * 40.0))
@@ -322,36 +301,21 @@ def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     assert not deflections(modes(np.diag([1e-6] * 6), TRANSLATIONS), reference, 100)[0].any()
 
 
-def test_the_motion_of_a_reference_is_its_corners_and_its_acceleration():
+def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_its_start_and_the_paper_has_none():
     reference = knots([0.0, 0.002, 0.004], along_y([0.0, 0.002, 0.0]))
     motion = reference_motion(reference, Clock(1e-3, 1).stamp(np.arange(7)))
     expected = np.zeros((6, 18))
     expected[2, 1], expected[4, 1] = -2.0, 1.0  # from 1 to -1 m/s, and to rest at the end
     np.testing.assert_allclose(motion, expected, atol=1e-10)
-
-
-def test_a_correction_that_sets_out_at_once_is_a_corner_in_the_programmed_motion():
     target = knots([0.0, 0.4], np.array([[0.0, 0, 0], [0.04, 0, 0]]))
     corrected = target.with_position(target.position + along_y([0.0, 4e-4]))
     stamps = Clock(PERIOD, 1).stamp(np.arange(401))
     assert not reference_motion(corrected, stamps)[0, :6].any()
     jump = reference_motion(corrected, stamps, approach(target))[0, :6]
     np.testing.assert_allclose(jump, [0, 1e-3, 0, 0, 0, 0], atol=1e-15)
-
-
-# --- one step function for everybody ---
-def test_the_paper_has_eq_1_as_printed_and_every_other_cell_the_moving_reference():
     assert not PAPER.dynamics.reference_inertia and not PAPER.arm_model(PAPER.target()).reference.size
     assert read_cell(find_file("test_piece.yaml")).dynamics.reference_inertia
     assert Dynamics("lumped", 0.1).reference_inertia
-
-
-def test_between_two_postures_the_response_goes_in_a_straight_line():
-    rng = np.random.default_rng(4)
-    response, motion, found = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
-    push(motion, response, 4.0, 0, found)
-    between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
-    np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 
 
 # --- compensated by (1) as printed, milled with the term ---
@@ -362,20 +326,16 @@ def compensated_as_printed(method):
     return moving, compensated(printed, simulate(printed), method).reference
 
 
-@check(
-    "compensated by (1) as printed, milled with -M r'': {method}, largest deviation",
-    "two other calculations [derived], to the digits given", "m",
-    cases=("method expected", [("linear", 20e-6), ("mirror", 5.5e-6)]),
-)  # fmt: skip
+@check("compensated by (1) as printed, milled with -M r'': {method}, largest deviation",
+       "two other calculations [derived], to the digits given", "m",
+       cases=("method expected", [("linear", 20e-6), ("mirror", 5.5e-6)]))  # fmt: skip
 def test_compensation_without_the_reference(method, expected):
     moving, reference = compensated_as_printed(method)
     return expected, simulate(moving, reference).scores.max_deviation, 0.5e-6
 
 
-@check(
-    "compensated by (1) as printed, milled with -M r'': spline, largest deviation",
-    "transfer function (2 z w s + w^2) / (s^2 + 2 z w s + w^2) of one mode, spline by scipy, lsim", "m",
-)  # fmt: skip
+@check("compensated by (1) as printed, milled with -M r'': spline, largest deviation",
+       "transfer function (2 z w s + w^2) / (s^2 + 2 z w s + w^2) of one mode, spline by scipy, lsim", "m")  # fmt: skip
 def test_spline_without_the_reference():
     """The mode follows the correction, and answers the change of the force; both are added to the original pass.
 
@@ -397,31 +357,16 @@ def test_spline_without_the_reference():
 
 
 # --- Modes of the arm in workpiece axes, from its elastostatics and mass ---
-def flexibility(model):
-    """Static deflection (6, 6) per wrench that the model stands for."""
-    springs = model.shape @ np.diag(model.frequency**-2.0) @ model.shape.T
-    return model.output @ springs @ model.force + model.feedthrough
-
-
-@pytest.mark.parametrize("mass_model", ["lumped", "consistent"])
-@pytest.mark.parametrize("gravity", [True, False])
-def test_the_frequencies_are_those_of_the_arm_in_any_axes(mass_model, gravity):
-    joints = PAPER.joints(PAPER.target())[:1]
-    dynamics = Dynamics(mass_model, ZETA, gravity)
-    (model,) = modal_models(PAPER.arm, PAPER.mount, dynamics, PAPER.workpiece.pose, joints)
-    loaded = equilibrium(PAPER.arm, PAPER.mount, joints, None, gravity)
-    mass = cartesian_mass(PAPER.arm, PAPER.mount, joints, mass_model)
-    expected = mode_frequencies(compliance(loaded, PAPER.arm), mass)[0]
-    np.testing.assert_allclose(model.frequency / (2 * np.pi), expected, rtol=1e-7)
-
-
-@pytest.mark.parametrize("mass_model", ["lumped", "consistent"])
-def test_the_static_limit_is_the_compliance_of_the_loaded_arm_in_workpiece_axes(mass_model):
-    joints = PAPER.joints(PAPER.target())[:1]
-    (model,) = modal_models(PAPER.arm, PAPER.mount, Dynamics(mass_model, ZETA), PAPER.workpiece.pose, joints)
+def test_frequencies_and_static_limit_are_those_of_the_loaded_arm_in_workpiece_axes():
+    arm, mount, joints = PAPER.arm, PAPER.mount, PAPER.joints(PAPER.target())[:1]
     turn = np.kron(np.eye(2), PAPER.workpiece.pose.rotation)
-    expected = turn.T @ compliance(equilibrium(PAPER.arm, PAPER.mount, joints), PAPER.arm)[0] @ turn
-    np.testing.assert_allclose(flexibility(model), expected, rtol=1e-8, atol=1e-14)
+    for mass_model, gravity in itertools.product(("lumped", "consistent"), (True, False)):
+        (model,) = modal_models(arm, mount, Dynamics(mass_model, ZETA, gravity), PAPER.workpiece.pose, joints)
+        soft = compliance(equilibrium(arm, mount, joints, None, gravity), arm)
+        expected = mode_frequencies(soft, cartesian_mass(arm, mount, joints, mass_model))[0]
+        np.testing.assert_allclose(model.frequency / (2 * np.pi), expected, rtol=1e-7)
+        static = model.output @ model.shape @ np.diag(model.frequency**-2.0) @ model.shape.T @ model.force
+        np.testing.assert_allclose(static + model.feedthrough, turn.T @ soft[0] @ turn, rtol=1e-8, atol=1e-14)
 
 
 # --- Measured modes against the arm whose modes they are, closed forms, and what a file may say of them ---
@@ -436,26 +381,22 @@ GROUPS = """/**:
 """
 
 
-def as_measured(model, damping_ratio: float) -> MeasuredModes:
-    """The modes of a model as an experiment without errors gives them."""
-    shapes = (model.output @ model.shape).T
-    ratios = np.full(model.frequency.size, damping_ratio)
-    return MeasuredModes(model.frequency / (2 * np.pi), ratios, shapes.ravel())
-
-
 def test_the_modes_of_an_arm_in_the_place_of_the_arm_give_the_same_pass():
     cell = read_cell(
         find_file("paper.yaml"), ("path.length_mm=14.4", "dynamics.mass_model=rigid", "dynamics.reference_inertia=true")
     )
     target = cell.target()
     bent = target.with_position(target.position + np.outer(np.arange(len(target)) % 2 * 2e-5, [1.0, 1.0, 0.5]))
-    same = cell.replace(dynamics=cell.dynamics.replace(modes=as_measured(cell.modal_model, 0.182)))
+    arm = cell.modal_model  # whose modes an experiment without errors gives
+    frequency, shapes = arm.frequency / (2 * np.pi), (arm.output @ arm.shape).T.ravel()
+    measured = MeasuredModes(frequency, np.full(frequency.size, 0.182), shapes)
+    same = cell.replace(dynamics=cell.dynamics.replace(modes=measured))
     exact, found = (simulate(c, bent).result for c in (cell, same))
     np.testing.assert_allclose(found.deflection, exact.deflection, atol=1e-9 * np.abs(exact.deflection).max())
     assert found.volume.sum() > 0.0
 
 
-def test_each_mode_rings_down_with_its_own_ratio():
+def test_measured_modes_ring_down_each_with_its_ratio_and_leave_the_tool_behind_a_quick_jump_where_they_move_it():
     model = measured_model(MeasuredModes(np.array([5.0, 20.0]), np.array([0.1, 0.02]), np.eye(6)[:2].ravel()))
     arm = CompliantArm(arm_model([model], 0.5, 1e-3))
     arm.state[:2] = 1e-3
@@ -466,9 +407,6 @@ def test_each_mode_rings_down_with_its_own_ratio():
         damped = w * np.sqrt(1 - zeta**2)
         turned = np.cos(damped * 0.2) + zeta * w / damped * np.sin(damped * 0.2)
         assert deflection[k] == pytest.approx(1e-3 * np.exp(-zeta * w * 0.2) * turned, rel=1e-9)
-
-
-def test_a_quick_jump_of_the_reference_leaves_the_tool_where_modes_move_it_and_takes_it_along_where_none_does():
     shapes = np.array([[0.05, 0.01, 0.0, 0.0, 0.05, 0.02], [-0.01, 0.04, 0.0, 0.02, 0.0, 0.0]])
     model = measured_model(MeasuredModes(np.array([7.0, 9.0]), np.array([0.03, 0.03]), shapes.ravel()))
     period = 1e-6
@@ -492,17 +430,14 @@ def test_a_list_of_groups_is_read_and_handed_to_a_node_as_a_group_of_lists(tmp_p
     assert simulate(cell).result.wrench.any()
 
 
-@pytest.mark.parametrize(
-    "old, new, said",
-    [
-        ("0.0, 0.0, 0.02]", "0.0, 0.02]", "the same keys in every group"),
-        ("frequency_hz: 10.3, ", "", "the same keys in every group"),
-        ("frequency_hz: 10.3", "frequency_hz: 0.0", "above 0"),
-        ("[0.04, -0.01, 0.02, 0.0, 0.01, 0.0]", "[0.02, 0.1, 0.0, 0.0, 0.0, 0.04]", "none is a combination"),
-        ("[0.04,", "[.nan,", "finite"),
-        ("dynamics:", "dynamics:\n      follow_pose: true", "one posture"),
-    ],
-)
+@pytest.mark.parametrize("old, new, said", [
+    ("0.0, 0.0, 0.02]", "0.0, 0.02]", "the same keys in every group"),
+    ("frequency_hz: 10.3, ", "", "the same keys in every group"),
+    ("frequency_hz: 10.3", "frequency_hz: 0.0", "above 0"),
+    ("[0.04, -0.01, 0.02, 0.0, 0.01, 0.0]", "[0.02, 0.1, 0.0, 0.0, 0.0, 0.04]", "none is a combination"),
+    ("[0.04,", "[.nan,", "finite"),
+    ("dynamics:", "dynamics:\n      follow_pose: true", "one posture"),
+])  # fmt: skip
 def test_modes_that_cannot_be_are_refused_with_the_key(tmp_path, old, new, said):
     assert old in GROUPS
     (tmp_path / "cell.yaml").write_text(GROUPS.replace(old, new))
@@ -510,12 +445,13 @@ def test_modes_that_cannot_be_are_refused_with_the_key(tmp_path, old, new, said)
         read_cell(tmp_path / "cell.yaml")
 
 
-def test_lists_that_do_not_fit_each_other_are_refused():
-    for key, value in (("damping_ratio", "[0.1, 0.2]"), ("shape", "[1.0, 2.0]")):
-        texts = {"frequency_hz": "[7.0]", "damping_ratio": "[0.1]", "shape": "[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]"}
-        texts[key] = value
+def test_lists_that_do_not_fit_each_other_and_a_stiffness_with_a_stick_out_are_refused():
+    for lists in (("[7.0]", "[0.1, 0.2]", "[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]"), ("[7.0]", "[0.1]", "[1.0, 2.0]")):
+        names = ("frequency_hz", "damping_ratio", "shape")
         with pytest.raises(ConfigError, match="for 1 modes"):
-            read_cell(find_file("paper.yaml"), [f"dynamics.modes.{k}={v}" for k, v in texts.items()])
+            read_cell(find_file("paper.yaml"), [f"dynamics.modes.{k}={v}" for k, v in zip(names, lists, strict=True)])
+    with pytest.raises(ConfigError, match=r"tool\.stiffness_n_per_um.*stick_out_mm"):
+        cell(SOFT, "tool.stick_out_mm=40")
 
 
 # --- A tool that bends: the closed form of a cantilever, and a spring in series with the arm ---
@@ -527,45 +463,34 @@ def cell(*settings):
     return read_cell(find_file("paper.yaml"), (*CUT, *settings))
 
 
-@pytest.mark.parametrize(
-    "settings, expected",
-    [
-        # F L^3 / (3 E I), I = pi r^4 / 4: r 10 mm, L 80 mm, 210 GPa
-        (["tool.stick_out_mm=80", "tool.modulus_gpa=210", "tool.flute_section=1"],
-         0.08**3 / (630e9 * np.pi * 0.01**4 / 4)),
-        # of carbide, d = 10 mm, L = 40 mm, flutes as 8 mm: 64e-6 / (1.8e12 pi 8e-3^4 / 64)
-        (["tool.diameter_mm=10", "tool.stick_out_mm=40"], 64e-6 / (1.8e12 * np.pi * 0.008**4 / 64)),
-        # the flutes end at 30 of 50 mm; unit load method: integral of x^2 / (E I) over both parts
-        (["tool.stick_out_mm=50", "tool.flute_length_mm=30", "tool.shank_diameter_mm=18"],
-         (0.05**3 - 0.03**3) / (1.8e12 * np.pi * 0.018**4 / 64) + 0.03**3 / (1.8e12 * np.pi * 0.016**4 / 64)),
-        ([SOFT], 0.5e-6),
-        ([], 0.0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("settings, expected", [
+    # F L^3 / (3 E I), I = pi r^4 / 4: r 10 mm, L 80 mm, 210 GPa
+    (["tool.stick_out_mm=80", "tool.modulus_gpa=210", "tool.flute_section=1"],
+     0.08**3 / (630e9 * np.pi * 0.01**4 / 4)),
+    # of carbide, d = 10 mm, L = 40 mm, flutes as 8 mm: 64e-6 / (1.8e12 pi 8e-3^4 / 64)
+    (["tool.diameter_mm=10", "tool.stick_out_mm=40"], 64e-6 / (1.8e12 * np.pi * 0.008**4 / 64)),
+    # the flutes end at 30 of 50 mm; unit load method: integral of x^2 / (E I) over both parts
+    (["tool.stick_out_mm=50", "tool.flute_length_mm=30", "tool.shank_diameter_mm=18"],
+     (0.05**3 - 0.03**3) / (1.8e12 * np.pi * 0.018**4 / 64) + 0.03**3 / (1.8e12 * np.pi * 0.016**4 / 64)),
+    ([SOFT], 0.5e-6),
+    ([], 0.0),
+])  # fmt: skip
 def test_the_compliance_is_that_of_a_stepped_cantilever(settings, expected):
     assert cell(*settings).tool.lateral_compliance == pytest.approx(expected, rel=1e-12)
 
 
-def test_stiffness_and_stick_out_are_not_both_given():
-    with pytest.raises(ConfigError, match=r"tool\.stiffness_n_per_um.*stick_out_mm"):
-        cell(SOFT, "tool.stick_out_mm=40")
-
-
-@pytest.mark.parametrize("settings", [[], ["dynamics.mass_model=rigid", "dynamics.follow_pose=true"]])
-def test_a_constant_force_moves_the_tool_by_the_sum_of_both_springs(settings):
-    """Static end of the equation of motion: C_arm F + C_tool (F - (F . z) z), rotations without the tool's."""
-    tried = cell(SOFT, "dynamics.damping_ratio=0.5", *settings)
-    model = tried.arm_model(tried.target())
-    still, wrench = np.zeros((0, model.order)), np.tile([100.0, -80.0, 60.0, 2.0, 1.0, 3.0], (4000, 1))
-    moved = follow(model, still, wrench)[-1]
-    at = tried.joints(tried.target())[-1 if settings else 0]
-    soft = compliance(equilibrium(tried.arm, tried.mount, at), tried.arm)
-    arm = rotate_matrix(soft, tried.workpiece.pose.rotation.T) @ wrench[0]
-    assert moved == pytest.approx(arm + [50e-6, -40e-6, 0.0, 0.0, 0.0, 0.0], rel=2e-3, abs=1e-9)
-
-
-def test_the_tool_follows_the_mean_force_of_a_revolution():
-    """A step of the force: 1 - exp(-t / T) of the displacement at the time t, T the revolution, whatever H is."""
+def test_a_constant_force_moves_the_tool_by_the_sum_of_both_springs_and_a_step_with_the_mean_of_a_revolution():
+    # static end of the equation of motion: C_arm F + C_tool (F - (F . z) z), rotations without the tool's
+    for settings in ([], ["dynamics.mass_model=rigid", "dynamics.follow_pose=true"]):
+        tried = cell(SOFT, "dynamics.damping_ratio=0.5", *settings)
+        model = tried.arm_model(tried.target())
+        still, wrench = np.zeros((0, model.order)), np.tile([100.0, -80.0, 60.0, 2.0, 1.0, 3.0], (4000, 1))
+        moved = follow(model, still, wrench)[-1]
+        at = tried.joints(tried.target())[-1 if settings else 0]
+        soft = compliance(equilibrium(tried.arm, tried.mount, at), tried.arm)
+        arm = rotate_matrix(soft, tried.workpiece.pose.rotation.T) @ wrench[0]
+        assert moved == pytest.approx(arm + [50e-6, -40e-6, 0.0, 0.0, 0.0, 0.0], rel=2e-3, abs=1e-9)
+    # a step of the force: 1 - exp(-t / T) of the displacement at the time t, T the revolution, whatever H is
     for period in (0.25, 0.5):
         soft, rigid = (cell(f"exchange.period_ms={period}", *more) for more in ((SOFT,), ()))
         both = [CompliantArm(one.arm_model(one.target())) for one in (soft, rigid)]
@@ -575,16 +500,13 @@ def test_the_tool_follows_the_mean_force_of_a_revolution():
         assert (bent - plain)[1] == pytest.approx(50e-6 * (1 - np.exp(-1)), rel=1e-6)
 
 
-@pytest.mark.parametrize("method", ["linear", "mirror", "inverse"])
-def test_the_methods_remove_the_displacement_of_the_tool_as_well(method):
-    """Without the tool in its model ``mirror`` would leave 0.5 um/N x 81 N = 40 um."""
+def test_the_mirror_and_other_methods_remove_the_displacement_of_the_tool_as_well():
+    # without the tool in its model ``mirror`` would leave 0.5 um/N x 81 N = 40 um
     tried = cell(SOFT)
     original = simulate(tried)
-    left = compensated(tried, original, method).scores.static_deviation
-    assert abs(left) < 0.08 * original.scores.static_deviation
-
-
-def test_the_mirror_moves_the_target_by_the_compliance_in_the_plane_across_the_tool():
-    wrench = np.tile([100.0, -80.0, 60.0, 0.0, 0.0, 0.0], (len(cell().target()), 1))
-    bent, rigid = (mirrored(one, one.target(), wrench).position for one in (cell(SOFT), cell()))
+    for method in ("linear", "mirror", "inverse"):
+        left = compensated(tried, original, method).scores.static_deviation
+        assert abs(left) < 0.08 * original.scores.static_deviation
+    wrench = np.tile([100.0, -80.0, 60.0, 0.0, 0.0, 0.0], (len(tried.target()), 1))
+    bent, rigid = (mirrored(one, one.target(), wrench).position for one in (tried, cell()))
     assert bent - rigid == pytest.approx(np.tile([-50e-6, 40e-6, 0.0], (len(bent), 1)), abs=1e-7)

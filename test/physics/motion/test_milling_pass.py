@@ -28,6 +28,7 @@ from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency, score
 
 MICRO_STEP = 1 / 48  # [ms], 1 deg at 8000 rpm
+SPEED = 8000 * 2 * np.pi / 60
 SHORT = ("path.length_mm=14.4",)  # 4 controller steps and more than full engagement
 
 
@@ -48,12 +49,6 @@ def difference(result, reference, every):
     return np.abs(gap).max() / np.abs(reference.deflection[:, :3]).max()
 
 
-@pytest.fixture(scope="module")
-def paper():
-    return run()
-
-
-# --- the exchange period ---
 @check("H = 0.5 ms against an exchange at every micro-step", "self-consistent: the finer pass, share of its deflection",
        at_most=True)  # fmt: skip
 def test_default_period():
@@ -96,32 +91,24 @@ def test_sides():
     for n in range(robot.steps + 1):
         ((_, answer),) = cut.pose(pose)
         outputs = dict(robot.wrench(answer))
-        gaps = (
-            pose.position - compiled.tool[n],
-            answer.wrench - compiled.wrench[n],
-            outputs["deflection"].twist - compiled.deflection[n],
-        )
-        worst = max(worst, *(np.abs(gap).max() for gap in gaps))
+        worst = max(worst, np.abs(pose.position - compiled.tool[n]).max())
+        worst = max(worst, np.abs(answer.wrench - compiled.wrench[n]).max())
+        worst = max(worst, np.abs(outputs["deflection"].twist - compiled.deflection[n]).max())
         pose = outputs.get("tool_pose")
     return 0.0, worst, 0.0
 
 
-# --- what a pass says ---
-def test_stamps_are_counted_and_the_pass_covers_the_path(paper):
-    cell, result = paper
+def test_a_pass_covers_the_path_and_leaves_a_slot_as_wide_as_the_tool_that_ends_in_a_half_disc():
+    cell = read_cell(find_file("paper.yaml"))
+    cut, target = cell.cut(), cell.target()
+    result = run_pass(cell.arm_model(target), cut, cell.clock, target, target)
     np.testing.assert_array_equal(result.time_ns, np.arange(2401) * 500_000)
     assert result.micro_steps == 57_600  # 1.2 s at 8000 rpm and 1 deg
-    np.testing.assert_array_equal(result.target[-1], cell.target().position[-1])
+    np.testing.assert_array_equal(result.target[-1], target.position[-1])
     np.testing.assert_array_equal(result.reference, result.target)
     np.testing.assert_array_equal(result.actual, result.reference + result.deflection[:, :3])
     apart = np.linalg.norm(result.actual - result.tool, axis=1)  # actual and predicted tool
     np.testing.assert_allclose(apart, result.correction, rtol=1e-6, atol=1e-16)
-
-
-def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
-    cell, _ = paper
-    cut, target = cell.cut(), cell.target()
-    result = run_pass(cell.arm_model(target), cut, cell.clock, target, target)
     x, low, high = profile(cut)
     width = high - low + cell.stock.grid_step
     np.testing.assert_allclose(width[x < 0.065], 0.020, atol=1.1 * cell.stock.grid_step)
@@ -131,55 +118,40 @@ def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
     assert result.removed_volume == pytest.approx(area * cell.path.depth_of_cut, rel=4e-3)
 
 
-def test_in_the_air_nothing_moves():
+def test_a_pass_may_be_in_the_air_or_of_one_period_and_a_lack_of_log_or_tiles_is_an_error(monkeypatch):
     cell, result = run("path.start_mm=[-70, 0]", "path.length_mm=40")
     assert not result.wrench.any() and not result.deflection.any() and result.removed_area == 0.0
     np.testing.assert_array_equal(result.tool, result.reference)
-
-
-# --- errors ---
-def test_a_grid_without_a_tile_left_is_told(monkeypatch):
+    line = Trajectory(np.array([0, 1]), np.zeros((2, 3)), (1.0, 0.0, 0.0, 0.0))
+    result = run_pass(cell.arm_model(line), cell.cut(), Clock(5e-4, 24), line, line)
+    assert len(result.time) == 2 and result.micro_steps == 24
+    cell = read_cell(find_file("paper.yaml"), SHORT)
+    cut = Cut(cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step, log_size=64)
+    with pytest.raises(UndoError):
+        run_pass(cell.arm_model(cell.target()), cut, cell.clock, cell.target(), cell.target(), 2)
     monkeypatch.setattr("kr270_milling.physics.cutting.state.MAX_TILES", 3)
     with pytest.raises(GridError, match="3 tiles"):
         run(*SHORT)
 
 
-def test_a_period_that_cannot_be_taken_back_is_told_when_it_is_iterated():
-    cell = read_cell(find_file("paper.yaml"), SHORT)
-    cut = Cut(cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step, log_size=64)
-    with pytest.raises(UndoError):
-        run_pass(cell.arm_model(cell.target()), cut, cell.clock, cell.target(), cell.target(), 2)
-
-
-def test_a_path_of_one_period_is_a_pass():
-    cell = read_cell(find_file("paper.yaml"))
-    line = Trajectory(np.array([0, 1]), np.zeros((2, 3)), (1.0, 0.0, 0.0, 0.0))
-    result = run_pass(cell.arm_model(line), cell.cut(), Clock(5e-4, 24), line, line)
-    assert len(result.time) == 2 and result.micro_steps == 24
-
-
-# --- The exchange period ---
-SPEED = 8000 * 2 * np.pi / 60
-
-
-@pytest.mark.parametrize(("period_ms", "micro_steps"), [(0.5, 24), (1 / 48, 1), (0.25, 12), (7.5, 360), (0.125, 6)])
-def test_a_period_of_whole_micro_steps_makes_a_clock(period_ms, micro_steps):
-    assert Exchange(period_ms * 1e-3).clock(SPEED).micro_steps == micro_steps
-
-
-@pytest.mark.parametrize(
-    ("period_ms", "near"), [(0.51, "0.5, 0.520833333"), (0.01, "0.0208333333"), (1e-9, "0.0208333")]
-)
-def test_another_period_is_refused_with_the_nearest_ones(period_ms, near):
-    with pytest.raises(ParameterError) as caught:
-        Exchange(period_ms * 1e-3).clock(SPEED)
-    assert near in str(caught.value) and caught.value.key == "exchange.period_ms"
-
-
-def test_a_period_that_the_sentence_proposes_is_taken():
+def test_a_clock_has_whole_micro_steps_covers_the_duration_and_does_not_drift_and_other_periods_are_refused():
+    for period_ms, micro_steps in ((0.5, 24), (1 / 48, 1), (0.25, 12), (7.5, 360), (0.125, 6)):
+        assert Exchange(period_ms * 1e-3).clock(SPEED).micro_steps == micro_steps
+    for period_ms, near in ((0.51, "0.5, 0.520833333"), (0.01, "0.0208333333"), (1e-9, "0.0208333")):
+        with pytest.raises(ParameterError) as caught:
+            Exchange(period_ms * 1e-3).clock(SPEED)
+        assert near in str(caught.value) and caught.value.key == "exchange.period_ms"
     for n in (1, 7, 24, 25):
-        unit = 1 / 48 * n
-        assert Exchange(float(f"{unit:.9g}") * 1e-3).clock(SPEED).micro_steps == n
+        assert Exchange(float(f"{n / 48:.9g}") * 1e-3).clock(SPEED).micro_steps == n
+    # 1 / 48 ms is no whole number of nanoseconds; after an hour the stamp is still the nearest one
+    clock = Clock(1e-3 / 48, 1)
+    hour = 48_000 * 3600
+    assert int(clock.stamp(hour)) == 3600 * 10**9
+    assert clock.stamp(np.arange(4)).tolist() == [0, 20833, 41667, 62500]
+    for n in (1, 2, 3, 1000, 57_600):  # a duration of rounded stamps takes no further period
+        assert clock.steps(int(clock.stamp(n))) == n
+    for duration_ns, steps in ((0, 0), (1, 1), (500_000, 1), (500_001, 2), (1_200_000_000, 2400)):
+        assert Clock(5e-4, 24).steps(duration_ns) == steps
 
 
 @given(st.integers(1, 480), st.integers(0, 10**7))
@@ -189,21 +161,6 @@ def test_every_step_has_one_stamp_and_every_stamp_its_step(micro_steps, step):
     assert stamp == pytest.approx(step * micro_steps / 48 * 1e6, abs=0.51)
     assert clock.step(stamp) == step
     assert clock.step(stamp + 1) == clock.step(stamp - 1) == -1
-
-
-def test_stamps_do_not_drift():
-    """1 / 48 ms is no whole number of nanoseconds; after an hour the stamp is still the nearest one."""
-    clock = Clock(1e-3 / 48, 1)
-    hour = 48_000 * 3600
-    assert int(clock.stamp(hour)) == 3600 * 10**9
-    assert clock.stamp(np.arange(4)).tolist() == [0, 20833, 41667, 62500]
-    for n in (1, 2, 3, 1000, 57_600):  # a duration of rounded stamps takes no further period
-        assert clock.steps(int(clock.stamp(n))) == n
-
-
-@pytest.mark.parametrize(("duration_ns", "steps"), [(0, 0), (1, 1), (500_000, 1), (500_001, 2), (1_200_000_000, 2400)])
-def test_the_periods_cover_the_duration(duration_ns, steps):
-    assert Clock(5e-4, 24).steps(duration_ns) == steps
 
 
 # --- Scores of Table 2 and the ringing of a pass ---
@@ -221,23 +178,17 @@ def along(direction, count=5):
     return np.tile(direction, (count, 1))
 
 
-def test_the_deviation_is_positive_to_the_left_of_the_feed_whatever_its_speed_and_direction():
+def test_scores_are_the_mean_of_the_last_quarter_and_the_largest_deviation_across_the_feed_from_engagement_on():
     zero = np.zeros((5, 3))
     for offset, feed, expected in ((Y, X, 1.0), (Y, -X, -1.0), (X, Y, -1.0), (Y, 0 * X, 0.0)):  # at rest there is none
         np.testing.assert_array_equal(path_deviation(along(offset * 1e-6), zero, along(feed)), expected * 1e-6)
     for speed in (1e-3, 1.0, 70.0):
         obtained = path_deviation(along([3.0, 4.0, 5.0]), zero, along(speed * (X + Y)))
         np.testing.assert_allclose(obtained, (-3.0 + 4.0) / np.sqrt(2), rtol=1e-15)
-
-
-def test_the_static_deviation_is_the_mean_over_the_last_quarter():
-    """Samples 9, 10 and 11 of 12."""
+    # samples 9, 10 and 11 of 12
     y = np.array([100.0, 90, 80, 70, 60, 50, 40, 30, 20, 4, 3, 2]) * 1e-6
     obtained = score(np.arange(12.0), np.outer(y, Y), np.zeros((12, 3)), along(X, 12), 0.0, 6.7, y)
     assert obtained.static_deviation == pytest.approx(3e-6, rel=1e-12) and obtained.low_frequency == 6.7
-
-
-def test_the_largest_deviation_counts_from_full_engagement_on_on_both_sides_and_not_along_the_feed():
     y = np.array([9.0, 9, -5, 1, 4, 1, 1, 1]) * 1e-6
     for engaged, largest in ((0.0, 9e-6), (1.0, 9e-6), (1.5, 5e-6), (2.0, 5e-6), (2.5, 4e-6), (99.0, 1e-6)):
         obtained = score(np.arange(8.0), np.outer(y, Y), np.zeros((8, 3)), along(X, 8), engaged, 6.7, y)
@@ -245,6 +196,11 @@ def test_the_largest_deviation_counts_from_full_engagement_on_on_both_sides_and_
     run = np.outer(np.arange(8.0), X)
     obtained = score(np.arange(8.0), run + 5e-6 * X, run, along(X, 8), 0.0, 6.7, np.zeros(8))
     assert obtained.max_deviation == obtained.static_deviation == 0.0 and np.isnan(obtained.ringing_frequency)
+    course = np.column_stack([np.cos(TIME), np.sin(TIME), 0 * TIME])
+    feed = np.column_stack([-np.sin(TIME), np.cos(TIME), 0 * TIME])
+    obtained = score(TIME, course * 1.001, course, feed, 0.0, 6.7, course[:, 1], straight=False)
+    assert np.isnan([obtained.static_deviation, obtained.ringing_frequency, obtained.ringing_damping]).all()
+    assert obtained.max_deviation == pytest.approx(1e-3, rel=1e-9)  # the circle is 1 mm too large all the way
 
 
 @settings(max_examples=budget(60), deadline=None)
@@ -254,31 +210,15 @@ def test_the_ringing_of_a_damped_vibration_is_found(frequency, damping, phase, m
     assert obtained == (pytest.approx(frequency, rel=2e-3), pytest.approx(damping, abs=2e-3))
 
 
-def test_noise_of_a_tenth_and_the_hum_of_the_teeth_hardly_move_it():
+def test_noise_hum_and_the_start_of_the_clock_hardly_move_the_ringing_and_none_is_made_up():
     noise = np.random.default_rng(0).normal(0.0, 0.5e-6, TIME.size)
     hum = 0.5e-6 * np.sin(2 * np.pi * 533.3 * TIME)
     frequency, damping = ringing_frequency(TIME, ringing(6.69, 0.18) + noise + hum)
     assert frequency == pytest.approx(6.69, rel=0.03) and damping == pytest.approx(0.18, abs=0.03)
-
-
-def test_the_start_of_the_clock_does_not_matter():
     shifted = ringing_frequency(TIME + 12.5, ringing(6.69, 0.05))
     np.testing.assert_allclose(shifted, ringing_frequency(TIME, ringing(6.69, 0.05)), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "displacement", [np.zeros(TIME.size), np.full(TIME.size, 3e-3), ringing(6.7, 0.1, amplitude=5e-10), np.ones(15)],
-)  # fmt: skip
-def test_where_nothing_rings_no_frequency_is_made_up(displacement):
-    assert np.isnan(ringing_frequency(TIME[: displacement.size], displacement)).all()
-
-
-def test_a_path_without_one_feed_direction_has_no_static_deviation_and_does_not_ring():
-    course = np.column_stack([np.cos(TIME), np.sin(TIME), 0 * TIME])
-    feed = np.column_stack([-np.sin(TIME), np.cos(TIME), 0 * TIME])
-    obtained = score(TIME, course * 1.001, course, feed, 0.0, 6.7, course[:, 1], straight=False)
-    assert np.isnan([obtained.static_deviation, obtained.ringing_frequency, obtained.ringing_damping]).all()
-    assert obtained.max_deviation == pytest.approx(1e-3, rel=1e-9)  # the circle is 1 mm too large all the way
+    for still in (np.zeros(TIME.size), np.full(TIME.size, 3e-3), ringing(6.7, 0.1, amplitude=5e-10), np.ones(15)):
+        assert np.isnan(ringing_frequency(TIME[: still.size], still)).all()
 
 
 # --- A long pass: windows do not change it, and combined rows keep its extremes, sums and means ---
@@ -286,31 +226,30 @@ SERIES = ("time_ns", "target", "reference", "tool", "deflection", "wrench", "cor
 
 
 @pytest.fixture(scope="module")
-def long_cell(tmp_path_factory):
-    return small_part(tmp_path_factory.mktemp("long"), GCODE, "cutting.detail=engagement", "dynamics.follow_pose=true")
+def whole(tmp_path_factory):
+    """A cell that mills a tool path by its engagement, and its pass."""
+    words = ("cutting.detail=engagement", "dynamics.follow_pose=true")
+    long = small_part(tmp_path_factory.mktemp("long"), GCODE, *words)
+    return long, simulate(long)
 
 
-@pytest.fixture(scope="module")
-def whole(long_cell):
-    return simulate(long_cell)
-
-
-def test_a_pass_in_windows_is_the_same_to_the_bit_and_its_progress_only_grows(long_cell, whole, monkeypatch):
+def test_a_pass_in_windows_is_the_same_to_the_bit_and_its_progress_only_grows(whole, monkeypatch):
     monkeypatch.setattr(milling_pass, "WINDOW", 73)
+    cell, original = whole
     seen: list[tuple[int, int]] = []
-    ran = simulate(long_cell, progress=lambda *count: seen.append(count)).result
+    ran = simulate(cell, progress=lambda *count: seen.append(count)).result
     for name in SERIES:
-        np.testing.assert_array_equal(getattr(ran, name), getattr(whole.result, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(ran, name), getattr(original.result, name), err_msg=name)
     done, totals = zip(*seen, strict=True)
     assert list(done) == sorted(set(done)) and done[-1] == totals[-1] and len(set(totals)) == 1
 
 
 @pytest.mark.parametrize("window", [64, milling_pass.WINDOW])
-def test_combined_rows_keep_extremes_sums_means_and_the_scores(long_cell, whole, monkeypatch, window):
+def test_combined_rows_keep_extremes_sums_means_and_the_scores(whole, monkeypatch, window):
     monkeypatch.setattr(milling_pass, "WINDOW", window)
-    plain = whole.result
-    periods = len(plain.time) - 1
-    ran = simulate(long_cell, most_rows=periods / 4.5)
+    cell, original = whole
+    plain, periods = original.result, len(original.result.time) - 1
+    ran = simulate(cell, most_rows=periods / 4.5)
     some = ran.result
     assert some.every == 5 and len(some.time) == 1 + -(-periods // 5)
     assert (np.diff(some.time_ns) > 0).all() and np.isin(some.time_ns, plain.time_ns).all()
@@ -321,7 +260,7 @@ def test_combined_rows_keep_extremes_sums_means_and_the_scores(long_cell, whole,
     counts = np.minimum(5, periods - 5 * np.arange(len(some.time) - 1))
     mean = (counts[:, None] * some.wrench[1:]).sum(axis=0) / periods
     assert mean == pytest.approx(plain.wrench[1:].mean(axis=0), rel=1e-9, abs=1e-9)
-    assert ran.scores.max_deviation == pytest.approx(whole.scores.max_deviation, rel=0.05)
+    assert ran.scores.max_deviation == pytest.approx(original.scores.max_deviation, rel=0.05)
     assert some.removed_volume == plain.removed_volume
 
 

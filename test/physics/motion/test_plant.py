@@ -32,15 +32,17 @@ def cell():
     return read_cell(find_file("paper.yaml"), SHORT)
 
 
-def test_repeatability_is_that_of_a_data_sheet():
-    """ISO 9283: mean distance from the barycentre of many passes + 3 standard deviations of that distance."""
+@pytest.fixture(scope="module")
+def ran(cell):
+    return simulate(cell)
+
+
+def test_repeatability_is_that_of_iso_9283_and_each_seed_and_number_of_a_pass_has_its_shift_and_noise():
+    # ISO 9283: mean distance from the barycentre of many passes + 3 standard deviations of that distance
     how = Imperfections(repeatability=60 * UM)
     shifts = np.array([how.shift(n) for n in range(4000)])
     distance = np.linalg.norm(shifts - shifts.mean(axis=0), axis=1)
     assert distance.mean() + 3 * distance.std() == pytest.approx(60 * UM, rel=0.03)
-
-
-def test_noise_and_repeatability_of_a_pass_come_from_seed_and_number():
     how, zero = Imperfections(5 * UM, 60 * UM, seed=3), np.zeros((1000, 3))
     assert np.array_equal(how.measured(zero, 2), how.measured(zero, 2)) and np.array_equal(how.shift(2), how.shift(2))
     assert not np.any(how.measured(zero, 2) == how.measured(zero, 3)) and not np.any(how.shift(2) == how.shift(3))
@@ -50,42 +52,26 @@ def test_noise_and_repeatability_of_a_pass_come_from_seed_and_number():
     assert abs(np.corrcoef(how.measured(zero, 1)[:, 0], how.measured(zero, 2)[:, 0])[0, 1]) < 0.15
 
 
-def test_a_plant_without_imperfections_is_its_cell(cell):
-    plain, plant = simulate(cell), simulate(cell, plant=Plant(cell, cell))
-    assert np.array_equal(plain.result.actual, plant.result.actual) and plain.scores == plant.scores
+def test_a_plant_is_its_cell_but_for_the_noise_of_its_tracker_the_place_of_its_pass_and_its_arm(cell, ran):
+    plant = simulate(cell, plant=Plant(cell, cell))
+    assert np.array_equal(ran.result.actual, plant.result.actual) and ran.scores == plant.scores
     assert np.array_equal(plant.record.position, plant.result.tool) and plant.record.noise == 0.0
-
-
-def test_the_tracker_is_noisy_and_the_part_is_not(cell):
-    clean = simulate(cell)
     noisy = simulate(cell, plant=Plant(cell, cell, Imperfections(pose_noise=20 * UM)))
-    assert np.array_equal(noisy.result.actual, clean.result.actual) and noisy.scores == clean.scores
+    assert np.array_equal(noisy.result.actual, ran.result.actual) and noisy.scores == ran.scores
     assert np.std(noisy.record.position - noisy.result.tool) == pytest.approx(20 * UM, rel=0.1)
-
-
-def test_a_pass_that_lies_beside_the_commanded_one_is_cut_there(cell):
     plant = Plant(cell, cell, Imperfections(repeatability=60 * UM))
-    shift = plant.cell.imperfections.shift(0)
-    ran = simulate(cell, plant=plant).result
-    plain = simulate(cell).result
-    assert ran.actual - plain.actual == pytest.approx(np.broadcast_to(shift, ran.actual.shape), abs=0.05 * 60 * UM)
-    assert np.array_equal(ran.target, plain.target)
-
-
-def test_the_path_is_the_models_and_the_arm_is_the_plants(cell):
+    beside = simulate(cell, plant=plant).result
+    moved, shift = beside.actual - ran.result.actual, plant.cell.imperfections.shift(0)
+    assert moved == pytest.approx(np.broadcast_to(shift, moved.shape), abs=0.05 * 60 * UM)
+    assert np.array_equal(beside.target, ran.result.target)
     other = cell.replace(path=cell.path.replace(length=0.03), dynamics=cell.dynamics.replace(damping_ratio=0.04))
     plant = Plant(cell, other)
     assert plant.cell.path is cell.path and plant.cell.dynamics.damping_ratio == 0.04
-    assert simulate(cell, plant=plant).result.time_ns[-1] == simulate(cell).result.time_ns[-1]
+    assert simulate(cell, plant=plant).result.time_ns[-1] == ran.result.time_ns[-1]
 
 
 # --- Backlash ---
 LEVER, WIDTH, FRICTION = 1.5, 1e-4, 100.0  # [m], [rad], [N m]
-
-
-@pytest.fixture(scope="module")
-def ran(cell):
-    return simulate(cell)
 
 
 def one_axis(friction: float = FRICTION) -> Gaps:
@@ -103,19 +89,15 @@ def lateral(*forces: float, periods: int = 5) -> np.ndarray:
     return wrenches
 
 
-def with_wrench(ran: ScoredPass, wrench: np.ndarray) -> ScoredPass:
-    return dataclasses.replace(ran, result=dataclasses.replace(ran.result, wrench=wrench))
-
-
-def reversing(ran: ScoredPass) -> tuple[np.ndarray, int]:
-    """A load across the feed that changes its sign in the middle of a pass, and the number of that sample."""
+def reversing(ran: ScoredPass) -> tuple[ScoredPass, int]:
+    """The pass with a load across the feed that changes its sign in the middle, and the number of that sample."""
     wrench = np.zeros_like(ran.result.wrench)
     half = len(wrench) // 2
     wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
-    return wrench, half
+    return dataclasses.replace(ran, result=dataclasses.replace(ran.result, wrench=wrench)), half
 
 
-def test_a_load_that_changes_its_sign_moves_the_tool_by_backlash_times_lever(cell):
+def test_a_load_that_reverses_beyond_the_friction_torque_moves_the_tool_by_backlash_times_lever(cell):
     plain = cell.arm_model(cell.target())
     wrenches = lateral(100.0, -100.0, 100.0)  # 150 N m about the axis
     still = np.zeros((0, plain.order))
@@ -124,28 +106,14 @@ def test_a_load_that_changes_its_sign_moves_the_tool_by_backlash_times_lever(cel
     expected[6:11, 1] = -WIDTH * LEVER
     assert moved == pytest.approx(expected, abs=1e-15)
     assert tool_jumps(one_axis(), wrenches) == [(6, 0, WIDTH * LEVER), (11, 0, WIDTH * LEVER)]
-
-
-def test_a_load_within_the_friction_torque_leaves_the_joint_on_its_flank():
     assert tool_jumps(one_axis(), lateral(100.0, -66.0, 0.0, 100.0)) == []  # 99 N m against 100 N m
     assert len(tool_jumps(one_axis(), lateral(100.0, -67.0, 0.0, 66.0))) == 1
     assert len(tool_jumps(one_axis(0.0), lateral(100.0, -1.0, 0.0, 1.0))) == 2
     assert flanks(one_axis(), lateral(50.0, 100.0, -50.0))[:, 0].tolist() == [0.0] * 6 + [1.0] * 10
 
 
-def test_single_teeth_do_not_change_a_flank(cell):
-    """At 533 Hz the torque changes its sign, its mean over a revolution does not."""
-    share = joint_gaps(cell, cell.target(), cell.arm.backlash).share
-    revolution = 2 * np.pi / cell.tool.spindle_speed
-    assert share == pytest.approx(1 - np.exp(-cell.exchange.period / revolution))
-    gaps = dataclasses.replace(one_axis(0.0), share=share)
-    teeth = 100.0 + 300.0 * np.sin(2 * np.pi * 533.3 * cell.exchange.period * np.arange(400))
-    settled = np.concatenate([np.full(100, 100.0), teeth])
-    assert teeth.min() < -150.0 and tool_jumps(gaps, lateral(*settled, periods=1)) == []
-
-
-def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path(cell):
-    """At the turning points of a motion about axis 1 alone the inertia torque is -M_11 q1''."""
+def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path_and_single_teeth_do_not_reverse_it(cell):
+    # at the turning points of a motion about axis 1 alone the inertia torque is -M_11 q1''
     joints = np.tile(cell.start_joints, (41, 1))
     swing, speed = np.radians(1.5), 2 * np.pi / 2.0  # [rad], [rad/s]
     time = np.arange(41) * 0.05
@@ -156,25 +124,40 @@ def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path(cell):
     inertia = rigid_joint_mass(cell.arm, cell.mount, joints[20])[0, 0]
     assert gaps.torque[20, 0] == pytest.approx(-inertia * swing * speed**2, rel=0.01)
     assert len(tool_jumps(gaps, np.zeros((cell.clock.steps(run.duration_ns) + 1, 6)))) >= 1
+    # at 533 Hz the torque changes its sign, its mean over a revolution does not
+    share = joint_gaps(cell, cell.target(), cell.arm.backlash).share
+    revolution = 2 * np.pi / cell.tool.spindle_speed
+    assert share == pytest.approx(1 - np.exp(-cell.exchange.period / revolution))
+    gaps = dataclasses.replace(one_axis(0.0), share=share)
+    teeth = 100.0 + 300.0 * np.sin(2 * np.pi * 533.3 * cell.exchange.period * np.arange(400))
+    settled = np.concatenate([np.full(100, 100.0), teeth])
+    assert teeth.min() < -150.0 and tool_jumps(gaps, lateral(*settled, periods=1)) == []
 
 
-def test_the_check_names_the_place_where_the_load_reverses(cell, ran):
-    wrench, half = reversing(ran)
-    (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
+def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(cell, ran):
+    loaded, half = reversing(ran)
+    (one,) = load_reversals(cell, cell.target(), loaded)
     lever = np.linalg.norm(jacobian(cell.arm, cell.mount, cell.start_joints)[:3, 0])
     assert one.value == pytest.approx(cell.arm.backlash[0] * lever, rel=0.01) and one.severity == "note"
     assert abs(cell.target().time_ns[one.point - 1] - ran.result.time_ns[half]) <= 60_000_000
     assert "if axis 1 has 6.2 arcsec of backlash (assumed)" in one.sentence
     stiff = cell.replace(arm=cell.arm.replace(friction_torque=np.full(6, 1e4)))
-    assert load_reversals(stiff, stiff.target(), with_wrench(ran, wrench)) == []
+    assert load_reversals(stiff, stiff.target(), loaded) == []
     known = cell.replace(arm=cell.arm.replace(backlash=2 * cell.arm.backlash))
-    (twice,) = load_reversals(known, known.target(), with_wrench(ran, wrench))
+    (twice,) = load_reversals(known, known.target(), loaded)
     assert twice.value == pytest.approx(2 * one.value) and "12.4 arcsec of backlash (arm.back" in twice.sentence
+    places = gathered(cell, cell.target(), [one])
+    assert backlash_statement(cell, places, True) == "backlash: in the verdict only, 0 to 12.4 arcsec"
+    assert "not included, up to 49.2 um" in backlash_statement(cell, places, False)
+    decision = compensate(cell, "linear").decision
+    assert decision.backlash == "backlash: not included, no load reverses"
+    assert decision.backlash in decision.headline and decision.backlash in decision.lines()
+    assert decision.as_dict()["backlash"] == decision.backlash
 
 
-def test_the_plant_moves_by_the_number_of_the_check(cell, ran):
-    wrench, half = reversing(ran)
-    (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
+def test_the_plant_moves_by_the_number_of_the_check_and_without_a_reversal_as_if_it_had_no_backlash(cell, ran):
+    loaded, half = reversing(ran)
+    (one,), wrench = load_reversals(cell, cell.target(), loaded), loaded.result.wrench
     plant = cell.replace(imperfections=Imperfections(backlash=cell.arm.backlash))
     plain = cell.arm_model(cell.target())
     arm = imperfect_arm(plant, cell.target(), plain)
@@ -185,24 +168,10 @@ def test_the_plant_moves_by_the_number_of_the_check(cell, ran):
     assert moved[first:].any(axis=1).all()
     robot = CompliantArm(arm)
     assert np.array_equal([robot.correct(w) for w in wrench[1:]], follow(arm, still, wrench)[1:])
-
-
-def test_a_plant_whose_loads_do_not_reverse_runs_as_if_it_had_no_backlash(cell, ran):
-    """The paper's straight cut loads every joint to one side."""
+    # the paper's straight cut loads every joint to one side
     assert load_reversals(cell, cell.target(), ran) == []
     cuts = simulate(cell, plant=Plant(cell, cell, Imperfections(backlash=cell.arm.backlash)))
     assert np.array_equal(cuts.result.actual, ran.result.actual)
-
-
-def test_the_decision_names_the_backlash(cell, ran):
-    wrench, half = reversing(ran)
-    places = gathered(cell, cell.target(), load_reversals(cell, cell.target(), with_wrench(ran, wrench)))
-    assert backlash_statement(cell, places, True) == "backlash: in the verdict only, 0 to 12.4 arcsec"
-    assert "not included, up to 49.2 um" in backlash_statement(cell, places, False)
-    decision = compensate(cell, "linear").decision
-    assert decision.backlash == "backlash: not included, no load reverses"
-    assert decision.backlash in decision.headline and decision.backlash in decision.lines()
-    assert decision.as_dict()["backlash"] == decision.backlash
 
 
 def test_keys_of_earlier_versions_are_refused_with_their_new_name():
@@ -217,15 +186,15 @@ def test_keys_of_earlier_versions_are_refused_with_their_new_name():
 
 def test_the_compensator_receives_the_wrench_of_a_sensor(cell):
     """Noise while the tool cuts, its moments by a lever of 0.1 m; another one in each pass; the part is not noisy."""
-    records = {
-        how: simulate(cell, plant=Plant(cell, cell, Imperfections(wrench=how))) for how in ("exact", "noisy", "none")
-    }
-    true = records["exact"].record.wrench
-    assert np.array_equal(true, records["exact"].result.wrench) and records["none"].record.wrench is None
-    sensed, cuts = records["noisy"].record.wrench, true.any(axis=1)
+    exact, noisy, none = (
+        simulate(cell, plant=Plant(cell, cell, Imperfections(wrench=how))) for how in ("exact", "noisy", "none")
+    )
+    true = exact.record.wrench
+    assert np.array_equal(true, exact.result.wrench) and none.record.wrench is None
+    sensed, cuts = noisy.record.wrench, true.any(axis=1)
     assert not np.any(sensed[~cuts]) and cuts.sum() > 100
     assert (sensed - true)[cuts].std(axis=0) == pytest.approx([2.0, 2.0, 2.0, 0.2, 0.2, 0.2], rel=0.2)
-    assert np.array_equal(records["noisy"].result.actual, records["exact"].result.actual)
+    assert np.array_equal(noisy.result.actual, exact.result.actual)
     how = Imperfections()
     assert not np.any(how.sensed(true, 0)[cuts] == how.sensed(true, 1)[cuts])
 
@@ -249,14 +218,14 @@ def test_motors_follow_a_step_of_the_correction_as_a_second_order_after_a_dead_t
     assert np.abs(moved[:, [0, 2]]).max() < 1e-15 and how.lagged(target, target) is target
 
 
-@pytest.mark.parametrize("other", [{"servo_frequency": 10.0}, {"joining": 1.0}], ids=["servo lag", "joining"])
-def test_what_is_in_no_model_spoils_what_inverse_plans(cell, other):
+def test_what_is_in_no_model_spoils_what_inverse_plans(cell, ran):
     """A lag of the motors, and another spline through the points than the planned one."""
-    plant = Plant(cell, cell, Imperfections(wrench="exact", **other))
-    original = simulate(cell, plant=plant)
-    left = compensated(cell, original, "inverse", plant=plant).scores.max_deviation
-    perfect = compensated(cell, simulate(cell), "inverse").scores.max_deviation
-    assert 1.1 * perfect < left < original.scores.max_deviation
+    perfect = compensated(cell, ran, "inverse").scores.max_deviation
+    for other in ({"servo_frequency": 10.0}, {"joining": 1.0}):
+        plant = Plant(cell, cell, Imperfections(wrench="exact", **other))
+        original = simulate(cell, plant=plant)
+        left = compensated(cell, original, "inverse", plant=plant).scores.max_deviation
+        assert 1.1 * perfect < left < original.scores.max_deviation
 
 
 def test_another_controller_runs_a_parabola_exactly_and_blends_the_corners_of_straight_lines():

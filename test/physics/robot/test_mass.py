@@ -9,21 +9,10 @@ from arm_oracle import ARM, PAPER, SPINDLE, TURNED, pinocchio_arm, postures
 from book import check
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.physics.robot import (
-    BARE,
-    beam_mass,
-    cartesian_mass,
-    compliance,
-    equilibrium,
-    forward,
-    jacobian,
-    joint_mass,
-    mode_frequencies,
-    rigid_joint_mass,
-    stiffness,
-)
+from kr270_milling.physics.robot import BARE, beam_mass, cartesian_mass, compliance, equilibrium, forward, jacobian
+from kr270_milling.physics.robot.elastostatics import stiffness
 from kr270_milling.physics.robot.errors import SingularityError
-from kr270_milling.physics.robot.mass import assembled_mass
+from kr270_milling.physics.robot.mass import assembled_mass, joint_mass, mode_frequencies, rigid_joint_mass
 from kr270_milling.physics.robot.urdf import urdf
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
@@ -39,7 +28,12 @@ def rigid(x: float) -> np.ndarray:
     return move
 
 
-# --- beams ---
+def composite(model, data, q: np.ndarray) -> np.ndarray:
+    """M_theta by pinocchio, which fills the upper half."""
+    upper = np.triu(pin.crba(model, data, q))
+    return upper + np.triu(upper, 1).T
+
+
 @check("beam mass matrix (23)", "Gauss quadrature of the kinetic energy (18)-(22)")
 def test_beam():
     """4 Gauss points are exact to x^7."""
@@ -82,26 +76,12 @@ def test_an_arm_turned_by_axis_1_has_the_rigid_inertia_of_what_rides_on_it():
     assert joint_mass(arm, SPINDLE, q)[0, 0] == pytest.approx(pin.crba(model, data, q)[0, 0])
 
 
-def test_the_energy_consistent_mass_is_the_sum_over_the_links_with_the_loaded_springs():
-    """(25) in the form of facts.md."""
-    solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
-    springs = np.diag(ARM.spring_stiffness) - solved.hessian
-    follow = np.linalg.solve(springs, solved.jacobian.T) @ stiffness(solved, ARM)
-    whole = assembled_mass(ARM, SPINDLE, forward(ARM, SPINDLE, solved.posture))
-    phi = np.concatenate([jacobian(ARM, SPINDLE, solved.posture, j) @ follow for j in range(7)])
-    ours = cartesian_mass(ARM, SPINDLE, solved.posture, "consistent")
-    np.testing.assert_allclose(ours, phi.T @ whole @ phi, rtol=1e-9, atol=1e-7)
-    assert np.linalg.eigvalsh(ours)[0] > 0
-
-
-# --- rigid links ---
 @check("rigid links: M_theta at 100 postures, heavy spindle", "pinocchio's crba", "kg m^2")
 def test_rigid_joint_mass():
     model, data, _ = pinocchio_arm(UNEVEN, TURNED, tubes=True)
     ours, worst = rigid_joint_mass(UNEVEN, TURNED, POSTURES), 0.0
     for q, found in zip(POSTURES, ours, strict=True):
-        upper = np.triu(pin.crba(model, data, q))
-        worst = max(worst, np.abs(found - upper - np.triu(upper, 1).T).max())
+        worst = max(worst, np.abs(found - composite(model, data, q)).max())
     np.testing.assert_allclose(rigid_joint_mass(UNEVEN, TURNED, POSTURES[7]), ours[7], rtol=1e-13, atol=1e-12)
     return 0.0, worst, 1e-9
 
@@ -113,21 +93,28 @@ def test_the_urdf_has_the_same_joint_space_mass(mount):
     data = model.createData()
     assert pin.computeTotalMass(model) == pytest.approx(UNEVEN.link_mass.sum() + mount.mass, rel=1e-12)
     for q, ours in zip(POSTURES, rigid_joint_mass(UNEVEN, mount, POSTURES), strict=True):
-        upper = np.triu(pin.crba(model, data, q))
-        np.testing.assert_allclose(upper + np.triu(upper, 1).T, ours, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(composite(model, data, q), ours, rtol=1e-9, atol=1e-9)
 
 
-def test_the_cartesian_mass_holds_the_same_energy():
-    """qdot M_theta qdot = V M_C V for V = J qdot."""
+def test_cartesian_masses_have_the_energy_of_the_joints_and_of_the_links_on_loaded_springs():
+    # qdot M_theta qdot = V M_C V for V = J qdot
     solved = equilibrium(UNEVEN, TURNED, PAPER)
     speeds = np.random.default_rng(8).normal(size=(20, 6))
     at_tool = speeds @ solved.jacobian.T
     of_joints = np.einsum("ni,ij,nj->n", speeds, rigid_joint_mass(UNEVEN, TURNED, solved.posture), speeds)
     of_tool = np.einsum("ni,ij,nj->n", at_tool, cartesian_mass(UNEVEN, TURNED, solved.posture, "rigid"), at_tool)
     np.testing.assert_allclose(of_tool, of_joints, rtol=1e-9)
+    # (25) in the form of facts.md
+    solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
+    springs = np.diag(ARM.spring_stiffness) - solved.hessian
+    follow = np.linalg.solve(springs, solved.jacobian.T) @ stiffness(solved, ARM)
+    whole = assembled_mass(ARM, SPINDLE, forward(ARM, SPINDLE, solved.posture))
+    phi = np.concatenate([jacobian(ARM, SPINDLE, solved.posture, j) @ follow for j in range(7)])
+    ours = cartesian_mass(ARM, SPINDLE, solved.posture, "consistent")
+    np.testing.assert_allclose(ours, phi.T @ whole @ phi, rtol=1e-9, atol=1e-7)
+    assert np.linalg.eigvalsh(ours)[0] > 0
 
 
-# --- natural frequencies ---
 def _modes(model: str) -> np.ndarray:
     soft = compliance(equilibrium(ARM, BARE, PAPER, gravity=False), ARM)
     return mode_frequencies(soft, cartesian_mass(ARM, BARE, PAPER, model))
@@ -161,14 +148,11 @@ def test_both_forms():
     return 0.0, np.abs(at_tool / at_joints - 1).max(), 1e-9
 
 
-def test_frequencies_of_two_masses_on_springs_follow_the_closed_form_and_a_massless_one_is_condensed():
+def test_frequencies_follow_a_closed_form_with_a_massless_mode_condensed_and_batches_are_stacks():
     soft = np.linalg.inv([[3.0, -1.0], [-1.0, 3.0]])  # eigenvalues of the stiffness: 2 and 4 with unit masses
     np.testing.assert_allclose(mode_frequencies(soft, np.eye(2)), np.sqrt([2, 4]) / (2 * np.pi))
     np.testing.assert_allclose(mode_frequencies(soft, np.diag([1.0, 0])), [np.sqrt(3 - 1 / 3) / (2 * np.pi)])
     assert mode_frequencies(soft, np.zeros((2, 2))).size == 0
-
-
-def test_batches_are_stacks_and_an_unknown_model_or_a_singular_posture_is_refused():
     batch = np.stack([PAPER, PAPER + 0.1])
     both = cartesian_mass(ARM, SPINDLE, batch, "consistent")
     np.testing.assert_allclose(both[1], cartesian_mass(ARM, SPINDLE, batch[1], "consistent"), rtol=1e-12)
@@ -206,6 +190,5 @@ def test_base_mass():
     worst = 0.0
     for q in POSTURES:
         chain = np.append(np.array([0.02, -0.01, 0.03]), q)
-        upper = np.triu(pin.crba(model, data, chain))
-        worst = max(worst, np.abs(rigid_joint_mass(ON_BASE, SPINDLE, chain) - upper - np.triu(upper, 1).T).max())
+        worst = max(worst, np.abs(rigid_joint_mass(ON_BASE, SPINDLE, chain) - composite(model, data, chain)).max())
     return 0.0, worst, 1e-9

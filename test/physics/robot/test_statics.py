@@ -14,23 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.physics.robot import (
-    BARE,
-    compliance,
-    equilibrium,
-    forward,
-    jacobian,
-    link_loads,
-    pose,
-    rotate_matrix,
-    singularity_measures,
-    stiffness,
-    wrench_for_pose,
-)
+from kr270_milling.physics.robot import BARE, compliance, equilibrium, forward, jacobian, pose, stiffness
 from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
+from kr270_milling.physics.robot.elastostatics import wrench_for_pose
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, SingularityError, UnstableLoadError
-from kr270_milling.physics.robot.loads import load_hessian, load_torque
+from kr270_milling.physics.robot.kinematics import rotate_matrix, singularity_measures
+from kr270_milling.physics.robot.loads import link_loads, load_hessian, load_torque
 from kr270_milling.studies.maps.postures import postures as reaching
 
 RNG = np.random.default_rng(11)
@@ -40,13 +30,15 @@ ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
 POSTURES = postures()
 NEAR = PAPER + RNG.uniform(-0.3, 0.3, (50, 6))
 LOADS = RNG.normal(size=(50, 6)) * [600, 600, 600, 100, 100, 100]
+#: an arm with only joint 2 soft, 1e6 N m/rad, stretched along x; its critical load [N]
+HINGE = ARM.replace(a3=0.0, joint_compliance=np.array([1e-12, 1e-6, 1e-12, 1e-12, 1e-12, 1e-12]))
+CRITICAL = 1e6 / (1.25 + 1.1 + 0.23)
 STRAIGHT = PAPER * [1, 1, 1, 1, 0, 1]  # axis 5 at 0: singular
 SOFT = ((0.7168e-6, 0.6369e-6, 0.1489e-6), (0.7099e-6, 0.7535e-6, 0.1313e-6))  # [m/N], [derived], facts
 ALONG = ("the lateral axis", "the axis in plane", "the flange axis")
 NONE = np.zeros((100, 6))
 
 
-# --- torques of loads ---
 @check("torque of the link weights at 100 postures", "pinocchio", "N m")
 def test_pinocchio_gravity():
     model, data, _ = pinocchio_arm(UNEVEN, TURNED)
@@ -63,7 +55,6 @@ def test_pinocchio_gravity_derivative():
     return 0.0, np.abs(ours + theirs).max(), 1e-9
 
 
-# --- equilibria ---
 @check("equilibrium (7): largest torque out of balance", "0: torques of weights and 1 kN balance, 50 postures", "N m")
 def test_residual():
     solved = equilibrium(ARM, SPINDLE, NEAR, LOADS)
@@ -87,28 +78,24 @@ def test_both_ways(weights, base):
     return 0.0, np.abs(back.wrench - LOADS).max(), 1e-4  # 1e-12 m and rad times 1e7 N m/rad, some singular
 
 
-def test_a_batch_gives_exactly_what_single_postures_give():
+def test_a_batch_gives_exactly_what_single_postures_give_and_maps_of_postures_have_the_same_base():
     batch = equilibrium(ARM, SPINDLE, NEAR.reshape(5, 10, 6), LOADS.reshape(5, 10, 6))
     single = equilibrium(ARM, SPINDLE, NEAR[23], LOADS[23])
     np.testing.assert_array_equal(batch.theta[2, 3], single.theta)
     np.testing.assert_array_equal(batch.hessian[2, 3], single.hessian)
     assert equilibrium(ARM, SPINDLE, np.empty((0, 6))).theta.shape == (0, 6)
     assert equilibrium(ARM, SPINDLE, PAPER, LOADS).theta.shape == (50, 6)
+    place = pose(ARM, SPINDLE, PAPER)
+    force = np.array([[300.0, -200.0, 100.0]])
+    _, way = reaching(ON_BASE, SPINDLE, Pose(place.position[None], place.rotation[None]), force, gravity=False)
+    soft = compliance(equilibrium(ON_BASE, SPINDLE, PAPER, gravity=False), ON_BASE)[:3, :3]
+    assert np.abs(way[0] - soft @ force[0]).max(1).min() == pytest.approx(0.0, abs=1e-12)
 
 
-def _hinge():
-    """An arm with only joint 2 soft, 1e6 N m/rad, stretched along x; its critical load [N]."""
-    soft = np.array([1e-12, 1e-6, 1e-12, 1e-12, 1e-12, 1e-12])
-    return ARM.replace(a3=0.0, joint_compliance=soft), 1e6 / (1.25 + 1.1 + 0.23)
-
-
-@check(
-    "column on one hinge: H / K at {share} of its critical load", "H = F L, critical at F L = K",
-    cases=("share", [(0.5,), (0.99,)]),
-)  # fmt: skip
+@check("column on one hinge: H / K at {share} of its critical load", "H = F L, critical at F L = K",
+       cases=("share", [(0.5,), (0.99,)]))  # fmt: skip
 def test_column(share):
-    arm, critical = _hinge()
-    solved = equilibrium(arm, BARE, np.zeros(6), [-share * critical, 0, 0, 0, 0, 0], gravity=False)
+    solved = equilibrium(HINGE, BARE, np.zeros(6), [-share * CRITICAL, 0, 0, 0, 0, 0], gravity=False)
     np.testing.assert_allclose(solved.theta, 0, atol=1e-15)
     return share, solved.hessian[1, 1] / 1e6, 1e-9
 
@@ -116,24 +103,19 @@ def test_column(share):
 @check("hinge under a dead side load", "K theta = F L cos(theta)", "rad")
 def test_dead_load():
     """Large enough for the load steps."""
-    arm, critical = _hinge()
-    theta = equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.15 * critical, 0, 0, 0], gravity=False).theta[1]
+    theta = equilibrium(HINGE, BARE, np.zeros(6), [0, 0, -0.15 * CRITICAL, 0, 0, 0], gravity=False).theta[1]
     return 0.15 * np.cos(theta), theta, 1e-8
 
 
-def test_a_column_falls_above_its_critical_load_and_a_spring_bent_beyond_belief_is_an_error():
-    arm, critical = _hinge()
+def test_what_has_no_equilibrium_or_no_stiffness_is_an_error_with_joint_base_and_share_of_the_load():
     with pytest.raises(UnstableLoadError, match="unstable") as caught:
-        equilibrium(arm, BARE, np.stack([np.zeros(6)] * 2), [[0.0] * 6, [-1.01 * critical, 0, 0, 0, 0, 0]], False)
+        equilibrium(HINGE, BARE, np.stack([np.zeros(6)] * 2), [[0.0] * 6, [-1.01 * CRITICAL, 0, 0, 0, 0, 0]], False)
     assert caught.value.index == (1,) and caught.value.eigenvalue < 0
     assert caught.value.load_factor == pytest.approx(1.0, abs=0.01)
     with pytest.raises(DeflectionError, match="joint 2") as caught:
-        equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.5 * critical, 0, 0, 0], gravity=False)
+        equilibrium(HINGE, BARE, np.zeros(6), [0, 0, -0.5 * CRITICAL, 0, 0, 0], gravity=False)
     theta, share = caught.value.deflection, caught.value.load_factor
     assert theta == pytest.approx(share * 0.5 * np.cos(theta)) and theta > 0.2
-
-
-def test_loads_and_poses_without_an_equilibrium_are_errors_that_say_so():
     impossible = (UnstableLoadError, EquilibriumError, DeflectionError)
     for load in [1e7, 1e12, 1e30]:
         for axis in [*np.eye(6), *-np.eye(6)]:
@@ -146,20 +128,27 @@ def test_loads_and_poses_without_an_equilibrium_are_errors_that_say_so():
     away = pose(ARM, SPINDLE, PAPER)
     with pytest.raises((EquilibriumError, SingularityError)):
         wrench_for_pose(ARM, SPINDLE, PAPER, Pose(away.position + [0, -3.0, 0], away.rotation))
+    column = ARM.replace(joint_compliance=np.full(6, 1e-18), base_compliance=np.array([0.0, 1e-5, 0.0]))
+    with pytest.raises(DeflectionError, match="the base bends"):
+        equilibrium(column, SPINDLE, np.radians([0.0, -10.0, 20.0, 0.0, 25.0, 0.0]), [0, 0, -1e4, 0, 0, 0])
+    solved = equilibrium(ARM, SPINDLE, STRAIGHT, gravity=False)
+    assert np.linalg.matrix_rank(compliance(solved, ARM), tol=1e-12) == 5
+    assert singularity_measures(ARM, STRAIGHT)[2] == 0
+    with pytest.raises(SingularityError, match="keep axis 5 away from 0"):
+        stiffness(solved, ARM)
+    with pytest.raises(SingularityError, match="wrist"):
+        wrench_for_pose(ARM, SPINDLE, STRAIGHT, pose(ARM, SPINDLE, PAPER))
 
 
-# --- stiffness and compliance ---
 def kilonewton(moments: bool) -> np.ndarray:
     wrenches = np.random.default_rng(8).normal(size=(20, 6))
     wrenches[:, :3] *= 1000 / np.linalg.norm(wrenches[:, :3], axis=-1, keepdims=True)
     return wrenches * ([1] * 3 + [200.0 if moments else 0.0] * 3)
 
 
-@check(
-    "{name}: compliance along {along}", "J diag(compliances of Table 1) J^T in the flange frame [derived]", "m/N",
-    cases=("name along expected", [(n, a, v) for n, soft in zip(ARMS, SOFT, strict=True)
-                                   for a, v in zip(ALONG, soft, strict=True)]),
-)  # fmt: skip
+@check("{name}: compliance along {along}", "J diag(compliances of Table 1) J^T in the flange frame [derived]", "m/N",
+       cases=("name along expected", [(n, a, v) for n, soft in zip(ARMS, SOFT, strict=True)
+                                      for a, v in zip(ALONG, soft, strict=True)]))  # fmt: skip
 def test_unloaded_compliance(name, along, expected):
     arm, axis = arm_of(name), (1, 2, 0)[ALONG.index(along)]
     in_base = compliance(equilibrium(arm, BARE, PAPER, gravity=False), arm)
@@ -193,29 +182,15 @@ def test_reciprocity():
     return 0.0, (np.abs(stiff - np.swapaxes(stiff, -1, -2)) / size).max(), 1e-9
 
 
-@check(
-    "K_C C_C - 1 under weights, 1 kN and moments, {base} base", "self-consistent: (17) and its inverse",
-    cases=("base", [("rigid",), ("tilting",)]),
-)  # fmt: skip
+@check("K_C C_C - 1 under weights, 1 kN and moments, {base} base", "self-consistent: (17) and its inverse",
+       cases=("base", [("rigid",), ("tilting",)]))  # fmt: skip
 def test_inverse_of_each_other(base):
     arm = ARM if base == "rigid" else ON_BASE
     solved = equilibrium(arm, SPINDLE, NEAR[:20], kilonewton(True))
     return 0.0, np.abs(stiffness(solved, arm) @ compliance(solved, arm) - np.eye(6)).max(), 1e-7
 
 
-def test_a_singular_posture_has_a_compliance_but_no_stiffness_and_no_wrench_for_a_pose():
-    solved = equilibrium(ARM, SPINDLE, STRAIGHT, gravity=False)
-    assert np.linalg.matrix_rank(compliance(solved, ARM), tol=1e-12) == 5
-    assert singularity_measures(ARM, STRAIGHT)[2] == 0
-    with pytest.raises(SingularityError, match="keep axis 5 away from 0"):
-        stiffness(solved, ARM)
-    with pytest.raises(SingularityError, match="wrist"):
-        wrench_for_pose(ARM, SPINDLE, STRAIGHT, pose(ARM, SPINDLE, PAPER))
-
-
 # --- a base that tilts ---
-
-
 @check("base on three springs: loaded equilibrium", "0: pinocchio's gravity and frame Jacobian balance it", "N m")
 def test_base_equilibrium():
     model, data, tool = pinocchio_arm(ON_BASE, SPINDLE, tubes=True)
@@ -228,23 +203,8 @@ def test_base_equilibrium():
     return 0.0, np.abs(ON_BASE.spring_stiffness * bent - torque).max(), 1e-6
 
 
-def test_a_base_that_cannot_bear_the_arm_is_named():
-    column = ARM.replace(joint_compliance=np.full(6, 1e-18), base_compliance=np.array([0.0, 1e-5, 0.0]))
-    with pytest.raises(DeflectionError, match="the base bends"):
-        equilibrium(column, SPINDLE, np.radians([0.0, -10.0, 20.0, 0.0, 25.0, 0.0]), [0, 0, -1e4, 0, 0, 0])
-
-
-def test_maps_of_postures_have_the_same_base():
-    place = pose(ARM, SPINDLE, PAPER)
-    force = np.array([[300.0, -200.0, 100.0]])
-    _, way = reaching(ON_BASE, SPINDLE, Pose(place.position[None], place.rotation[None]), force, gravity=False)
-    soft = compliance(equilibrium(ON_BASE, SPINDLE, PAPER, gravity=False), ON_BASE)[:3, :3]
-    assert np.abs(way[0] - soft @ force[0]).max(1).min() == pytest.approx(0.0, abs=1e-12)
-
-
 # --- the gravity compensator ---
 SPRING = GravityCompensator(stiffness=50e3, preload=6e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
-ANGLES = np.radians(np.linspace(-140.0, -5.0, 4))
 
 
 def length(angle: float) -> float:
@@ -273,15 +233,12 @@ def test_equivalent_spring(degrees):
     return SPRING.stiffness * product * eta, -float(SPRING.moment_slope(math.cos(angle), math.sin(angle))), 1e-5
 
 
-@pytest.mark.parametrize("angle", ANGLES)
-def test_the_moment_of_the_compensator_is_the_negative_slope_of_its_energy(angle):
-    slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
-    assert SPRING.moment(math.cos(angle), math.sin(angle)) == pytest.approx(-slope, rel=1e-7)
-    pull = SPRING.stiffness * (length(-math.pi / 2) - SPRING.free_length)  # with the upper arm upright
-    assert pull == pytest.approx(SPRING.preload)
-
-
-def test_only_joint_2_has_the_compensator_with_its_slope_in_the_hessian_and_without_weights_no_joint_has_it():
+def test_the_moment_of_the_compensator_is_the_slope_of_its_energy_acts_on_joint_2_alone_and_is_in_the_hessian():
+    for angle in np.radians(np.linspace(-140.0, -5.0, 4)):
+        slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
+        assert SPRING.moment(math.cos(angle), math.sin(angle)) == pytest.approx(-slope, rel=1e-7)
+        pull = SPRING.stiffness * (length(-math.pi / 2) - SPRING.free_length)  # with the upper arm upright
+        assert pull == pytest.approx(SPRING.preload)
     sprung = ARM.replace(compensator=SPRING)
     q = np.radians([[20.0, -70.0, 100.0, 30.0, 40.0, 50.0]])
     none, loads = np.zeros((1, 6)), link_loads(sprung, BARE)
@@ -302,7 +259,7 @@ def test_only_joint_2_has_the_compensator_with_its_slope_in_the_hessian_and_with
 WRENCH = np.array([300.0, -150.0, 80.0, 20.0, -10.0, 5.0])
 
 
-def test_the_analysis_without_a_load_has_the_lumped_mode_and_the_condition_number():
+def test_the_analysis_has_lumped_mode_condition_number_and_warnings_and_reads_arm_and_mount_of_a_cell(tmp_path):
     found = json.loads(json.dumps(analyse(ARM, BARE, PAPER, np.zeros(6))))
     assert found["deflection"] == [0.0] * 6 and found["warnings"] == []
     assert found["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # facts.md
@@ -310,13 +267,14 @@ def test_the_analysis_without_a_load_has_the_lumped_mode_and_the_condition_numbe
     assert found["condition_number"] == pytest.approx(values[0] / values[-1])
     with pytest.raises(ParameterError, match="base, tool"):
         analyse(ARM, SPINDLE, PAPER, WRENCH, "world")
-
-
-def test_a_posture_outside_the_limits_or_below_the_floor_says_so():
     (limit,) = analyse(ARM, BARE, np.radians([190, -50, 120, 180, 25, 180]), np.zeros(6))["warnings"]
     assert limit == "axis 1 at 190 deg is outside its limits, -185 to 185 deg"
     low = analyse(ARM, BARE, np.radians([0, -10, 100, 0, 30, 0]), np.zeros(6))
     assert any("mm below the floor" in warning for warning in low["warnings"])
+    text = "/**: {ros__parameters: {includes: [kr270_2.yaml], mount: {mass_kg: 12.0}, workpiece: {anything: 1}}}\n"
+    (tmp_path / "cell.yaml").write_text(text)
+    arm, mount = read_arm(tmp_path / "cell.yaml")
+    assert arm.name == "KR 270-2" and mount.mass == 12.0
 
 
 def test_both_frames_tell_the_same_story():
@@ -330,12 +288,3 @@ def test_both_frames_tell_the_same_story():
         np.testing.assert_allclose(tool[key], both @ base[key] @ both.T, rtol=1e-9, atol=unit)
     modes = (found["mode_frequencies_hz"]["consistent"] for found in (tool, base))
     np.testing.assert_allclose(*modes, rtol=1e-9)
-
-
-def test_a_cell_file_gives_its_arm_and_mount(tmp_path):
-    (tmp_path / "cell.yaml").write_text(
-        "/**:\n  ros__parameters:\n    includes: [kr270_2.yaml]\n    mount:\n      mass_kg: 12.0\n"
-        "    workpiece:\n      anything: 1\n"
-    )
-    arm, mount = read_arm(tmp_path / "cell.yaml")
-    assert arm.name == "KR 270-2" and mount.mass == 12.0
