@@ -15,6 +15,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
@@ -174,6 +175,15 @@ def changed(messages, topic: str, index: int, change) -> list[Message]:
         else:
             result.append(message)
     return result
+
+
+def without(topic: str, index: int, messages=None) -> list[Message]:
+    return changed(one_pass() if messages is None else messages, topic, index, lambda data: None)
+
+
+def recomputed(directory, messages, **options):
+    """What a recompute of a recording of these messages gives."""
+    return recompute(write(directory, messages, **options))
 
 
 def flip(offset: int, bit: int = 0):
