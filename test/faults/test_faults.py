@@ -77,7 +77,7 @@ class OwnProcess:
 
 def test_soak_measures_every_process_and_loses_nothing(ros_environment, monkeypatch, tmp_path):
     monkeypatch.setattr(soak, "Graph", OwnProcess)
-    rows = soak.run_soak(2, 1.2, tmp_path, lambda done, total: None)
+    rows = soak.run_soak(2, 0.6, tmp_path, lambda done, total: None)
     assert [row.name for row in rows] == ["recorder", "runner", "recorder (one long recording)"]
     for row in rows:
         assert row.lost == 0 and len(row.cells()) == len(soak.COLUMNS) and len(row.samples) >= 2
