@@ -20,8 +20,6 @@ from ros_domain import running
 
 pytest.importorskip("rclpy")
 
-from ros_messages import to_msg
-
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
@@ -35,6 +33,7 @@ from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, Silence
 from kr270_milling.live.ros.status import Status
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.codec import to_bytes
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
 MANY = ["path.length_mm=25", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
@@ -170,7 +169,7 @@ def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_
         for name in NODES:
             partner = world.partner(name, space)
             publishers = [partner.create_publisher(*topics.BY_NAME[t]) for t in ("tool_pose", "reference_trajectory")]
-            publishers[1].publish(to_msg(short_cell.target()))
+            publishers[1].publish(to_bytes(short_cell.target()))
     monkeypatch.setattr("kr270_milling.show.commands.run.table_of", lambda *_: os.kill(os.getpid(), signal.SIGINT))
     assert main(run_words(tmp_path, "--namespace", "left", "--passes", "1", "--processes")) == 130
     out, errors = capsys.readouterr()

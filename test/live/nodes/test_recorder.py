@@ -10,21 +10,21 @@ pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import serialize_message
-from ros_messages import pose_msg, wrench_msg
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.polling import PolledMessage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.messages.codec import to_bytes
 
 OK, WARN = 0, 1
 NAME = "/recorder"
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def recorder(world, tmp_path):
 
 def publish_wrenches(world, publisher, steps) -> None:
     for i in steps:
-        publisher.publish(wrench_msg(i * 500_000, np.full(6, float(i))))
+        publisher.publish(to_bytes(WrenchSample(i * 500_000, "workpiece", np.full(6, float(i)))))
         world.executor.spin_once(timeout_sec=0.0)
 
 
@@ -75,7 +75,7 @@ def written(directory, topic: str) -> int:
 
 def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_continues(world, recorder, tmp_path):
     """What the middleware hands over; it ended the whole recording."""
-    data = serialize_message(wrench_msg(0, np.zeros(6)))
+    data = to_bytes(WrenchSample(0, "workpiece", np.zeros(6)))
     recorder.session.writer.add_topic("/wrench", "geometry_msgs/msg/WrenchStamped")
     for publish_time in (1, -1, 2**63, 4):
         recorder.session._write(recorder.session.writer.write, "/wrench", data, publish_time)
@@ -94,7 +94,7 @@ def test_markers_are_published_too_recorded_once_and_at_most_30_a_second_of_the_
     partner.create_subscription(MarkerArray, "/markers", messages.append, latched)
     world.until(lambda: poses.get_subscription_count())
     for i in range(300):  # 0.15 s of the pass
-        poses.publish(pose_msg(i * 500_000, np.array([i * 1e-4, 0.0, 0.0]), UPRIGHT))
+        poses.publish(to_bytes(PoseSample(i * 500_000, "workpiece", np.array([i * 1e-4, 0.0, 0.0]), UPRIGHT)))
         world.executor.spin_once(timeout_sec=0.0)
     world.until(lambda: messages and messages[-1].markers[0].header.stamp.nanosec >= 133_000_000)
     world.step(0.3)  # the recorder receives none of its messages
@@ -108,7 +108,7 @@ def test_what_somebody_else_publishes_for_viewers_is_left_to_him(world, recorder
     markers = partner.create_publisher(MarkerArray, "/markers", 1)
     poses = partner.create_publisher(*topics.TOOL_POSE)
     world.until(lambda: poses.get_subscription_count() and markers.get_subscription_count())
-    poses.publish(pose_msg(0, np.zeros(3), UPRIGHT))
+    poses.publish(to_bytes(PoseSample(0, "workpiece", np.zeros(3), UPRIGHT)))
     world.until(lambda: recorder.session.writer.report().get("/tool_pose", {}).get("count") == 1)
     assert recorder.session.writer.report()["/markers"]["count"] == 0
 
@@ -121,7 +121,7 @@ def test_description_that_comes_before_every_stamp_does_not_make_the_recording_l
     world.until(
         lambda: pose.get_subscription_count() and recorder.session.writer.report()["/robot_description"]["count"]
     )
-    pose.publish(pose_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+    pose.publish(to_bytes(PoseSample(500_000, "workpiece", np.zeros(3), UPRIGHT)))
     world.until(lambda: recorder.session.writer.report()["/tool_pose"]["count"])
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:
