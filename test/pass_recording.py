@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import functools
 import importlib.util
@@ -11,12 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.recordings.bag.play_options import PlayOptions
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -61,10 +63,6 @@ def cell_of(method: str = "linear", iterations: int = 1, every: int = 1):
         file = Path(directory, "cell.yaml")
         file.write_text(cell_text(method, iterations, every))
         return read_cell(file)
-
-
-def reference_data(run) -> bytes:
-    return to_bytes(run)
 
 
 def one_pass(
@@ -205,10 +203,15 @@ def force_offset(axis: int) -> int:
     return 4 + 8 + 4 + 10 + 2 + 8 * axis - (4 + 8 + 4 + 10 + 2 - 4) % 8
 
 
+def options(*words: str) -> PlayOptions:
+    """Of a playback, from the words of a command line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("file")
+    for names, keywords in PLAY:
+        parser.add_argument(*names, **keywords)
+    return play_options(parser.parse_args(list(words)))
+
+
 def raw(directory) -> list[tuple[str, bytes]]:
     with Recording(directory) as recording:
         return [(m.topic, m.data) for m in recording.messages()]
-
-
-def shipped(name: str) -> str:
-    return str(find_file(name))

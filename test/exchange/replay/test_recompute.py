@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from pathlib import Path
 
 import numpy as np
 import pass_recording as made
@@ -13,6 +12,7 @@ from budget import budget
 from pass_recording import STEPS, flip, force_offset, one_pass, recomputed, without
 
 from kr270_milling.base.errors import ConfigError, MillingError, RecordingError
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.samples import PoseSample, Text, WrenchSample
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.jobs import simulate
@@ -216,7 +216,7 @@ def test_iterations_and_two_namespaces_are_recomputed_side_by_side(tmp_path):
     assert replayed.channels["/cell/right/wrench"].compared == STEPS
 
 
-PAPER = Path(made.shipped("paper.yaml")).read_text()
+PAPER = find_file("paper.yaml").read_text()
 
 
 @pytest.mark.parametrize(("attached", "sentence"), [

@@ -296,23 +296,18 @@ time.sleep(1000)
     assert both["recorder"].process.wait(LIMIT) == 0
 
 
-def test_the_node_that_is_silent_is_named_and_not_the_one_that_misses_its_messages(tmp_path):
-    graph = Graph(None, tmp_path)
-    graph.children, graph._in_pass = dict.fromkeys(NODES, SimpleNamespace(alive=True)), True
-    silences = {
-        node: SimpleNamespace(seconds=lambda s=s: s) for node, s in zip(NODES, (0.1, 3.9, 0.1, 1.2), strict=True)
-    }
-    graph.driver = SimpleNamespace(error=(NODES[0], "no wrench for 4 s"), silences=silences)
-    with pytest.raises(RunError, match="^cutting_process: has not reported for 4 s"):
-        graph.check()
-
-
-def test_silent_node_is_reported_once_and_then_ends_the_run(tmp_path, monkeypatch):
+def test_silent_node_is_reported_once_and_then_ends_the_run_and_not_the_one_that_misses_its_messages(
+    tmp_path, monkeypatch
+):
     now = [0.0]
     monkeypatch.setattr(node, "time", SimpleNamespace(monotonic=lambda: now[0]))
     silence, graph, sentences = Silence(), Graph(None, tmp_path), []
-    graph.driver = SimpleNamespace(error=None, silences={"cutting_process": silence})
-    graph.children = {"cutting_process": SimpleNamespace(alive=True)}
+    robot, planner, recorder = (
+        SimpleNamespace(seconds=lambda s=s: s, is_due=lambda *_: False) for s in (0.1, 0.1, 1.2)
+    )
+    silences = dict(zip(NODES, (robot, silence, planner, recorder), strict=True))
+    graph.driver = SimpleNamespace(error=None, silences=silences)
+    graph.children = dict.fromkeys(NODES, SimpleNamespace(alive=True))
     graph.warn = sentences.append
 
     def wait(seconds: float) -> None:
@@ -329,6 +324,10 @@ def test_silent_node_is_reported_once_and_then_ends_the_run(tmp_path, monkeypatc
     silence.end()
     wait(2 * QUIET)
     assert sentences == ["cutting_process: has not reported for 1 s; waiting"] * 2
+    graph.driver.error = (NODES[0], "no wrench for 2 s")
+    with pytest.raises(RunError, match="^cutting_process: has not reported for 2 s"):
+        graph.check()
+    graph.driver.error = None
     with pytest.raises(RunError, match="cutting_process: has not reported for 4 s"):
         wait(LOST)
 
@@ -353,11 +352,9 @@ def test_silence_counts_in_mid_pass_alone(tmp_path):
 def test_a_recorder_that_lacks_messages_of_a_pass_is_reported(tmp_path, monkeypatch, latest, missing, sentence):
     monkeypatch.setattr("kr270_milling.live.graph.graph.CATCH_UP", 0.05)
     graph, sentences, calls = Graph(None, tmp_path), [], []
-    stamps = dict(
-        zip(NODES, ({"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}), strict=True)
-    )
+    stamps = {"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}
     graph.driver = SimpleNamespace(
-        statuses={name: SimpleNamespace(stamps_ns=sent) for name, sent in stamps.items()},
+        statuses={name: SimpleNamespace(stamps_ns=sent) for name, sent in zip(NODES, stamps, strict=True)},
         value=lambda node, key: missing,
         until=lambda condition, *_: wait_until(condition, "the end"),
         set_parameters=lambda *words: calls.append(words[:2]),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pass_recording as made
 import pytest
-from player_options import options
+from pass_recording import options
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cli import main
