@@ -47,7 +47,7 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
 
 def test_tail_that_a_recorder_lost_is_counted_and_a_tail_that_is_not_reported_fails_the_row(monkeypatch):
     stopped = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
-    recorded = Recorded(False, 100, True, 0, 7, 0.0, False, True, "")
+    recorded = Recorded(False, True, 0, 7, 0.0, False, True, "")
     monkeypatch.setattr(trials, "read_back", lambda *_: recorded)
     warned = [Message(11.0, f"recorder: {NOT_COMPLETE}")]
     for messages, problems in ((warned, 0), ([], 1)):
