@@ -66,13 +66,6 @@ def open_ports() -> set[int]:
     return {int(row.split()[1].rpartition(":")[2], 16) for t in tables for row in t.read_text().splitlines()[1:]}
 
 
-def environment_of_processes(domain: int, **more: str) -> dict[str, str]:
-    """For processes that a test starts: this checkout, that domain, the discovery that is shipped."""
-    rest = {name: value for name, value in os.environ.items() if name not in DISCOVERY}
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return {**rest, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": path, **more}
-
-
 @contextlib.contextmanager
 def running(command: list[str], environment: dict[str, str], **kwargs):
     """A process that ends with the block, also where a check in the block fails while the process runs."""

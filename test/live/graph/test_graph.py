@@ -36,7 +36,7 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import to_bytes
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
-MANY = ["path.length_mm=25", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
+MANY = ["path.length_mm=12", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
 NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
 CLI = [sys.executable, "-m", "kr270_milling.cli"]
 LIMIT = 300.0  # [s] for what does not happen
@@ -269,7 +269,8 @@ def children(tmp_path, monkeypatch):
 
 def test_of_two_nodes_that_have_ended_the_first_one_is_named(children, tmp_path):
     graph = Graph(None, tmp_path)
-    graph.children = children("/bin/sh\nsleep $4; echo gone; exit 1\n", **dict(zip(NODES, "1092", strict=True)))
+    words = dict(zip(NODES, ("0.3", "0", "9", "9"), strict=True))
+    graph.children = children("/bin/sh\nsleep $4; echo gone; exit 1\n", **words)
     wait_until(lambda: sum(not child.alive for child in graph.children.values()) >= 2, "the children do not end")
     try:
         with pytest.raises(RunError, match=r"^cutting_process: ended with exit code 1 \(gone; see "):
