@@ -59,13 +59,13 @@ def test_one_flipped_bit_of_a_message_is_named_exactly(tmp_path, topic, index, o
         assert struct.pack("<d", first.recomputed) == before[offset : offset + 8]
 
 
+def other_map() -> list[made.Message]:
+    return [m for m in made.changed(one_pass(), "workpiece", 0, flip(-2000)) if m.topic == "workpiece"]
+
+
 def fresh_map() -> list[made.Message]:
     """What the cut publishes when it is configured, before every pass."""
     return made.messages(CutProtocol(made.cell_of()).configure())
-
-
-def map_of_another_pass() -> list[made.Message]:
-    return [m for m in made.changed(one_pass(), "workpiece", 0, flip(-2000)) if m.topic == "workpiece"]
 
 
 def invented() -> list[made.Message]:
@@ -85,10 +85,6 @@ def two_passes_without(number: int) -> list[made.Message]:
     second = [i for i, m in enumerate(both) if m.topic == "reference_trajectory"][1]
     late = [i for i, m in enumerate(both) if m.topic == "deflection" and m.stamp > end and (i > second) == number]
     return [message for i, message in enumerate(both) if i not in late]
-
-
-def begun_before() -> list[made.Message]:
-    return [m for m in one_pass() if m.stamp > 5_000_000 or m.topic in LATCHED]
 
 
 def retried() -> list[made.Message]:
@@ -111,7 +107,7 @@ WHOLE = dict.fromkeys(("/tool_pose", "/wrench", "/deflection", "/joint_states"),
 RECEIVED = "the compensator received 121 poses and 121 wrenches"
 CASES = {  # messages, counts of channels (empty: all are 0), stops: without them the verdict is "identical"
     "the whole pass": (one_pass, {"compared": WHOLE, "waiting": {}, "missing": {}, "given": {}}, ()),
-    "a map that is latched from the pass before": (lambda: [*map_of_another_pass(), *fresh_map(), *one_pass()],
+    "a map that is latched from the pass before": (lambda: [*other_map(), *fresh_map(), *one_pass()],
                                                {"given": {"/workpiece": 1}, "compared": WHOLE | {"/workpiece": 2}}, ()),
     "no wrench": (lambda: without("wrench", 40), {"compared": {"/deflection": 40}},
                   ("at 0.020000 s: the wrench of this time", RECEIVED)),
@@ -128,7 +124,8 @@ CASES = {  # messages, counts of channels (empty: all are 0), stops: without the
                                 (" messages that belong on /deflection",)) for n in (0, 1)},
     "no exchange": (lambda: one_pass()[: made.LATCHED_FIRST], {"compared": {f"/{name}": 1 for name in LATCHED}},
                     ("no pass is in the recording",)),
-    "begun before": (begun_before, {}, ("middle of a pass", "middle of a pass", "a pass that was not recorded")),
+    "begun before": (lambda: [m for m in one_pass() if m.stamp > 5_000_000 or m.topic in LATCHED], {},
+                     ("middle of a pass", "middle of a pass", "a pass that was not recorded")),
     "retried": (retried, {"repeated": {"/tool_pose": 1}, "compared": WHOLE | {"/wrench": STEPS + 1}}, ()),
     **{f"latched message {n} is late": (lambda n=n: late(n), {}, ()) for n in range(made.LATCHED_FIRST)},
     **{f"a stop after {n} messages": (lambda n=n: one_pass()[:n], {}, ()) for n in range(200, 206)},

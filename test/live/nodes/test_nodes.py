@@ -259,7 +259,6 @@ class Machine:
         self.joints = world.listen(self.node, topics.JOINT_TRAJECTORY)
         self.reports = world.diagnostics(self.node)
         world.until(lambda: self.pose.get_subscription_count() and self.wrench.get_subscription_count())
-        world.until(lambda: self.references)
 
     def play(self, result, rows, wrench: bool = True) -> None:
         start = from_msg(self.references[-1]).start_ns
@@ -283,7 +282,7 @@ def node(world, short_cell, tmp_path):
 @pytest.fixture
 def machine(world, node):
     made = Machine(world)
-    world.until(lambda: not node._readiness.waiting_for)
+    world.until(lambda: made.references and not node._readiness.waiting_for)
     return made
 
 
@@ -372,28 +371,27 @@ def reset(machine):
     return machine.world.request("/trajectory_compensator/reset")
 
 
-def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, revised, short_cell):
-    machine.node.create_publisher(*topics.TARGET_TRAJECTORY).publish(raised(short_cell))
+def test_refused_targets_leave_the_node_waiting_for_another_or_with_the_one_before(
+    world, ran, revised, short_cell, tmp_path
+):
+    node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
+    machine = Machine(world)
+    publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
+    publisher.publish(raised(short_cell))
     machine.reports.until(COMPENSATOR, "reach", ERROR)
+    world.step(0.3)
+    assert node.failure is None and not machine.references
+    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
+    for index, target in enumerate((longer, short_cell.target())):
+        publisher.publish(to_bytes(target))
+        assert machine.reference(index).duration_ns == target.duration_ns
+    refused = node.refused
+    publisher.publish(raised(short_cell))
+    world.until(lambda: node.refused > refused)
     machine.play(ran, range(ran.time_ns.size), wrench=False)
-    assert np.array_equal(machine.reference(1).position, revised)
+    assert np.array_equal(machine.reference(2).position, revised)
     assert reset(machine).success
     assert node.failure is None
-
-
-def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world, short_cell, tmp_path):
-    node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
-    partner = world.partner()
-    reports, references = world.diagnostics(partner), world.listen(partner, topics.REFERENCE_TRAJECTORY)
-    publisher = partner.create_publisher(*topics.TARGET_TRAJECTORY)
-    publisher.publish(raised(short_cell))
-    reports.until(COMPENSATOR, "reach", ERROR)
-    world.step(0.3)
-    assert node.failure is None and not references
-    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
-    publisher.publish(to_bytes(longer))
-    world.until(lambda: references)
-    assert from_msg(references[0]).duration_ns == longer.duration_ns
 
 
 def out_of_reach(monkeypatch) -> None:

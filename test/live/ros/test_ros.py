@@ -27,7 +27,7 @@ from kr270_milling.cell.cell_file import cell_text, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
-from kr270_milling.live.ros.node import ManagedNode, ReportingNode, guarded
+from kr270_milling.live.ros.node import ManagedNode, guarded
 from kr270_milling.live.ros.parameters import declare
 from kr270_milling.live.ros.readiness import unmatched
 from kr270_milling.live.ros.status import Status
@@ -36,9 +36,12 @@ ERROR = 2
 ROOT = Path(__file__).resolve().parents[3]
 
 
-class Clumsy(ReportingNode):
+class Failing(ManagedNode):
     def __init__(self, **kwargs):
-        super().__init__("clumsy", **kwargs)
+        super().__init__("failing", **kwargs)
+
+    def configure(self) -> None:
+        raise InputError("stock", "is missed by the path")
 
     @guarded
     def refuse(self) -> None:
@@ -49,31 +52,19 @@ class Clumsy(ReportingNode):
         raise ZeroDivisionError("a mistake")
 
 
-class Failing(ManagedNode):
-    def __init__(self, **kwargs):
-        super().__init__("failing", **kwargs)
-
-    def configure(self) -> None:
-        raise InputError("stock", "is missed by the path")
-
-
-def test_unusable_input_is_reported_and_a_mistake_in_a_callback_ends_the_node(world):
-    node, reports = world.add(Clumsy), world.diagnostics(world.partner())
-    world.until(lambda: "/clumsy" in reports.last)
-    node.refuse()
-    reports.until("/clumsy", "of no use", ERROR)
-    assert node.failure is None and node.refused == 1
-    node.stumble()
-    assert node.failure == "ZeroDivisionError in stumble: a mistake"
-
-
-def test_failed_transition_is_reported_with_its_reason_and_can_be_repeated(world):
+def test_failed_transition_and_unusable_input_are_reported_and_a_mistake_in_a_callback_ends_the_node(world):
     node, reports = world.add(Failing), world.diagnostics(world.partner())
     world.until(lambda: "/failing" in reports.last)
-    for _ in range(2):
+    for _ in range(2):  # a transition can be repeated
         node.trigger_configure()
         reports.until("/failing", "is missed by the path", ERROR)
     assert not node.active
+    refused = node.refused
+    node.refuse()
+    reports.until("/failing", "of no use", ERROR)
+    assert node.failure is None and node.refused == refused + 1
+    node.stumble()
+    assert node.failure == "ZeroDivisionError in stumble: a mistake"
 
 
 def test_autostart_is_read_only_a_status_names_its_hardware_and_a_closed_node_leaves_no_port(
