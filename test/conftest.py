@@ -133,6 +133,14 @@ def short_cell():
 
 
 @pytest.fixture(scope="session")
+def ran(short_cell):
+    """The result of its pass along the target."""
+    from kr270_milling.cell.jobs import simulate
+
+    return simulate(short_cell).result
+
+
+@pytest.fixture(scope="session")
 def browser():
     """One Chromium for all tests of pages."""
     from browser import started_browser

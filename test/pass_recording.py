@@ -86,16 +86,11 @@ def passes_of(
     """The messages before the first pass, and in each pass; plant: of robot and cut."""
     cell = cell_of(method, iterations, every)
     cuts = plant or cell
-    robot, cut, compensator = (
-        RobotProtocol(cuts),
-        CutProtocol(cuts),
-        CompensatorProtocol(cell, plant, now=lambda: begin),
-    )
+    robot, cut = RobotProtocol(cuts), CutProtocol(cuts)
+    compensator = CompensatorProtocol(cell, plant, now=lambda: begin)
     parts = [messages(compensator.begin(cell.target()))]
     for file in files:
-        compensator.recording = file
-        _begin(robot, cut, compensator)
-        parts.append(_exchange(robot, cut, compensator))
+        parts.append(_exchange(robot, cut, compensator, file))
     return parts
 
 
@@ -108,24 +103,19 @@ def target_of_user(target) -> list[Message]:
 
 def pass_along(compensator, file: str) -> list[Message]:
     """A pass of the linear cell along the reference of a compensator, recorded to a file."""
-    robot, cut = RobotProtocol(cell_of()), CutProtocol(cell_of())
-    compensator.recording = file
-    _begin(robot, cut, compensator)
-    return _exchange(robot, cut, compensator)
-
-
-def _begin(robot, cut, compensator) -> None:
-    """Give robot and cut the reference with its start, and the cut a fresh workpiece."""
-    robot.reference = compensator.active.reference.starting_at(compensator.inbox.start_ns)
-    cut.reference(robot.reference)
-    cut.configure()
+    return _exchange(RobotProtocol(cell_of()), CutProtocol(cell_of()), compensator, file)
 
 
 def messages(outputs) -> list[Message]:
     return [Message(topic, to_bytes(record), getattr(record, "stamp", 0)) for topic, record in outputs]
 
 
-def _exchange(robot, cut, compensator) -> list[Message]:
+def _exchange(robot, cut, compensator, file: str) -> list[Message]:
+    """A pass on a fresh workpiece; robot and cut receive the reference with its start."""
+    compensator.recording = file
+    robot.reference = compensator.active.reference.starting_at(compensator.inbox.start_ns)
+    cut.reference(robot.reference)
+    cut.configure()
     sent, revised, outputs = [], [], robot.start()
     while outputs:
         sent += messages(output for output in outputs if output[0] != "clock")

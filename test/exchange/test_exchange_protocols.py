@@ -226,11 +226,6 @@ def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_ce
 # --- The compensator's protocol: when a pass is complete, and that the order of its messages does not matter ---
 
 
-@pytest.fixture(scope="module")
-def ran(short_cell):
-    return simulate(short_cell).result
-
-
 @pytest.fixture
 def protocol(short_cell):
     made = CompensatorProtocol(short_cell)
@@ -289,15 +284,6 @@ def test_poses_alone_wait_for_the_last_wrench_until_it_is_given_up(protocol, ran
     assert protocol.finish() == [] and feed(protocol, [last]) == []
 
 
-def test_poses_before_the_start_and_out_of_order_count_for_nothing(protocol, ran, short_cell):
-    records = samples(ran)
-    assert feed(protocol, records[2:8:2]) == [] and protocol.inbox.ignored == 3 and not protocol.under_way
-    older, repeated = records[10], records[38]
-    outputs = feed(protocol, [*records[:40], older, repeated, *records[40:]])
-    assert_revised(outputs, expected(short_cell, ran))
-    assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the pass has ended
-
-
 def test_a_new_start_begins_anew_and_nothing_is_finished_in_mid_pass(protocol, ran, short_cell):
     records = samples(ran)
     far = [r._replace(position=r.position + 1e-3) if isinstance(r, PoseSample) else r for r in records[:40]]
@@ -348,15 +334,18 @@ def test_the_fingerprint_of_a_pass_covers_every_message(protocol, ran, change):
     assert other.learned[-1].fingerprint != plain.learned[-1].fingerprint
 
 
-def test_unusable_samples_are_refused_and_holes_are_counted(protocol, ran, short_cell):
+def test_samples_that_are_unusable_or_out_of_order_count_for_nothing_and_holes_are_counted(protocol, ran, short_cell):
     records, outputs = samples(ran), []
+    assert feed(protocol, records[2:8:2]) == [] and protocol.inbox.ignored == 3 and not protocol.under_way
     bad = (PoseSample(0, "base_link", np.zeros(3), DOWN), PoseSample(0, "workpiece", np.full(3, np.nan), DOWN),
            WrenchSample(0, "camera", np.zeros(6)), WrenchSample(0, "workpiece", np.full(6, np.inf)))  # fmt: skip
     for k, sample in enumerate(bad):
         outputs += feed(protocol, records[10 * k : 10 * k + 10])
         with pytest.raises(MessageError):
             feed(protocol, [sample])
-    assert_revised(outputs + feed(protocol, records[40:]), expected(short_cell, ran))
+    older, repeated = records[10], records[38]
+    assert_revised(outputs + feed(protocol, [older, repeated, *records[40:]]), expected(short_cell, ran))
+    assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the pass has ended
     feed(protocol, records[:40] + records[46:])
     assert protocol.missing == 3
 

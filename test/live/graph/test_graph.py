@@ -71,20 +71,15 @@ def same(recorded, plain) -> None:
         assert np.array_equal(getattr(recorded, field), getattr(plain, field)), field
 
 
-def events_of(url: str) -> list[dict]:
-    """The events of a live page, until its stream ends."""
-    with urllib.request.urlopen(f"{url}events", timeout=LIMIT) as stream:
-        return [json.loads(line[6:]) for line in stream if line.startswith(b"data: ")]
-
-
 def test_run_gives_the_plain_loop_bit_for_bit_while_a_page_shows_it(ros_environment, tmp_path, capsys, short_cell):
     """A repeated method is run once. The page receives by best effort, so its number of samples may vary."""
     methods = ("--method", "linear", "--method", "spline", "--method", "linear")
     watch = [*CLI, "watch", "--port", "0", "--json"]
     with running(watch, ros_environment, stdout=subprocess.PIPE, text=True) as page, ThreadPoolExecutor(1) as thread:
-        stream = thread.submit(events_of, json.loads(page.stdout.readline())["url"])
+        stream = urllib.request.urlopen(json.loads(page.stdout.readline())["url"] + "events", timeout=LIMIT)
+        lines = thread.submit(stream.readlines)
         assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
-        events = stream.result()
+        events = [json.loads(line[6:]) for line in lines.result() if line.startswith(b"data: ")]
         assert page.wait(LIMIT) == 0
     assert not nodes_of(tmp_path)
     printed = capsys.readouterr()

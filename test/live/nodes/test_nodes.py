@@ -118,11 +118,6 @@ def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_match
 
 
 @pytest.fixture(scope="module")
-def ran(short_cell):
-    return simulate(short_cell).result
-
-
-@pytest.fixture(scope="module")
 def revised(short_cell, ran):
     """Positions of the reference after this pass."""
     return compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran)).position
