@@ -12,7 +12,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
 import contextlib
 import io
 import json
-import resource
 import tempfile
 import time
 from pathlib import Path
@@ -164,14 +163,6 @@ def demo(tmp_path_factory):
         answer(*calls[0]).print(as_json=True)
     passes, printed = {p.name: p for p in calls[0][0]}, json.loads(as_json.getvalue())
     return SimpleNamespace(passes=passes, text=text.getvalue(), json=printed, directory=directory)
-
-
-@pytest.fixture
-def full_disk():
-    """A function that limits the files of this process to a size [bytes], until the end of the test."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 @pytest.fixture

@@ -94,11 +94,6 @@ def test_with_an_offset_the_last_latched_messages_from_before_come_first(bag):
     assert {m.topic: m.data for m in behind if m.topic in FIRST} == {t: of_topic(recorded, t)[-1] for t in FIRST}
 
 
-def test_the_duration_ends_a_playback(bag):
-    messages = played(bag, "--start-offset", "0.03", "--playback-duration", "0.01", "--topics", "/wrench")
-    assert [m.log_time for m in messages] == list(range(30_000_000, 40_000_001, 500_000))
-
-
 def listened(world, bag, *words: str, names=("/tool_pose", "/wrench", *FIRST), arguments=()):
     """A player that is paused and matched, and the list of the messages that a subscriber receives."""
     from rclpy.qos import QoSProfile

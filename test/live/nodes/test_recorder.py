@@ -10,6 +10,7 @@ pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
+from recording_samples import full_disk
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
@@ -126,16 +127,11 @@ def test_latched_description_before_every_stamp_does_not_make_the_recording_last
         assert [m.log_time for m in recording.messages()] == [0, 500_000]
 
 
-def test_full_disk_is_reported_and_the_written_part_stays_readable(world, recorder, tmp_path, full_disk):
+def test_full_disk_is_reported_and_the_written_part_stays_readable(world, recorder, tmp_path):
     publisher = world.partner().create_publisher(String, "noise", 100)
     world.until(publisher.get_subscription_count)
-    full_disk(200_000)
-
-    def is_done() -> bool:
-        publisher.publish(String(data=os.urandom(5000).hex()))
-        return recorder.done
-
-    world.until(is_done)
+    with full_disk(200_000):
+        world.until(lambda: publisher.publish(String(data=os.urandom(5000).hex())) or recorder.done)
     assert "are safe" in recorder.failure
     with Recording(tmp_path / "rec") as recording:
         assert recording.topics()["/noise"].count > 0

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from recording_samples import full_disk
 from ros_domain import open_ports
 from rsi_controller import Controller, telegram
 
@@ -210,17 +211,17 @@ def test_a_robot_that_falls_silent_ends_the_session(running, monkeypatch):
     assert sentences[-1] == "no telegram for 0.1 s"
 
 
-def test_a_full_disk_is_reported_and_the_answers_continue(running, tmp_path, full_disk):
+def test_a_full_disk_is_reported_and_the_answers_continue(running, tmp_path):
     table, session, controller, sentences = running
     recording = RsiRecording(tmp_path / "rsi", table, {}, {})
     session.record = recording.add
-    full_disk(next((tmp_path / "rsi").glob("*.mcap")).stat().st_size + 100)
     end = time.monotonic() + LIMIT
-    while not session.recording_failed and time.monotonic() < end:
+    with full_disk(next((tmp_path / "rsi").glob("*.mcap")).stat().st_size + 100):
+        while not session.recording_failed and time.monotonic() < end:
+            controller.cycle((0.0, 0.0, 0.0))
         controller.cycle((0.0, 0.0, 0.0))
-    controller.cycle((0.0, 0.0, 0.0))
+        recording.report("is not recorded, and raises no error")
     assert any(s.startswith("answers continue without a recording: ") and "are safe" in s for s in sentences)
-    recording.report("is not recorded, and raises no error")
 
 
 def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path, capsys, patient):
