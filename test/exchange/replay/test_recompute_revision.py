@@ -222,38 +222,29 @@ def plant(tmp_path_factory):
     return read_cell(file)
 
 
-@pytest.fixture(scope="module")
-def recordings(plant, tmp_path_factory):
+def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed_with_their_random_numbers(
+    plant, tmp_path
+):
     """One recording a pass, as ``run --plant`` makes them."""
-    folder = tmp_path_factory.mktemp("plant")
+    cell = made.cell_of("learned")
+    runs, by = Plant(cell, plant), compensator(cell, cell.target(), "learned")
     for number, (name, messages) in enumerate(zip(PASSES, files_of("learned", PASSES, plant), strict=True)):
         of_pass = plant.replace(imperfections=plant.imperfections.replace(first_pass=number))
         attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(of_pass)}
-        made.write(folder / name, messages, attachments=attached)
-    return folder
-
-
-def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed(recordings, plant):
-    cell = made.cell_of("learned")
-    runs, by = Plant(cell, plant), compensator(cell, cell.target(), "learned")
-    for name in PASSES:
-        replayed = recompute(recordings / name)
+        replayed = recomputed(tmp_path / name, messages, attachments=attached)
         assert replayed.verdict == "identical", (replayed.first, replayed.stops)
         assert replayed.channels["/tool_pose"].compared == made.STEPS
         assert replayed.channels["/reference_trajectory"].compared == 2
         ran = simulate(cell, by.reference, name, plant=runs)
-        recorded = pass_from_recording(recordings / name).scored
+        recorded = pass_from_recording(tmp_path / name).scored
         assert np.array_equal(recorded.result.tool, ran.result.tool)
         assert np.array_equal(recorded.result.deflection, ran.result.deflection)
         assert recorded.scores == ran.scores
         by.revise(record_of(cell, ran))
-
-
-def test_the_random_numbers_of_another_pass_are_a_difference(recordings, plant, tmp_path):
-    attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(plant)}
+    other = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(plant)}
     later = plant.replace(imperfections=plant.imperfections.replace(first_pass=1))
     (messages,) = files_of("learned", ("r",), later)
-    assert recomputed(tmp_path / "r", messages, attachments=attached).verdict == "different"
+    assert recomputed(tmp_path / "r", messages, attachments=other).verdict == "different"
 
 
 def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
