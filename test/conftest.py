@@ -12,7 +12,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
 import contextlib
 import io
 import json
-import resource
 import tempfile
 import time
 from pathlib import Path
@@ -21,7 +20,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import settings
 from json_keys import every_answer_is_in_the_table
-from ros_domain import DISCOVERY, environment_of_processes, own_domain, own_turn
+from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
 
 LIMIT = 60.0  # [s] for what does not happen, on a busy machine too
 #: a pass of 120 exchanges: air, the first touch and some teeth in the stock
@@ -101,11 +100,11 @@ def domain(request):
 
 @pytest.fixture
 def ros_environment(domain, monkeypatch):
-    """For processes that a test starts."""
+    """For processes that a test starts: this checkout, its domain, the discovery that is shipped."""
     for name in DISCOVERY:
         monkeypatch.delenv(name, raising=False)
-    for name, value in environment_of_processes(domain).items():
-        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])))
     return dict(os.environ)
 
 
@@ -133,6 +132,14 @@ def short_cell():
 
 
 @pytest.fixture(scope="session")
+def ran(short_cell):
+    """The result of its pass along the target."""
+    from kr270_milling.cell.jobs import simulate
+
+    return simulate(short_cell).result
+
+
+@pytest.fixture(scope="session")
 def browser():
     """One Chromium for all tests of pages."""
     from browser import started_browser
@@ -156,15 +163,6 @@ def demo(tmp_path_factory):
         answer(*calls[0]).print(as_json=True)
     passes, printed = {p.name: p for p in calls[0][0]}, json.loads(as_json.getvalue())
     return SimpleNamespace(passes=passes, text=text.getvalue(), json=printed, directory=directory)
-
-
-@pytest.fixture
-def full_disk():
-    """A function that limits the files of this process to a size [bytes], until the end of the test."""
-    limits, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    signal.signal(signal.SIGXFSZ, handler)
 
 
 @pytest.fixture
@@ -279,9 +277,8 @@ class Diagnostics:
 
         self.all: list[tuple[str, int, str]] = []  # node, level, message
         self.last: dict = {}  # node -> values
-        topic = topics.DIAGNOSTICS
-        node.create_subscription(topic.type, topic.name, self._take, topic.qos)
         self._world = world
+        world.listen(node, topics.DIAGNOSTICS, self._take)
 
     def _take(self, msg) -> None:
         for status in msg.status:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import functools
 import importlib.util
@@ -11,11 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.recordings.bag.play_options import PlayOptions
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -62,10 +65,6 @@ def cell_of(method: str = "linear", iterations: int = 1, every: int = 1):
         return read_cell(file)
 
 
-def reference_data(run) -> bytes:
-    return to_bytes(run)
-
-
 def one_pass(
     method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1, begin: int = 0
 ) -> tuple[Message, ...]:  # fmt: skip
@@ -87,16 +86,11 @@ def passes_of(
     """The messages before the first pass, and in each pass; plant: of robot and cut."""
     cell = cell_of(method, iterations, every)
     cuts = plant or cell
-    robot, cut, compensator = (
-        RobotProtocol(cuts),
-        CutProtocol(cuts),
-        CompensatorProtocol(cell, plant, now=lambda: begin),
-    )
+    robot, cut = RobotProtocol(cuts), CutProtocol(cuts)
+    compensator = CompensatorProtocol(cell, plant, now=lambda: begin)
     parts = [messages(compensator.begin(cell.target()))]
     for file in files:
-        compensator.recording = file
-        _begin(robot, cut, compensator)
-        parts.append(_exchange(robot, cut, compensator))
+        parts.append(_exchange(robot, cut, compensator, file))
     return parts
 
 
@@ -109,24 +103,19 @@ def target_of_user(target) -> list[Message]:
 
 def pass_along(compensator, file: str) -> list[Message]:
     """A pass of the linear cell along the reference of a compensator, recorded to a file."""
-    robot, cut = RobotProtocol(cell_of()), CutProtocol(cell_of())
-    compensator.recording = file
-    _begin(robot, cut, compensator)
-    return _exchange(robot, cut, compensator)
-
-
-def _begin(robot, cut, compensator) -> None:
-    """Give robot and cut the reference with its start, and the cut a fresh workpiece."""
-    robot.reference = compensator.active.reference.starting_at(compensator.inbox.start_ns)
-    cut.reference(robot.reference)
-    cut.configure()
+    return _exchange(RobotProtocol(cell_of()), CutProtocol(cell_of()), compensator, file)
 
 
 def messages(outputs) -> list[Message]:
     return [Message(topic, to_bytes(record), getattr(record, "stamp", 0)) for topic, record in outputs]
 
 
-def _exchange(robot, cut, compensator) -> list[Message]:
+def _exchange(robot, cut, compensator, file: str) -> list[Message]:
+    """A pass on a fresh workpiece; robot and cut receive the reference with its start."""
+    compensator.recording = file
+    robot.reference = compensator.active.reference.starting_at(compensator.inbox.start_ns)
+    cut.reference(robot.reference)
+    cut.configure()
     sent, revised, outputs = [], [], robot.start()
     while outputs:
         sent += messages(output for output in outputs if output[0] != "clock")
@@ -176,6 +165,15 @@ def changed(messages, topic: str, index: int, change) -> list[Message]:
     return result
 
 
+def without(topic: str, index: int, messages=None) -> list[Message]:
+    return changed(one_pass() if messages is None else messages, topic, index, lambda data: None)
+
+
+def recomputed(directory, messages, **options):
+    """What a recompute of a recording of these messages gives."""
+    return recompute(write(directory, messages, **options))
+
+
 def flip(offset: int, bit: int = 0):
     def change(data: bytes) -> bytes:
         other = bytearray(data)
@@ -195,10 +193,15 @@ def force_offset(axis: int) -> int:
     return 4 + 8 + 4 + 10 + 2 + 8 * axis - (4 + 8 + 4 + 10 + 2 - 4) % 8
 
 
+def options(*words: str) -> PlayOptions:
+    """Of a playback, from the words of a command line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("file")
+    for names, keywords in PLAY:
+        parser.add_argument(*names, **keywords)
+    return play_options(parser.parse_args(list(words)))
+
+
 def raw(directory) -> list[tuple[str, bytes]]:
     with Recording(directory) as recording:
         return [(m.topic, m.data) for m in recording.messages()]
-
-
-def shipped(name: str) -> str:
-    return str(find_file(name))

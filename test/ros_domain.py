@@ -1,4 +1,4 @@
-"""A ROS domain id that no other process on this machine uses, another id for every test."""
+"""A ROS domain id that no other process on this machine uses, another id for every test; messages as records."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import tempfile
 from pathlib import Path
 
 import pytest
+
+from kr270_milling.recordings.messages.codec import from_bytes
 
 #: what a shell may have set about discovery
 DISCOVERY = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
@@ -64,13 +66,6 @@ def open_ports() -> set[int]:
     return {int(row.split()[1].rpartition(":")[2], 16) for t in tables for row in t.read_text().splitlines()[1:]}
 
 
-def environment_of_processes(domain: int, **more: str) -> dict[str, str]:
-    """For processes that a test starts: this checkout, that domain, the discovery that is shipped."""
-    rest = {name: value for name, value in os.environ.items() if name not in DISCOVERY}
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return {**rest, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": path, **more}
-
-
 @contextlib.contextmanager
 def running(command: list[str], environment: dict[str, str], **kwargs):
     """A process that ends with the block, also where a check in the block fails while the process runs."""
@@ -79,3 +74,11 @@ def running(command: list[str], environment: dict[str, str], **kwargs):
             yield process
         finally:
             process.kill()
+
+
+def from_msg(msg):
+    """The record that a message object carries; of a MultiDOFJointTrajectory a Trajectory."""
+    from rclpy.serialization import serialize_message
+
+    package = type(msg).__module__.partition(".msg")[0]
+    return from_bytes(f"{package}/msg/{type(msg).__name__}", serialize_message(msg))

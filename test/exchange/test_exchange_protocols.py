@@ -150,14 +150,6 @@ def test_repeated_and_unusable_messages_change_nothing(disturb, iterations):
     assert not column(plain, "wrench", "wrench")[0].any() and not column(plain, "deflection", "twist")[0].any()  # rest
 
 
-def test_a_robot_without_a_reference_or_a_pass_does_not_ask(short_cell):
-    robot = RobotProtocol(short_cell)
-    for ask in (robot.start, robot.repeat):
-        with pytest.raises(ExchangeError):
-            ask()
-    assert robot.wrench(WrenchSample(0, "workpiece", np.zeros(6))) == [] and not robot.large_correction
-
-
 def test_only_the_first_and_the_last_pose_of_a_stamp_and_the_next_one_are_swept():
     """As in an iterated exchange: first elsewhere, then here, is the same as here at once."""
     _, cut, poses, wrenches, following = started()
@@ -177,8 +169,12 @@ def test_only_the_first_and_the_last_pose_of_a_stamp_and_the_next_one_are_swept(
     np.testing.assert_array_equal(cut.pose(following)[0][1].wrench, untouched.pose(following)[0][1].wrench)
 
 
-def test_a_cut_without_a_workpiece_or_without_the_start_refuses_with_a_sentence(short_cell):
-    cut = CutProtocol(short_cell)
+def test_without_reference_workpiece_or_start_robot_and_cut_refuse_with_a_sentence(short_cell):
+    robot, cut = RobotProtocol(short_cell), CutProtocol(short_cell)
+    for ask in (robot.start, robot.repeat):
+        with pytest.raises(ExchangeError):
+            ask()
+    assert robot.wrench(WrenchSample(0, "workpiece", np.zeros(6))) == [] and not robot.large_correction
     with pytest.raises(NoWorkpiece, match="configure first"):
         cut.pose(PoseSample(0, "workpiece", np.zeros(3), DOWN))
     with pytest.raises(NoWorkpiece):
@@ -230,11 +226,6 @@ def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_ce
 # --- The compensator's protocol: when a pass is complete, and that the order of its messages does not matter ---
 
 
-@pytest.fixture(scope="module")
-def ran(short_cell):
-    return simulate(short_cell).result
-
-
 @pytest.fixture
 def protocol(short_cell):
     made = CompensatorProtocol(short_cell)
@@ -252,12 +243,16 @@ def samples(ran, turned: bool = False) -> list:
     return answer
 
 
-def feed(protocol, records) -> list:
-    """Feed messages with times of the pass."""
-    outputs, start = [], protocol.inbox.start_ns
+def feed(protocol, records, begin: int | None = None) -> list:
+    """Feed messages with times of the pass; begin: that of the pass [ns], else that of the protocol."""
+    outputs, start = [], protocol.inbox.start_ns if begin is None else begin
     for record in (record._replace(stamp=start + record.stamp) for record in records):
         outputs += (protocol.pose if isinstance(record, PoseSample) else protocol.wrench)(record)
     return outputs
+
+
+def states(outputs) -> list:
+    return records(outputs, "compensator_state")
 
 
 def expected(cell, ran):
@@ -289,15 +284,6 @@ def test_poses_alone_wait_for_the_last_wrench_until_it_is_given_up(protocol, ran
     assert protocol.finish() == [] and feed(protocol, [last]) == []
 
 
-def test_poses_before_the_start_and_out_of_order_count_for_nothing(protocol, ran, short_cell):
-    records = samples(ran)
-    assert feed(protocol, records[2:8:2]) == [] and protocol.inbox.ignored == 3 and not protocol.under_way
-    older, repeated = records[10], records[38]
-    outputs = feed(protocol, [*records[:40], older, repeated, *records[40:]])
-    assert_revised(outputs, expected(short_cell, ran))
-    assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the pass has ended
-
-
 def test_a_new_start_begins_anew_and_nothing_is_finished_in_mid_pass(protocol, ran, short_cell):
     records = samples(ran)
     far = [r._replace(position=r.position + 1e-3) if isinstance(r, PoseSample) else r for r in records[:40]]
@@ -307,11 +293,9 @@ def test_a_new_start_begins_anew_and_nothing_is_finished_in_mid_pass(protocol, r
     assert len(protocol.compensator.first.time_ns) == len(ran.time_ns)
 
 
-def states(outputs) -> list:
-    return [record for topic, record in outputs if topic == "compensator_state"]
-
-
-def test_the_state_names_method_and_the_recording_of_each_pass_it_learned_from(protocol, ran, short_cell):
+def test_the_state_names_method_and_recordings_and_another_method_and_a_reset_start_from_the_target(
+    protocol, ran, short_cell
+):
     (fresh,) = states(protocol.reset())
     assert (fresh.name, fresh.method, fresh.passes, fresh.learned) == ("trajectory_compensator", "linear", 0, ())
     assert fresh.target == fresh.reference == fingerprint(short_cell.target())
@@ -324,9 +308,13 @@ def test_the_state_names_method_and_the_recording_of_each_pass_it_learned_from(p
         assert state.reference == fingerprint(protocol.compensator.reference)
     one, other = state.learned  # the same messages in two files
     assert one.fingerprint == other.fingerprint and (one.poses, one.wrenches) == 2 * (len(ran.time_ns),)
-    (chosen,) = states(protocol.choose("spline"))  # from the pass along the target
+    outputs = protocol.choose("spline")  # from the pass along the target
+    assert_revised(outputs, compensator(short_cell, short_cell.target(), "spline").revise(record_of(short_cell, ran)))
+    (chosen,) = states(outputs)
     assert chosen.method == "spline" and [one.recording for one in chosen.learned] == named[:1]
-    assert states(protocol.reset())[0].learned == ()
+    outputs = protocol.reset()
+    assert_revised(outputs, short_cell.target())
+    assert states(outputs)[0].learned == ()
 
 
 @pytest.mark.parametrize("change", ["wrench", "pose", "last wrench"])
@@ -337,33 +325,29 @@ def test_the_fingerprint_of_a_pass_covers_every_message(protocol, ran, change):
         (other,) = states(feed(protocol, records[:-1]) or protocol.finish())
         assert other.learned[-1].wrenches == plain.learned[-1].wrenches - 1
     else:
-        at = 41 if change == "wrench" else 40
-        values = records[at][-1 if change == "wrench" else 2].copy()
+        at, field = (41, "wrench") if change == "wrench" else (40, "position")
+        values = getattr(records[at], field).copy()
         values[0] = np.nextafter(values[0], 1.0)
-        records[at] = records[at]._replace(**{"wrench" if change == "wrench" else "position": values})
+        records[at] = records[at]._replace(**{field: values})
         (other,) = states(feed(protocol, records))
     assert other.learned[0] == plain.learned[0]
     assert other.learned[-1].fingerprint != plain.learned[-1].fingerprint
 
 
-def test_unusable_samples_are_refused_and_holes_are_counted(protocol, ran, short_cell):
+def test_samples_that_are_unusable_or_out_of_order_count_for_nothing_and_holes_are_counted(protocol, ran, short_cell):
     records, outputs = samples(ran), []
+    assert feed(protocol, records[2:8:2]) == [] and protocol.inbox.ignored == 3 and not protocol.under_way
     bad = (PoseSample(0, "base_link", np.zeros(3), DOWN), PoseSample(0, "workpiece", np.full(3, np.nan), DOWN),
            WrenchSample(0, "camera", np.zeros(6)), WrenchSample(0, "workpiece", np.full(6, np.inf)))  # fmt: skip
     for k, sample in enumerate(bad):
         outputs += feed(protocol, records[10 * k : 10 * k + 10])
         with pytest.raises(MessageError):
             feed(protocol, [sample])
-    assert_revised(outputs + feed(protocol, records[40:]), expected(short_cell, ran))
+    older, repeated = records[10], records[38]
+    assert_revised(outputs + feed(protocol, [older, repeated, *records[40:]]), expected(short_cell, ran))
+    assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the pass has ended
     feed(protocol, records[:40] + records[46:])
     assert protocol.missing == 3
-
-
-def test_another_method_and_a_reset_start_from_the_target(protocol, ran, short_cell):
-    feed(protocol, samples(ran))
-    spline = compensator(short_cell, short_cell.target(), "spline").revise(record_of(short_cell, ran))
-    assert_revised(protocol.choose("spline"), spline)
-    assert_revised(protocol.reset(), short_cell.target())
 
 
 # --- A robot and a sensor with another clock ---
@@ -379,16 +363,9 @@ def test_learning_converges_with_a_robot_of_another_clock():
     for number in range(4):
         result = simulate(cell, protocol.active.reference).result
         errors.append(np.abs((result.actual - result.target)[result.time > cell.full_engagement, 1]).max())
-        feed_stamped(protocol, foreign_pass(result, number, noise, cell))
+        feed(protocol, foreign_pass(result, number, noise, cell), 0)
         assert protocol.passes == number + 1 and not protocol.under_way
     assert errors[0] > 60e-6 and errors[-1] < noise
-
-
-def feed_stamped(protocol, samples) -> list:
-    outputs = []
-    for sample in samples:
-        outputs += (protocol.pose if isinstance(sample, PoseSample) else protocol.wrench)(sample)
-    return outputs
 
 
 def test_an_untared_sensor_in_its_own_frame_gives_the_wrench_at_the_tip(ran):
@@ -427,10 +404,10 @@ def announced(short_cell):
 
 def test_a_message_of_the_robot_starts_its_pass_where_it_says(announced, ran):
     messages = foreign_pass(ran, 0)
-    assert feed_stamped(announced, messages[:100]) == [] and not announced.under_way  # also on the grid of the exchange
+    assert feed(announced, messages[:100], 0) == [] and not announced.under_way  # also on the grid of the exchange
     announced.start(WALL)
     assert announced.inbox.start_ns == WALL and announced.inbox.foreign
-    topics = [topic for topic, _ in feed_stamped(announced, messages[100:])]
+    topics = [topic for topic, _ in feed(announced, messages[100:], 0)]
     assert topics == ["compensator_state", "reference_trajectory"]
     np.testing.assert_allclose(announced.active.first.wrench[:, 1].max(), ran.wrench[:, 1].max(), rtol=0.05)
 
@@ -443,7 +420,7 @@ def test_stamps_that_do_not_fit_are_stated(announced, ran, change, sentence):
     announced.start(WALL)
     for sample in (sample for sample in foreign_pass(ran, 0) if sample.stamp >= WALL):
         with contextlib.suppress(MessageError):
-            feed_stamped(announced, [sample._replace(stamp=change(sample.stamp))])
+            feed(announced, [sample._replace(stamp=change(sample.stamp))], 0)
         if announced.inbox.problem:
             break
     assert announced.inbox.problem.startswith(sentence)
@@ -455,20 +432,17 @@ def test_a_pass_that_does_not_follow_the_reference_is_refused(announced, ran):
     messages = [s for s in foreign_pass(ran, 0) if s.stamp >= WALL]
     far = [s._replace(position=s.position + [0, 0, 6e-3]) if isinstance(s, PoseSample) else s for s in messages]
     with pytest.raises(MessageError, match="is the override 100 %"):
-        feed_stamped(announced, far)
+        feed(announced, far, 0)
     assert not announced.under_way and announced.passes == 0
 
 
 def test_a_robot_of_another_clock_starts_when_it_leaves_the_first_point(protocol, ran):
-    samples_of_pass = foreign_pass(ran, 0)
-    poses = [sample for sample in samples_of_pass if isinstance(sample, PoseSample)]
-    away = [one._replace(position=one.position + [0.0, 0.0, 0.01]) for one in poses]
-    for sample in away:
-        assert protocol.pose(sample) == []
+    poses = [sample for sample in foreign_pass(ran, 0) if isinstance(sample, PoseSample)]
+    for sample in poses:
+        assert protocol.pose(sample._replace(position=sample.position + [0.0, 0.0, 0.01])) == []
     assert not protocol.under_way and protocol.inbox.distance > 9.9e-3  # the whole pass is 10 mm above
     for sample in poses[:90]:
         protocol.pose(sample)
     assert protocol.under_way and protocol.inbox.foreign
     assert abs(protocol.inbox.start_ns - WALL) < 1_000_000
-    (late,) = [lag(protocol.active.reference, ran.time_ns + 700_000, ran.tool)]
-    assert abs(late - 700_000) < 100_000
+    assert abs(lag(protocol.active.reference, ran.time_ns + 700_000, ran.tool) - 700_000) < 100_000

@@ -15,7 +15,7 @@ from pathlib import Path
 from ros_domain import COUNT, is_used
 
 from faults import soak, trials
-from faults.faults import FAULTS
+from faults.faults import FAULTS, Fault
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.live.graph.plan import fresh_directory
@@ -29,14 +29,23 @@ def main(arguments: list[str] | None = None) -> int:
         require_ros()
         if not os.environ.get("ROS_DOMAIN_ID"):  # a domain without open ports
             os.environ["ROS_DOMAIN_ID"] = str(next((n for n in range(COUNT, 0, -1) if not is_used(n)), 0))
-        print(f"ROS domain {os.environ['ROS_DOMAIN_ID']}", file=sys.stderr)
+        print(f"ROS domain {os.environ['ROS_DOMAIN_ID']}, seed {args.seed}", file=sys.stderr)
         kept = contextlib.nullcontext(fresh_directory(args.out)) if args.out else tempfile.TemporaryDirectory()
-        with kept as directory:
+        with kept as directory, progress("soak" if args.soak else "faults") as report:
             Path(directory, "cell.yaml").touch()  # the next run finds that this directory is taken
-            return (_soak if args.soak else _faults)(args, Path(directory))
+            if args.soak:
+                columns = soak.COLUMNS
+                rows = soak.run_soak(args.passes, args.minutes * 60, Path(directory), report)
+            else:
+                columns = trials.COLUMNS
+                rows = trials.run_faults(_named(args.only), args.repeats, args.seed, Path(directory), report)
     except MillingError as error:
         print(f"faults: {error}", file=sys.stderr)
         return 2
+    for cells in (columns, ["---"] * len(columns), *(row.cells() for row in rows)):
+        print("| " + " | ".join(cells) + " |")
+    print("".join(f"{row.name}, {problem}\n" for row in rows for problem in row.problems), end="")
+    return int(any(row.problems for row in rows))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -52,32 +61,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _faults(args, directory) -> int:
-    faults = [fault for fault in FAULTS if args.only.lower() in fault.name.lower()]
+def _named(text: str) -> list[Fault]:
+    faults = [fault for fault in FAULTS if text.lower() in fault.name.lower()]
     if not faults:
         names = ", ".join(fault.name for fault in FAULTS)
-        raise InputError("--only", f"no fault is named like {args.only!r}; there are {names}")
-    minutes = trials.SECONDS * len(faults) * args.repeats / 60
-    print(f"seed {args.seed}; this takes about {minutes:.0f} min", file=sys.stderr)
-    with progress("faults") as report:
-        rows = trials.run_faults(faults, args.repeats, args.seed, directory, report)
-    return _print(trials.COLUMNS, {row.fault.name: row for row in rows})
-
-
-def _soak(args, directory) -> int:
-    print(f"this takes about {args.minutes + args.passes * 5 / 60:.0f} min", file=sys.stderr)
-    with progress("soak") as report:
-        rows = soak.run_soak(args.passes, args.minutes * 60, directory, report)
-    return _print(soak.COLUMNS, {row.name: row for row in rows})
-
-
-def _print(columns, rows: dict) -> int:
-    """Print a table in Markdown and the problems of its rows; return the exit code."""
-    for cells in (columns, ["---"] * len(columns), *(row.cells() for row in rows.values())):
-        print("| " + " | ".join(cells) + " |")
-    for name, row in rows.items():
-        print("".join(f"{name}, {problem}\n" for problem in row.problems), end="")
-    return int(any(row.problems for row in rows.values()))
+        raise InputError("--only", f"no fault is named like {text!r}; there are {names}")
+    return faults
 
 
 if __name__ == "__main__":

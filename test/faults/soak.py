@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,18 +12,23 @@ import numpy as np
 import psutil
 
 from faults.trials import fault_cell
+from kr270_milling.base.samples import PoseSample, TwistSample, WrenchSample
+from kr270_milling.live.graph.driver import Driver
 from kr270_milling.live.graph.graph import Graph
-from kr270_milling.live.graph.processes import RunError
-from kr270_milling.live.ros.environment import child_environment
+from kr270_milling.live.graph.processes import Child, RunError, stop
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.environment import keep_to_this_host
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.codec import to_bytes
 
 COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "threads", "file handles")
 SETTLED = 0.5  # share of the run after which everything has been allocated once; queues keep their longest length
 MOST_GROWTH = 5.0  # [MB] from then to the end, by the fitted slope
 TOPICS = ("tool_pose", "wrench", "deflection")  # of an exchange
 RATE = 2000  # [1/s] exchanges, as with the default period in real time
-LOOK = 0.5  # [s] between two looks at the recorder
-PATIENCE = 120.0  # [s] for a process to start or to end, on a busy machine too
+STEP_NS = 500_000  # default period
+AT_ONCE = 1000  # exchanges between two looks at the recorder
+PATIENCE, LAST = 120.0, 1.0  # [s] for the recorder to start on a busy machine, and to take the last messages
 
 
 @dataclass
@@ -80,6 +82,7 @@ class Growth:
 
 def run_soak(passes: int, seconds: float, out: Path, progress: Callable[[int, int], None]) -> list[Growth]:
     """A row for each process. Recordings of the passes are removed after each pass."""
+    keep_to_this_host()
     share = passes * 5  # [s]
     total = int(share + seconds)
     rows = _passes(passes, out, lambda done: progress(int(done * 5), total))
@@ -103,32 +106,32 @@ def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Gr
 
 def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]) -> Growth:
     """The exchange's three topics at the rate of a pass in real time."""
-    growth, environment = Growth("recorder (one long recording)", "s"), child_environment()
-    node = [sys.executable, "-m", "kr270_milling.live.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
-    source = [sys.executable, str(Path(__file__).with_name("source.py")), str(RATE), str(seconds)]
-    with (
-        open(out.parent / "recorder.log", "wb") as log,
-        subprocess.Popen([*node, "-p", f"topics:={','.join(TOPICS)}"], env=environment, stderr=log) as recorder,
-        subprocess.Popen(source, env=environment, stdout=subprocess.PIPE, text=True) as sending,
-    ):
-        try:
-            _watch(sending, recorder, growth, seconds, progress)
-            sent = sending.communicate(timeout=PATIENCE)[0]
-        finally:
-            sending.kill()
-            recorder.send_signal(signal.SIGINT)
-            recorder.wait(PATIENCE)
+    growth, driver = Growth("recorder (one long recording)", "s"), Driver("", lambda: None)
+    words = ["--ros-args", "-p", f"directory:={out}", "-p", f"topics:={','.join(TOPICS)}"]
+    recorder, count = Child(("recorder",), words, out.parent), round(RATE * seconds)
+    publishers = [driver.node.create_publisher(*topics.BY_NAME[name]) for name in TOPICS]
+    try:
+        driver.until(lambda: all(p.get_subscription_count() for p in publishers), "discovery", PATIENCE)
+        begin, random, down = time.monotonic(), np.random.default_rng(0), np.array([1.0, 0.0, 0.0, 0.0])
+        for i in range(count):
+            row = random.normal(0.0, 50.0, 6)
+            records = (PoseSample(i * STEP_NS, "workpiece", row[:3], down),
+                       *(kind(i * STEP_NS, "workpiece", row) for kind in (WrenchSample, TwistSample)))  # fmt: skip
+            for publisher, record in zip(publishers, records, strict=True):
+                publisher.publish(to_bytes(record))
+            if i % AT_ONCE == 0:
+                now = time.monotonic() - begin
+                if not recorder.alive:
+                    raise RunError("recorder", recorder.why_ended())
+                growth.look(now, recorder.pid)
+                progress(min(now, seconds))
+            if i % 10 == 9:  # some milliseconds' worth at a time
+                time.sleep(max(0.0, begin + i / RATE - time.monotonic()))
+        time.sleep(LAST)
+    finally:
+        stop([recorder])
+        driver.node.destroy_node()
+        driver.node.context.try_shutdown()
     with Recording(out) as recording:
-        growth.lost = int(sent) * len(TOPICS) - recording.count
+        growth.lost = count * len(TOPICS) - recording.count
     return growth
-
-
-def _watch(sending, recorder, growth: Growth, seconds: float, progress: Callable[[float], None]) -> None:
-    begin = time.monotonic()
-    while sending.poll() is None:
-        now = time.monotonic() - begin
-        if recorder.poll() is not None or now > 2 * seconds + PATIENCE:
-            raise RunError("recorder", "has ended" if recorder.poll() is not None else "the source does not end")
-        growth.look(now, recorder.pid)
-        progress(min(now, seconds))
-        time.sleep(LOOK)

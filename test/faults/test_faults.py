@@ -47,7 +47,7 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
 
 def test_tail_that_a_recorder_lost_is_counted_and_a_tail_that_is_not_reported_fails_the_row(monkeypatch):
     stopped = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
-    recorded = Recorded(False, 100, True, 0, 7, 0.0, False, True, "")
+    recorded = Recorded(False, True, 0, 7, 0.0, False, True, "")
     monkeypatch.setattr(trials, "read_back", lambda *_: recorded)
     warned = [Message(11.0, f"recorder: {NOT_COMPLETE}")]
     for messages, problems in ((warned, 0), ([], 1)):
@@ -77,7 +77,7 @@ class OwnProcess:
 
 def test_soak_measures_every_process_and_loses_nothing(ros_environment, monkeypatch, tmp_path):
     monkeypatch.setattr(soak, "Graph", OwnProcess)
-    rows = soak.run_soak(2, 1.2, tmp_path, lambda done, total: None)
+    rows = soak.run_soak(2, 0.6, tmp_path, lambda done, total: None)
     assert [row.name for row in rows] == ["recorder", "runner", "recorder (one long recording)"]
     for row in rows:
         assert row.lost == 0 and len(row.cells()) == len(soak.COLUMNS) and len(row.samples) >= 2

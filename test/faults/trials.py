@@ -30,7 +30,6 @@ CELL = ("path.length_mm=120", "stock.max_mm=[120,12,0]", "stock.grid_step_um=50"
 COMPOSED = (*CELL[:3], "exchange.period_ms=0.0625")
 AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
 TRIES = 6  #: on a busy machine the pass may end before the fault
-SECONDS = 11.0  # [s] that a trial takes
 NAMED_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
 BEHIND = 1.0  # [s] before the fault that a recording may miss
 COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "design", "orphans", "recording")
@@ -41,7 +40,6 @@ class Recorded:
     """A recording after a fault."""
 
     cut_off: bool
-    messages: int
     started: bool  #: it holds something of the pass: a pose or a wrench
     missing: int  #: holes in it, counted from the stamps
     short: int  #: messages of the whole pass that are missing
@@ -76,19 +74,17 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int,
         stamps = expected.time_ns + next((stamp_of(message.data) or 0 for message in references), 0)
         same, short, started, ended = True, 0, False, True
         for topic, values in values_of.items():
-            recorded = series(recording, topic)
+            at, got = series(recording, topic)
             due = stamps[:: every if topic == "/deflection" else 1]
-            started |= recorded.stamp.size > 0 and topic != "/deflection"
-            ended &= bool(recorded.stamp.size and recorded.stamp[-1] == due[-1])
-            short += due.size - np.unique(recorded.stamp).size
-            same &= bool(np.isin(recorded.stamp, stamps).all()) and np.array_equal(
-                recorded.values[:, : values.shape[1]], values[np.searchsorted(stamps, recorded.stamp)]
-            )
+            started |= at.size > 0 and topic != "/deflection"
+            ended &= bool(at.size and at[-1] == due[-1])
+            short += due.size - np.unique(at).size
+            same &= bool(np.isin(at, stamps).all())
+            same = same and np.array_equal(got[:, : values.shape[1]], values[np.searchsorted(stamps, at)])
         last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=started_ns)
     behind, whole = max(0.0, (struck_ns - last) * 1e-9), ended and not short
     verdict = recompute(path).verdict if again else ""
-    cut_off, count, missing = (about[key] for key in ("cut_off", "messages", "missing"))
-    return Recorded(cut_off, count, started, missing, short, behind, whole, same, verdict)
+    return Recorded(about["cut_off"], started, about["missing"], short, behind, whole, same, verdict)
 
 
 def run_faults(
@@ -133,8 +129,7 @@ def run_trial(fault: Fault, cell: Cell, plain: PassResult, out: Path, after: flo
     if trial.orphans:
         trial.problems.append(f"{trial.orphans} processes are left")
     if graph.struck_at is None:
-        sentence = graph.messages[-1].sentence if graph.messages else "the pass was over"
-        trial.problems.append(f"before the fault: {sentence}")
+        trial.problems.append(f"before the fault: {[message.sentence for message in graph.messages]}")
     else:
         judge_words(trial, fault, graph)
         judge_recording(trial, fault, graph, plain, again)
@@ -184,6 +179,10 @@ class Row:
 
     fault: Fault
     trials: tuple[Trial, ...]
+
+    @property
+    def name(self) -> str:
+        return self.fault.name
 
     @property
     def problems(self) -> list[str]:

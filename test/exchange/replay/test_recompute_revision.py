@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pass_recording as made
 import pytest
-from pass_recording import STEPS, flip
+from pass_recording import STEPS, files_of, flip, one_pass, recomputed
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.samples import PoseSample
@@ -29,7 +29,7 @@ STATE, NAMES = "diagnostic_msgs/msg/DiagnosticStatus", ("c", "a", "b")  # in ano
 
 def folder_of(directory, method: str = "learned"):
     """One recording a pass, as ``run`` makes them."""
-    for name, messages in zip(NAMES, made.files_of(method, NAMES), strict=True):
+    for name, messages in zip(NAMES, files_of(method, NAMES), strict=True):
         made.write(directory / name, messages, cell=made.cell_text(method))
     return directory
 
@@ -49,15 +49,15 @@ def with_state(messages, index: int, **changes) -> list:
 
 
 def test_of_a_changed_wrench_and_what_follows_from_it_the_wrench_is_named(tmp_path):
-    messages = made.changed(made.one_pass("mirror"), "wrench", 60, flip(made.force_offset(1) + 6))
-    result = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("mirror")))
+    messages = made.changed(one_pass("mirror"), "wrench", 60, flip(made.force_offset(1) + 6))
+    result = recomputed(tmp_path / "r", messages, cell=made.cell_text("mirror"))
     assert (result.first.topic, result.first.index) == ("/wrench", 60)
     assert result.channels["/compensator_state"].differing == result.channels["/reference_trajectory"].differing == 1
 
 
 @pytest.mark.parametrize("method", ["spline", "learned"])
 def test_several_passes_in_one_file_are_distinguished(tmp_path, method):
-    result = recompute(made.write(tmp_path / "r", made.one_pass(method, 1, 3), cell=made.cell_text(method)))
+    result = recomputed(tmp_path / "r", one_pass(method, 1, 3), cell=made.cell_text(method))
     assert result.verdict == "identical", (result.first, result.stops)
     assert result.channels["/wrench"].compared == 3 * STEPS
     assert result.channels["/reference_trajectory"].compared == result.channels["/compensator_state"].compared == 4
@@ -90,20 +90,17 @@ def test_recordings_in_one_directory_are_named_by_their_files_and_a_missing_one_
         shutil.move(tmp_path / "away", tmp_path / "run" / lost)
 
 
-def test_another_pass_in_the_place_of_a_named_one_is_no_substitute(tmp_path):
+def test_another_pass_in_the_place_of_a_named_one_is_no_substitute_and_another_place_is_not_opened(tmp_path):
     folder_of(tmp_path)
     shutil.rmtree(tmp_path / "a")
-    made.write(tmp_path / "a", made.files_of("linear", ("a",))[0][:-200], cell=made.cell_text("learned"))
+    made.write(tmp_path / "a", files_of("linear", ("a",))[0][:-200], cell=made.cell_text("learned"))
     result = recompute(tmp_path / "b")
     assert result.verdict == "incomplete" and "does not hold the pass" in str(result.stops[0])
-
-
-def test_a_state_makes_us_open_recordings_beside_this_one_alone(tmp_path):
-    folder_of(tmp_path)
+    # a state makes us open recordings beside this one alone
     for name in ("", "..", "../c.mcap", "/etc/passwd", "c/\n.mcap", "x" * 3000, "c"):
         shutil.rmtree(tmp_path / "a")
-        messages = with_state(made.files_of("learned", NAMES)[1], 0, last={"recording": name})
-        result = recompute(made.write(tmp_path / "a", messages, cell=made.cell_text("learned")))
+        messages = with_state(files_of("learned", NAMES)[1], 0, last={"recording": name})
+        result = recomputed(tmp_path / "a", messages, cell=made.cell_text("learned"))
         assert result.verdict == "incomplete" and result.first is None, name
 
 
@@ -127,7 +124,7 @@ def test_a_method_that_is_chosen_between_two_passes_starts_from_the_named_pass(t
 
 def test_a_revision_without_the_last_wrench_is_recomputed_without_it(tmp_path):
     """The live node gave the last wrench up; the recorder has it."""
-    cell, whole = made.cell_of("mirror"), list(made.one_pass("mirror"))
+    cell, whole = made.cell_of("mirror"), list(one_pass("mirror"))
     last = max(i for i, m in enumerate(whole) if m.topic == "wrench")
     compensator = made.CompensatorProtocol(cell)
     compensator.begin(cell.target())
@@ -142,80 +139,70 @@ def test_a_revision_without_the_last_wrench_is_recomputed_without_it(tmp_path):
     assert result.channels["/compensator_state"].compared == 2
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [({"finished": True}, "values[2].value"), ({"reference": "00000000"}, "values[4].value"),
-     ({"last": {"fingerprint": "00" * 32}}, "values[6].value"), ({"method": "spline"}, "message")],
-)  # fmt: skip
-def test_a_state_that_the_recording_does_not_lead_to_is_a_difference(tmp_path, changes, field):
-    result = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), 1, **changes)))
-    assert result.verdict == "different"
-    if "method" not in changes:
-        assert result.first.topic == "/compensator_state" and result.first.field.startswith(field)
-
-
-@pytest.mark.parametrize(("index", "changes", "sentence"), [
-    (1, {"last": {"poses": STEPS - 3}}, f"received {STEPS - 3} poses"),  # the compensator missed some
-    (0, {"target": "00000000"}, "the target trajectory 00000000"),
+@pytest.mark.parametrize(("index", "changes", "verdict", "sentence"), [
+    (1, {"finished": True}, "different", "values[2].value"),
+    (1, {"reference": "00000000"}, "different", "values[4].value"),
+    (1, {"last": {"fingerprint": "00" * 32}}, "different", "values[6].value"),
+    (1, {"method": "spline"}, "different", ""),
+    (1, {"last": {"poses": STEPS - 3}}, "incomplete", f"received {STEPS - 3} poses"),  # the compensator missed some
+    (0, {"target": "00000000"}, "incomplete", "the target trajectory 00000000"),
 ])  # fmt: skip
-def test_what_is_not_in_the_recording_is_reported_and_not_called_different(tmp_path, index, changes, sentence):
-    result = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), index, **changes)))
-    assert result.verdict == "incomplete" and sentence in str(result.stops[0])
+def test_a_state_that_the_recording_does_not_lead_to_is_a_difference_and_one_of_other_messages_is_reported(
+    tmp_path, index, changes, verdict, sentence
+):
+    result = recomputed(tmp_path / "r", with_state(one_pass(), index, **changes))
+    assert result.verdict == verdict
+    if verdict == "incomplete":
+        assert sentence in str(result.stops[0])
+    elif sentence:
+        assert result.first.topic == "/compensator_state" and result.first.field.startswith(sentence)
 
 
 def test_references_without_states_are_taken_as_recorded(tmp_path):
-    messages = [m for m in made.one_pass() if m.topic != "compensator_state"]
-    result = recompute(made.write(tmp_path / "r", messages))
+    result = recomputed(tmp_path / "r", [m for m in one_pass() if m.topic != "compensator_state"])
     assert result.verdict == "incomplete" and "without its compensator_state" in str(result.stops[0])
     assert result.channels["/reference_trajectory"].given == 2
     assert compensate_recording(tmp_path / "r")[0].published is True  # the cell states the method
-
-
-def test_a_later_pass_of_learned_without_states_is_not_decided(tmp_path):
-    messages = [m for m in made.files_of("learned", NAMES)[1] if m.topic != "compensator_state"]
-    with pytest.raises(RecordingError, match="learned needs the passes before this one"):
-        compensate_recording(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
 
 
 def foreign(method: str) -> made.Message:
     """A reference of another compensator, with other knots than the pass, which end before its end."""
     knots = np.linspace(0, 48_000_000, 7).astype(np.int64)  # [ns]
     target = made.cell_of(method).target()
-    return made.Message(
-        "reference_trajectory", to_bytes(Trajectory(knots, target.sample(knots), target.sample_orientation(knots))), 0
-    )
+    reference = Trajectory(knots, target.sample(knots), target.sample_orientation(knots))
+    return made.Message("reference_trajectory", to_bytes(reference), 0)
 
 
 @pytest.mark.parametrize("place", [0, 200])
 def test_a_reference_of_another_compensator_is_not_called_identical(tmp_path, place):
-    messages = list(made.one_pass("inverse"))
+    messages = list(one_pass("inverse"))
     messages.insert(place, foreign("inverse"))
-    result = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("inverse")))
-    assert result.verdict != "identical"
+    assert recomputed(tmp_path / "r", messages, cell=made.cell_text("inverse")).verdict != "identical"
 
 
-def test_a_method_that_cannot_revise_a_recorded_pass_states_the_reason(tmp_path):
-    messages = [foreign("linear"), *(m for m in made.one_pass() if m.topic in ("tool_pose", "wrench"))]
-    with pytest.raises(RecordingError, match="at the times of the target's"):
-        compensate_recording(made.write(tmp_path / "r", messages), "inverse")
+def test_a_pass_that_a_method_cannot_revise_is_refused_with_the_reason(tmp_path):
+    stateless = [m for m in files_of("learned", NAMES)[1] if m.topic != "compensator_state"]
+    other = [foreign("linear"), *(m for m in one_pass() if m.topic in ("tool_pose", "wrench"))]
+    for messages, cell, method, sentence in (
+        (stateless, "learned", None, "learned needs the passes before this one"),
+        (other, "linear", "inverse", "at the times of the target's"), (one_pass()[:100], "mirror", None, "no complete"),
+    ):  # fmt: skip
+        with pytest.raises(RecordingError, match=sentence):
+            compensate_recording(made.write(tmp_path / cell, messages, cell=made.cell_text(cell)), method)
 
 
 def test_a_recording_is_revised_by_its_own_or_by_another_method(tmp_path):
-    directory = made.write(tmp_path / "r", made.one_pass("linear"))
+    directory = made.write(tmp_path / "r", one_pass("linear"))
     for method, published in (("linear", True), ("spline", None)):
         (revised,) = compensate_recording(directory, method)
-        _, expected = (m.data for m in made.one_pass(method) if m.topic == "reference_trajectory")
+        _, expected = (m.data for m in one_pass(method) if m.topic == "reference_trajectory")
         assert revised.published is published and revised.method == method
         assert to_bytes(revised.reference)[BODY:] == expected[BODY:]
-    with pytest.raises(RecordingError, match="no complete pass"):
-        compensate_recording(made.write(tmp_path / "broken_off", made.one_pass()[:100]))
 
 
 def test_a_state_without_fields_is_refused(tmp_path):
-    messages = made.changed(
-        made.one_pass(), "compensator_state", 0, lambda data: data.replace(b"finished", b"finishes")
-    )
-    assert recompute(made.write(tmp_path / "r", messages)).channels["/compensator_state"].refused == 1
+    messages = made.changed(one_pass(), "compensator_state", 0, lambda data: data.replace(b"finished", b"finishes"))
+    assert recomputed(tmp_path / "r", messages).channels["/compensator_state"].refused == 1
 
 
 # --- Recordings of passes in which another cell cut than the one that planned: both are attached, all is recomputed ---
@@ -235,38 +222,29 @@ def plant(tmp_path_factory):
     return read_cell(file)
 
 
-@pytest.fixture(scope="module")
-def recordings(plant, tmp_path_factory):
+def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed_with_their_random_numbers(
+    plant, tmp_path
+):
     """One recording a pass, as ``run --plant`` makes them."""
-    folder = tmp_path_factory.mktemp("plant")
-    for number, (name, messages) in enumerate(zip(PASSES, made.files_of("learned", PASSES, plant), strict=True)):
-        of_pass = plant.replace(imperfections=plant.imperfections.replace(first_pass=number))
-        attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(of_pass)}
-        made.write(folder / name, messages, attachments=attached)
-    return folder
-
-
-def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed(recordings, plant):
     cell = made.cell_of("learned")
     runs, by = Plant(cell, plant), compensator(cell, cell.target(), "learned")
-    for name in PASSES:
-        replayed = recompute(recordings / name)
+    for number, (name, messages) in enumerate(zip(PASSES, files_of("learned", PASSES, plant), strict=True)):
+        of_pass = plant.replace(imperfections=plant.imperfections.replace(first_pass=number))
+        attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(of_pass)}
+        replayed = recomputed(tmp_path / name, messages, attachments=attached)
         assert replayed.verdict == "identical", (replayed.first, replayed.stops)
         assert replayed.channels["/tool_pose"].compared == made.STEPS
         assert replayed.channels["/reference_trajectory"].compared == 2
         ran = simulate(cell, by.reference, name, plant=runs)
-        recorded = pass_from_recording(recordings / name).scored
+        recorded = pass_from_recording(tmp_path / name).scored
         assert np.array_equal(recorded.result.tool, ran.result.tool)
         assert np.array_equal(recorded.result.deflection, ran.result.deflection)
         assert recorded.scores == ran.scores
         by.revise(record_of(cell, ran))
-
-
-def test_the_random_numbers_of_another_pass_are_a_difference(recordings, plant, tmp_path):
-    attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(plant)}
+    other = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(plant)}
     later = plant.replace(imperfections=plant.imperfections.replace(first_pass=1))
-    (messages,) = made.files_of("learned", ("r",), later)
-    assert recompute(made.write(tmp_path / "r", messages, attachments=attached)).verdict == "different"
+    (messages,) = files_of("learned", ("r",), later)
+    assert recomputed(tmp_path / "r", messages, attachments=other).verdict == "different"
 
 
 def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):

@@ -45,10 +45,14 @@ def test_what_is_stamped_behind_the_end_of_the_reference_is_no_part_of_the_pass(
     assert result.messages_lost == plain.messages_lost == 0
 
 
-def test_a_recording_with_its_end_and_a_hole_before_is_not_complete(tmp_path):
-    messages = made.changed(made.one_pass(), "wrench", 40, lambda data: None)
-    result = pass_from_recording(made.write(tmp_path / "r", messages))
+def test_a_hole_makes_a_pass_incomplete_and_one_of_two_robots_is_named(tmp_path):
+    result = pass_from_recording(made.write(tmp_path / "hole", made.without("wrench", 40)))
     assert result.messages_lost == result.lost_to_end == 1 and not result.complete
+    bag = made.write(tmp_path / "two", made.one_pass(), namespaces=("/left", "/right"))
+    with pytest.raises(RecordingError, match="name a namespace"):
+        pass_from_recording(bag)
+    for name in ("left", "/right", "right/"):
+        assert pass_from_recording(bag, namespace=name).complete
 
 
 def test_a_reference_of_an_implausible_duration_is_refused(tmp_path):
@@ -56,14 +60,6 @@ def test_a_reference_of_an_implausible_duration_is_refused(tmp_path):
     messages = [made.Message("reference_trajectory", to_bytes(reference), 0), *made.one_pass()[made.LATCHED_FIRST :]]
     with pytest.raises(RecordingError, match="its reference trajectory takes 2e"):
         pass_from_recording(made.write(tmp_path / "r", messages))
-
-
-def test_one_of_two_robots_is_chosen_by_its_namespace(tmp_path):
-    bag = made.write(tmp_path / "r", made.one_pass(), namespaces=("/left", "/right"))
-    with pytest.raises(RecordingError, match="name a namespace"):
-        pass_from_recording(bag)
-    for name in ("left", "/right", "right/"):
-        assert pass_from_recording(bag, namespace=name).complete
 
 
 # --- The cell out of a recording that may be hostile ---
@@ -86,19 +82,16 @@ def secret(tmp_path):
     return file
 
 
-@pytest.mark.parametrize("include", ["b.yaml", "b.txt", "b"])
-def test_a_file_that_an_attached_one_names_must_be_attached_too(tmp_path, secret, include):
-    main = FORM + f'    includes: ["paper.yaml", "{include}"]\n'
-    for number, line in enumerate((f'includes: ["{secret}"]', f'path: {{file: "{secret}"}}')):
-        with pytest.raises(RecordingError, match=f"its {include} names '{secret}', which is not attached"):
-            cell_in(tmp_path / str(number), {"cell.yaml": main, include: FORM + f"    {line}\n"})
+def test_a_file_that_an_attached_one_names_must_be_attached_too_and_is_read_there_for_every_folder(tmp_path, secret):
+    for include in ("b.yaml", "b.txt", "b"):
+        main = FORM + f'    includes: ["paper.yaml", "{include}"]\n'
+        for line in (f'includes: ["{secret}"]', f'path: {{file: "{secret}"}}'):
+            with pytest.raises(RecordingError, match=f"its {include} names '{secret}', which is not attached"):
+                cell_in(tmp_path / include / line[:4], {"cell.yaml": main, include: FORM + f"    {line}\n"})
     for number, path in enumerate(("[]", "3", "null", '{file: ["a"]}')):  # a group that cannot be used
         with pytest.raises(RecordingError, match="which is not attached"):
             text = FORM + f'    includes: ["{secret}"]\n    path: {path}\n'
             cell_in(tmp_path / f"path_{number}", {"cell.yaml": text})
-
-
-def test_included_files_are_read_from_the_attachments_for_every_folder(tmp_path, secret):
     main = FORM + '    includes: ["/far/away/b.yaml"]\n'
     below = FORM + '    includes: ["paper.yaml", "/other/secret.yaml"]\n'
     attached = {"cell.yaml": main, "b.yaml": below, "secret.yaml": secret.read_text(), "n" * 3000: ""}
@@ -272,12 +265,9 @@ def test_a_pass_of_a_robot_with_another_clock_is_scored_at_its_stamps(driven):
     assert passes[1].scored.scores.max_deviation < 1e-6 < 60e-6 < passes[0].scored.scores.max_deviation
 
 
-def test_a_pass_of_a_robot_with_another_clock_is_compared_along_its_reference(driven, capsys):
+def test_a_pass_of_a_robot_with_another_clock_is_compared_along_its_reference_and_not_recomputed(driven, capsys):
     assert main(["compare", str(driven[0]), "paper.yaml", "--pass", "2", "--json"]) == 0
     channels = {one["name"]: one for one in json.loads(capsys.readouterr().out)["channels"]}
     assert abs(channels["deviation"]["gain"] - 1.0) < 0.02 and channels["deviation"]["residual_rms_um"] < 0.2
-
-
-def test_a_recording_of_a_robot_with_another_clock_is_not_recomputed(driven):
     with pytest.raises(RecordingError, match="its poses have the stamps of a driver"):
         recompute(driven[0])

@@ -20,8 +20,6 @@ from ros_domain import running
 
 pytest.importorskip("rclpy")
 
-from ros_messages import to_msg
-
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
@@ -35,9 +33,10 @@ from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, Silence
 from kr270_milling.live.ros.status import Status
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.codec import to_bytes
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
-MANY = ["path.length_mm=25", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
+MANY = ["path.length_mm=12", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
 NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
 CLI = [sys.executable, "-m", "kr270_milling.cli"]
 LIMIT = 300.0  # [s] for what does not happen
@@ -72,20 +71,15 @@ def same(recorded, plain) -> None:
         assert np.array_equal(getattr(recorded, field), getattr(plain, field)), field
 
 
-def events_of(url: str) -> list[dict]:
-    """The events of a live page, until its stream ends."""
-    with urllib.request.urlopen(f"{url}events", timeout=LIMIT) as stream:
-        return [json.loads(line[6:]) for line in stream if line.startswith(b"data: ")]
-
-
 def test_run_gives_the_plain_loop_bit_for_bit_while_a_page_shows_it(ros_environment, tmp_path, capsys, short_cell):
     """A repeated method is run once. The page receives by best effort, so its number of samples may vary."""
     methods = ("--method", "linear", "--method", "spline", "--method", "linear")
     watch = [*CLI, "watch", "--port", "0", "--json"]
     with running(watch, ros_environment, stdout=subprocess.PIPE, text=True) as page, ThreadPoolExecutor(1) as thread:
-        stream = thread.submit(events_of, json.loads(page.stdout.readline())["url"])
+        stream = urllib.request.urlopen(json.loads(page.stdout.readline())["url"] + "events", timeout=LIMIT)
+        lines = thread.submit(stream.readlines)
         assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
-        events = stream.result()
+        events = [json.loads(line[6:]) for line in lines.result() if line.startswith(b"data: ")]
         assert page.wait(LIMIT) == 0
     assert not nodes_of(tmp_path)
     printed = capsys.readouterr()
@@ -170,7 +164,7 @@ def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_
         for name in NODES:
             partner = world.partner(name, space)
             publishers = [partner.create_publisher(*topics.BY_NAME[t]) for t in ("tool_pose", "reference_trajectory")]
-            publishers[1].publish(to_msg(short_cell.target()))
+            publishers[1].publish(to_bytes(short_cell.target()))
     monkeypatch.setattr("kr270_milling.show.commands.run.table_of", lambda *_: os.kill(os.getpid(), signal.SIGINT))
     assert main(run_words(tmp_path, "--namespace", "left", "--passes", "1", "--processes")) == 130
     out, errors = capsys.readouterr()
@@ -270,7 +264,8 @@ def children(tmp_path, monkeypatch):
 
 def test_of_two_nodes_that_have_ended_the_first_one_is_named(children, tmp_path):
     graph = Graph(None, tmp_path)
-    graph.children = children("/bin/sh\nsleep $4; echo gone; exit 1\n", **dict(zip(NODES, "1092", strict=True)))
+    words = dict(zip(NODES, ("0.3", "0", "9", "9"), strict=True))
+    graph.children = children("/bin/sh\nsleep $4; echo gone; exit 1\n", **words)
     wait_until(lambda: sum(not child.alive for child in graph.children.values()) >= 2, "the children do not end")
     try:
         with pytest.raises(RunError, match=r"^cutting_process: ended with exit code 1 \(gone; see "):
@@ -297,23 +292,18 @@ time.sleep(1000)
     assert both["recorder"].process.wait(LIMIT) == 0
 
 
-def test_the_node_that_is_silent_is_named_and_not_the_one_that_misses_its_messages(tmp_path):
-    graph = Graph(None, tmp_path)
-    graph.children, graph._in_pass = dict.fromkeys(NODES, SimpleNamespace(alive=True)), True
-    silences = {
-        node: SimpleNamespace(seconds=lambda s=s: s) for node, s in zip(NODES, (0.1, 3.9, 0.1, 1.2), strict=True)
-    }
-    graph.driver = SimpleNamespace(error=(NODES[0], "no wrench for 4 s"), silences=silences)
-    with pytest.raises(RunError, match="^cutting_process: has not reported for 4 s"):
-        graph.check()
-
-
-def test_silent_node_is_reported_once_and_then_ends_the_run(tmp_path, monkeypatch):
+def test_silent_node_is_reported_once_and_then_ends_the_run_and_not_the_one_that_misses_its_messages(
+    tmp_path, monkeypatch
+):
     now = [0.0]
     monkeypatch.setattr(node, "time", SimpleNamespace(monotonic=lambda: now[0]))
     silence, graph, sentences = Silence(), Graph(None, tmp_path), []
-    graph.driver = SimpleNamespace(error=None, silences={"cutting_process": silence})
-    graph.children = {"cutting_process": SimpleNamespace(alive=True)}
+    robot, planner, recorder = (
+        SimpleNamespace(seconds=lambda s=s: s, is_due=lambda *_: False) for s in (0.1, 0.1, 1.2)
+    )
+    silences = dict(zip(NODES, (robot, silence, planner, recorder), strict=True))
+    graph.driver = SimpleNamespace(error=None, silences=silences)
+    graph.children = dict.fromkeys(NODES, SimpleNamespace(alive=True))
     graph.warn = sentences.append
 
     def wait(seconds: float) -> None:
@@ -330,6 +320,10 @@ def test_silent_node_is_reported_once_and_then_ends_the_run(tmp_path, monkeypatc
     silence.end()
     wait(2 * QUIET)
     assert sentences == ["cutting_process: has not reported for 1 s; waiting"] * 2
+    graph.driver.error = (NODES[0], "no wrench for 2 s")
+    with pytest.raises(RunError, match="^cutting_process: has not reported for 2 s"):
+        graph.check()
+    graph.driver.error = None
     with pytest.raises(RunError, match="cutting_process: has not reported for 4 s"):
         wait(LOST)
 
@@ -354,11 +348,9 @@ def test_silence_counts_in_mid_pass_alone(tmp_path):
 def test_a_recorder_that_lacks_messages_of_a_pass_is_reported(tmp_path, monkeypatch, latest, missing, sentence):
     monkeypatch.setattr("kr270_milling.live.graph.graph.CATCH_UP", 0.05)
     graph, sentences, calls = Graph(None, tmp_path), [], []
-    stamps = dict(
-        zip(NODES, ({"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}), strict=True)
-    )
+    stamps = {"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}
     graph.driver = SimpleNamespace(
-        statuses={name: SimpleNamespace(stamps_ns=sent) for name, sent in stamps.items()},
+        statuses={name: SimpleNamespace(stamps_ns=sent) for name, sent in zip(NODES, stamps, strict=True)},
         value=lambda node, key: missing,
         until=lambda condition, *_: wait_until(condition, "the end"),
         set_parameters=lambda *words: calls.append(words[:2]),

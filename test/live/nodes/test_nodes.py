@@ -6,19 +6,24 @@ The protocols (test/exchange) prove which samples are refused; these tests prove
 from __future__ import annotations
 
 import functools
+import runpy
 
 import numpy as np
 import pytest
-from foreign_cell import WALL
+from foreign_cell import PLACED, STANDING, WALL, foreign_pass
 
 pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
-from rclpy.qos import qos_profile_sensor_data
-from ros_messages import from_msg, ns_from_stamp, pose_msg, to_msg, wrench_msg
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.time import Time
+from ros_domain import from_msg
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.samples import JointSample, PoseSample, WrenchSample
+from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.live.nodes import compliant_robot
 from kr270_milling.live.nodes.compliant_robot import CompliantRobot
@@ -29,6 +34,7 @@ from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import stamp_from_ns
 from kr270_milling.physics.robot.errors import ReachError
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.codec import to_bytes
 
 OK, WARN, ERROR = 0, 1, 2
 ROBOT, CUT, COMPENSATOR = "/compliant_robot", "/cutting_process", "/trajectory_compensator"
@@ -112,11 +118,6 @@ def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_match
 
 
 @pytest.fixture(scope="module")
-def ran(short_cell):
-    return simulate(short_cell).result
-
-
-@pytest.fixture(scope="module")
 def revised(short_cell, ran):
     """Positions of the reference after this pass."""
     return compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran)).position
@@ -144,25 +145,24 @@ def test_a_paced_pass_gives_the_plain_loop_bit_for_bit_and_is_not_quicker(world,
     assert not any(level == ERROR for _, level, _ in loop.reports.all)
 
 
-def test_robot_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, loop, ran, short_cell, tmp_path):
+@pytest.mark.parametrize(("name", "kind", "lost", "restarted"), [
+    ("robot", CompliantRobot, [(CUT, "the robot is gone in mid-pass"), (COMPENSATOR, "/tool_pose has no publisher")],
+     [(CUT, "a new pass needs a fresh workpiece")]),
+    ("cut", CuttingProcess, [(ROBOT, "no wrench: its publisher is gone; the cutting process is gone")], []),
+])  # fmt: skip
+def test_node_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(
+    world, loop, ran, short_cell, tmp_path, name, kind, lost, restarted
+):
     loop.reach(20)
-    world.remove(loop.robot)
-    loop.reports.until(CUT, "the robot is gone in mid-pass", ERROR)
-    loop.reports.until(COMPENSATOR, "/tool_pose has no publisher", ERROR)
-    loop.robot = world.add(CompliantRobot, cell=short_cell, directory=tmp_path)
-    loop.robot.trigger_configure()
-    loop.robot.trigger_activate()
-    loop.reports.until(CUT, "a new pass needs a fresh workpiece", ERROR)
-    loop.again(ran)
-
-
-def test_cut_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, loop, ran, short_cell, tmp_path):
-    loop.reach(20)
-    world.remove(loop.cut)
-    loop.reports.until(ROBOT, "no wrench: its publisher is gone; the cutting process is gone", ERROR)
-    loop.cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
-    loop.cut.trigger_configure()
-    loop.cut.trigger_activate()
+    world.remove(getattr(loop, name))
+    for report in lost:
+        loop.reports.until(*report, ERROR)
+    again = world.add(kind, cell=short_cell, directory=tmp_path)
+    setattr(loop, name, again)
+    again.trigger_configure()
+    again.trigger_activate()
+    for report in restarted:
+        loop.reports.until(*report, ERROR)
     loop.again(ran)
 
 
@@ -171,7 +171,7 @@ def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, ran,
     loop.start(cut=False)
     asked = world.listen(loop.ear, topics.TOOL_POSE)
     world.until(lambda: len(asked) >= 6)  # longer than a pass under way would be waited for
-    assert {ns_from_stamp(msg.header.stamp) for msg in asked} == {loop.robot.protocol.start_ns}
+    assert {from_msg(msg).stamp for msg in asked} == {loop.robot.protocol.start_ns}
     assert not loop.reports.reported(ROBOT, "", ERROR)
     loop.cut.trigger_activate()
     loop.matches(ran)
@@ -254,15 +254,14 @@ class Machine:
         self.joints = world.listen(self.node, topics.JOINT_TRAJECTORY)
         self.reports = world.diagnostics(self.node)
         world.until(lambda: self.pose.get_subscription_count() and self.wrench.get_subscription_count())
-        world.until(lambda: self.references)
 
     def play(self, result, rows, wrench: bool = True) -> None:
-        start = ns_from_stamp(self.references[-1].header.stamp)
+        start = from_msg(self.references[-1]).start_ns
         for i in rows:
             stamp = start + int(result.time_ns[i])
-            self.pose.publish(pose_msg(stamp, result.tool[i], UPRIGHT))
+            self.pose.publish(to_bytes(PoseSample(stamp, "workpiece", result.tool[i], UPRIGHT)))
             if wrench:
-                self.wrench.publish(wrench_msg(stamp, result.wrench[i]))
+                self.wrench.publish(to_bytes(WrenchSample(stamp, "workpiece", result.wrench[i])))
             self.world.executor.spin_once(timeout_sec=0.0)
 
     def reference(self, index: int):
@@ -278,7 +277,7 @@ def node(world, short_cell, tmp_path):
 @pytest.fixture
 def machine(world, node):
     made = Machine(world)
-    world.until(lambda: not node._readiness.waiting_for)
+    world.until(lambda: made.references and not node._readiness.waiting_for)
     return made
 
 
@@ -291,7 +290,7 @@ def test_what_does_not_fit_the_start_message_is_reported(world, short_cell, tmp_
     world.until(start.get_subscription_count)
     start.publish(Header(stamp=stamp_from_ns(WALL)))
     world.until(lambda: node.protocol.under_way)
-    machine.pose.publish(pose_msg(WALL - 10**10, ran.tool[0], UPRIGHT))
+    machine.pose.publish(to_bytes(PoseSample(WALL - 10**10, "workpiece", ran.tool[0], UPRIGHT)))
     machine.reports.until(COMPENSATOR, "s before the start of the pass, so the pose is not used", WARN)
     machine.reports.until(COMPENSATOR, "no tool_pose for 0.8 s in mid-pass", WARN)
 
@@ -325,7 +324,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     answered("start in 1 s", success=True)
     world.until(lambda: machine.joints)
     (sent,) = machine.joints
-    assert 0.9e9 < ns_from_stamp(sent.header.stamp) - before < 10e9
+    assert 0.9e9 < Time.from_msg(sent.header.stamp).nanoseconds - before < 10e9
     assert sent.joint_names == [f"joint_{i}" for i in range(1, 7)]
     assert sent.points[0].positions.tolist() == stands.tolist() and not any(sent.points[-1].velocities)
     positions = [point.positions.tolist() for point in sent.points[2:-1]]
@@ -350,45 +349,44 @@ def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, r
         paths = world.listen(latecomer, topic)
         world.until(lambda paths=paths: paths)
         (path,) = paths
-        stamps = [ns_from_stamp(pose.header.stamp) for pose in path.poses]
+        stamps = [Time.from_msg(pose.header.stamp).nanoseconds for pose in path.poses]
         places = [[pose.pose.position.x, pose.pose.position.y, pose.pose.position.z] for pose in path.poses]
         assert stamps[0] == 0 and stamps[-1] == run.duration_ns and set(run.time_ns.tolist()) <= set(stamps)
         assert np.array_equal(places, run.sample(stamps))
         assert path.header.frame_id == path.poses[-1].header.frame_id == "workpiece"
 
 
-def raised(short_cell):
+def raised(short_cell) -> bytes:
     """A target that no arm of this size can reach."""
     target = short_cell.target()
-    return to_msg(target.with_position(target.position + [0.0, 0.0, 9.0]))
+    return to_bytes(target.with_position(target.position + [0.0, 0.0, 9.0]))
 
 
 def reset(machine):
     return machine.world.request("/trajectory_compensator/reset")
 
 
-def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, revised, short_cell):
-    machine.node.create_publisher(*topics.TARGET_TRAJECTORY).publish(raised(short_cell))
+def test_refused_targets_leave_the_node_waiting_for_another_or_with_the_one_before(
+    world, ran, revised, short_cell, tmp_path
+):
+    node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
+    machine = Machine(world)
+    publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
+    publisher.publish(raised(short_cell))
     machine.reports.until(COMPENSATOR, "reach", ERROR)
+    world.step(0.3)
+    assert node.failure is None and not machine.references
+    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
+    for index, target in enumerate((longer, short_cell.target())):
+        publisher.publish(to_bytes(target))
+        assert machine.reference(index).duration_ns == target.duration_ns
+    refused = node.refused
+    publisher.publish(raised(short_cell))
+    world.until(lambda: node.refused > refused)
     machine.play(ran, range(ran.time_ns.size), wrench=False)
-    assert np.array_equal(machine.reference(1).position, revised)
+    assert np.array_equal(machine.reference(2).position, revised)
     assert reset(machine).success
     assert node.failure is None
-
-
-def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world, short_cell, tmp_path):
-    node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
-    partner = world.partner()
-    reports, references = world.diagnostics(partner), world.listen(partner, topics.REFERENCE_TRAJECTORY)
-    publisher = partner.create_publisher(*topics.TARGET_TRAJECTORY)
-    publisher.publish(raised(short_cell))
-    reports.until(COMPENSATOR, "reach", ERROR)
-    world.step(0.3)
-    assert node.failure is None and not references
-    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
-    publisher.publish(to_msg(longer))
-    world.until(lambda: references)
-    assert from_msg(references[0]).duration_ns == longer.duration_ns
 
 
 def out_of_reach(monkeypatch) -> None:
@@ -400,7 +398,7 @@ def out_of_reach(monkeypatch) -> None:
     monkeypatch.setattr("kr270_milling.exchange.compensator.commanded_joints", refuse)
 
 
-def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):
+def test_reset_and_parameters_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):
     refused = node.set_parameters([Parameter("compensation.method", value="magic")])[0]
     assert not refused.successful and "linear" in refused.reason
     out_of_reach(monkeypatch)
@@ -413,20 +411,6 @@ def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machin
     assert reset(machine).success
     assert node.set_parameters([Parameter("compensation.method", value="spline")])[0].successful
     machine.world.until(lambda: machine.reports.last.get(COMPENSATOR, {}).get("method") == "spline")
-
-
-def test_pass_whose_revision_is_refused_is_reported_once_and_the_next_pass_counts(machine, node, ran, revised):
-    with pytest.MonkeyPatch.context() as patch:
-        out_of_reach(patch)
-        machine.play(ran, range(ran.time_ns.size))
-        machine.reports.until(COMPENSATOR, "would be 3.0000 m", ERROR)
-        machine.world.step(0.7)
-    assert node.refused == 1 and node.protocol.compensator.errors == ()
-    machine.play(ran, range(ran.time_ns.size))
-    assert np.array_equal(machine.reference(1).position, revised)
-
-
-def test_every_other_parameter_is_read_only_and_described_with_its_range(node):
     refused = node.set_parameters([Parameter("tool.diameter_mm", value=10.0)])[0]
     assert not refused.successful and "read-only" in refused.reason
     described = node.describe_parameter("tool.diameter_mm")
@@ -435,8 +419,88 @@ def test_every_other_parameter_is_read_only_and_described_with_its_range(node):
     assert node.describe_parameter("tool.teeth").integer_range
 
 
-def test_pass_whose_start_was_missed_is_reported_and_not_used(machine, ran):
+def test_pass_without_its_start_and_one_whose_revision_is_refused_are_reported_and_the_next_counts(
+    machine, node, ran, revised
+):
     machine.play(ran, range(10, ran.time_ns.size))
     machine.reports.until(COMPENSATOR, "did not receive its start", ERROR)
     machine.world.step(0.7)
-    assert len(machine.references) == 1
+    refused = node.refused
+    with pytest.MonkeyPatch.context() as patch:
+        out_of_reach(patch)
+        machine.play(ran, range(ran.time_ns.size))
+        machine.reports.until(COMPENSATOR, "would be 3.0000 m", ERROR)
+        machine.world.step(0.7)
+    assert node.refused == refused + 1 and node.protocol.compensator.errors == () and len(machine.references) == 1
+    machine.play(ran, range(ran.time_ns.size))
+    assert np.array_equal(machine.reference(1).position, revised)
+
+
+# --- a robot, a force sensor and the shipped bridge in place of robot and cut, in a namespace ---
+
+
+AT_ONCE = 100
+SPACE = "/work_cell"
+REMAPPED = ("-r", "joint_states:=driver/joint_states", "-r", "force:=sensor/force", "-r", "tool_pose:=encoder_pose")
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class CellOfOthers:
+    """A driver and a sensor with their own names, and what the bridge publishes of their messages."""
+
+    def __init__(self, world, cell):
+        self.world, self.cell = world, cell
+        driver, sensor = world.partner("driver", SPACE), world.partner("sensor", SPACE)
+        joints, force = topics.JOINT_STATES.type, topics.WRENCH.type
+        self.pose = driver.create_publisher(*topics.TOOL_POSE)
+        self.joints = driver.create_publisher(joints, "driver/joint_states", BEST_EFFORT)
+        self.force = sensor.create_publisher(force, "sensor/force", BEST_EFFORT)
+        self.wrenches, self.encoders = world.listen(driver, topics.WRENCH), []
+        driver.create_subscription(topics.TOOL_POSE.type, "encoder_pose", self.encoders.append, topics.TOOL_POSE.qos)
+        self.references, self.reports = world.listen(driver, topics.REFERENCE_TRAJECTORY), world.diagnostics(driver)
+        publishers = (self.pose, self.joints, self.force)
+        world.until(lambda: self.references and all(p.get_subscription_count() for p in publishers))
+        self.sent = 0
+
+    def run(self, reference, samples) -> None:
+        """Publish the samples of a pass, no faster than the bridge takes them."""
+        poses = [sample for sample in samples if isinstance(sample, PoseSample)]
+        at = np.clip([pose.stamp - WALL for pose in poses], 0, reference.duration_ns)
+        joints = iter(self.cell.joints_along(reference, at))
+        for sample in samples:
+            if isinstance(sample, PoseSample):
+                self.pose.publish(to_bytes(sample))
+                self.joints.publish(to_bytes(JointSample(sample.stamp, self.cell.joint_names, next(joints))))
+            else:
+                self.force.publish(to_bytes(sample))
+            self.sent += 1
+            if self.sent % AT_ONCE == 0:
+                self.world.until(lambda: len(self.wrenches) + len(self.encoders) == self.sent)
+
+
+def test_learning_converges_with_a_robot_and_a_sensor_of_other_makers(world, tmp_path):
+    """Before the pass, the robot waits 10 mm away from the start. The records (test/exchange) have all four passes."""
+    given = (*PLACED, "compensation.method=learned", "imperfections.pose_noise_um=5")
+    cell = read_cell(find_file("paper.yaml"), given)
+    words, cell_file = ("-r", f"__ns:={SPACE}"), {"cell": cell, "directory": tmp_path}
+    world.add(TrajectoryCompensator, *words, "-p", "wait_for:=bridge, driver", **cell_file)
+    world.add(runpy.run_path(str(find_file("bridge.py")))["Bridge"], *words, *REMAPPED, **cell_file)
+    machine, errors = CellOfOthers(world, cell), []
+    for number in range(2):
+        world.until(lambda n=number: len(machine.references) > n)
+        reference = from_msg(machine.references[number])
+        result = simulate(cell, reference).result
+        errors.append(np.abs((result.actual - result.target)[result.time > cell.full_engagement, 1]).max())
+        if number == 0:
+            samples = foreign_pass(result, 0, cell.imperfections.pose_noise, cell, WALL)
+            still = [s for s in samples if s.stamp < WALL and isinstance(s, PoseSample)]
+            away = [s._replace(stamp=s.stamp - STANDING, position=s.position + [0.0, 0.0, 0.01]) for s in still]
+            machine.run(reference, away)
+            machine.reports.until(f"{SPACE}/trajectory_compensator", "mm from the first point of the reference")
+            machine.run(reference, samples)
+    assert errors[0] > 60e-6 and errors[1] < 10e-6
+    # the encoders see the reference alone, from joint positions by the forward kinematics
+    reference = from_msg(machine.references[0])
+    encoder = np.array([from_msg(msg).position for msg in machine.encoders[100:400]])
+    assert np.abs(encoder[:, 1:] - reference.position[0, 1:]).max() < 1e-8 and np.ptp(encoder[:, 0]) > 0.05
+    assert {msg.header.frame_id for msg in machine.wrenches} == {"ft_sensor"}

@@ -28,7 +28,6 @@ ROOT = Path(__file__).resolve().parents[3]
 PAPER = str(ROOT / "config" / "paper.yaml")
 NODE = [sys.executable, "-m", "kr270_milling.live.nodes", "compliant_robot", "--ros-args", "--params-file", PAPER]
 COMMAND = [sys.executable, "-m", "kr270_milling.cli", "simulate", PAPER]
-STARTS = 2
 
 
 def started(command, environment) -> subprocess.Popen:
@@ -41,13 +40,11 @@ def started(command, environment) -> subprocess.Popen:
 
 @pytest.mark.parametrize("command, expected", [(NODE, 0), (COMMAND, 130)], ids=["node", "command"])
 def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment, command, expected):
-    whole = time.monotonic()
-    process = started(command, ros_environment)
-    imports = time.monotonic() - whole  # grows with the load of the machine, as the rest of the imports does
-    for turn in range(STARTS):
-        if turn:
-            process = started(command, ros_environment)
-        time.sleep(2 * imports * turn / STARTS)
+    for turn in range(2):
+        begin = time.monotonic()
+        process = started(command, ros_environment)
+        imports = time.monotonic() - begin  # grows with the load of the machine, as the rest of the imports does
+        time.sleep(imports * turn)
         process.send_signal(signal.SIGTERM if command is NODE and turn == 1 else signal.SIGINT)
         _, errors = process.communicate(timeout=60)
         assert "Traceback" not in errors and "ignored" not in errors
@@ -154,12 +151,11 @@ def test_second_signal_ends_a_node_whose_middleware_blocks_while_it_leaves(ros_e
 
 
 class Counting(ReportingNode):
-    """Fails in its 100th callback, and ends with the 1000th at the latest."""
+    """Fails in its 100th callback, or ends with the 5000th at the latest."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, fails: bool, **kwargs):
         super().__init__("counting", **kwargs)
-        self.calls = 0
-        self.fails = True
+        self.calls, self.fails = 0, fails
         self.create_timer(0.0005, self.count)
 
     @guarded
@@ -167,34 +163,19 @@ class Counting(ReportingNode):
         self.calls += 1
         if self.calls == 100 and self.fails:
             raise ZeroDivisionError("a mistake")
-        if self.calls == 1000:
+        if self.calls == 5000:
             self.end("is not stopped")
 
 
-@pytest.fixture
-def counted(ros_environment):
-    """Run the node in this process; return it and its exit code."""
+def test_node_that_fails_ends_before_its_next_callback_and_one_whose_runner_was_killed_ends_with_0(
+    ros_environment, monkeypatch, capfd
+):
+    nodes: list[Counting] = []
 
-    def run(**settings):
-        nodes: list[Counting] = []
+    def make(fails: bool):
+        return lambda **kwargs: nodes.append(Counting(fails, **kwargs)) or nodes[-1]
 
-        def make(**kwargs) -> Counting:
-            nodes.append(Counting(**kwargs))
-            vars(nodes[0]).update(settings)
-            return nodes[0]
-
-        return nodes, spin.run_node(make, [])
-
-    return run
-
-
-def test_node_that_fails_ends_before_its_next_callback(counted, capfd):
-    (node,), code = counted()
-    assert code == 1 and node.calls == 100
+    assert spin.run_node(make(True), []) == 1 and nodes[0].calls == 100
     assert capfd.readouterr().err.splitlines()[-1] == "counting: ZeroDivisionError in count: a mistake"
-
-
-def test_node_whose_runner_was_killed_ends_with_0(counted, monkeypatch):
     monkeypatch.setenv(PARENT, "1")
-    (node,), code = counted(fails=False)
-    assert code == 0 and node.calls < 1000
+    assert spin.run_node(make(False), []) == 0 and nodes[1].calls < 5000

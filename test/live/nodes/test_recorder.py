@@ -9,22 +9,23 @@ import pytest
 pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import serialize_message
-from ros_messages import pose_msg, wrench_msg
+from rclpy.qos import qos_profile_sensor_data
+from recording_samples import full_disk
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.polling import PolledMessage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.messages.codec import to_bytes
 
 OK, WARN = 0, 1
 NAME = "/recorder"
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def recorder(world, tmp_path):
 
 def publish_wrenches(world, publisher, steps) -> None:
     for i in steps:
-        publisher.publish(wrench_msg(i * 500_000, np.full(6, float(i))))
+        publisher.publish(to_bytes(WrenchSample(i * 500_000, "workpiece", np.full(6, float(i)))))
         world.executor.spin_once(timeout_sec=0.0)
 
 
@@ -75,7 +76,7 @@ def written(directory, topic: str) -> int:
 
 def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_continues(world, recorder, tmp_path):
     """What the middleware hands over; it ended the whole recording."""
-    data = serialize_message(wrench_msg(0, np.zeros(6)))
+    data = to_bytes(WrenchSample(0, "workpiece", np.zeros(6)))
     recorder.session.writer.add_topic("/wrench", "geometry_msgs/msg/WrenchStamped")
     for publish_time in (1, -1, 2**63, 4):
         recorder.session._write(recorder.session.writer.write, "/wrench", data, publish_time)
@@ -89,12 +90,11 @@ def test_markers_are_published_too_recorded_once_and_at_most_30_a_second_of_the_
     """Not /tf: the wheels have no tf2_msgs; then it is recorded alone."""
     partner = world.partner()
     poses = partner.create_publisher(*topics.TOOL_POSE)
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     messages: list[MarkerArray] = []
-    partner.create_subscription(MarkerArray, "/markers", messages.append, latched)
+    partner.create_subscription(MarkerArray, "/markers", messages.append, topics.LATCHED)
     world.until(lambda: poses.get_subscription_count())
     for i in range(300):  # 0.15 s of the pass
-        poses.publish(pose_msg(i * 500_000, np.array([i * 1e-4, 0.0, 0.0]), UPRIGHT))
+        poses.publish(to_bytes(PoseSample(i * 500_000, "workpiece", np.array([i * 1e-4, 0.0, 0.0]), UPRIGHT)))
         world.executor.spin_once(timeout_sec=0.0)
     world.until(lambda: messages and messages[-1].markers[0].header.stamp.nanosec >= 133_000_000)
     world.step(0.3)  # the recorder receives none of its messages
@@ -108,48 +108,30 @@ def test_what_somebody_else_publishes_for_viewers_is_left_to_him(world, recorder
     markers = partner.create_publisher(MarkerArray, "/markers", 1)
     poses = partner.create_publisher(*topics.TOOL_POSE)
     world.until(lambda: poses.get_subscription_count() and markers.get_subscription_count())
-    poses.publish(pose_msg(0, np.zeros(3), UPRIGHT))
+    poses.publish(to_bytes(PoseSample(0, "workpiece", np.zeros(3), UPRIGHT)))
     world.until(lambda: recorder.session.writer.report().get("/tool_pose", {}).get("count") == 1)
     assert recorder.session.writer.report()["/markers"]["count"] == 0
 
 
-def test_description_that_comes_before_every_stamp_does_not_make_the_recording_last_for_decades(world, tmp_path):
+def test_latched_description_before_every_stamp_does_not_make_the_recording_last_for_decades(world, tmp_path):
+    """A publisher by best effort is matched too."""
     recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}", "-p", "topics:=robot_description,tool_pose")
-    partner = world.partner()
-    description, pose = (partner.create_publisher(*t) for t in (topics.ROBOT_DESCRIPTION, topics.TOOL_POSE))
-    description.publish(String(data="<robot/>"))
-    world.until(
-        lambda: pose.get_subscription_count() and recorder.session.writer.report()["/robot_description"]["count"]
-    )
-    pose.publish(pose_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
-    world.until(lambda: recorder.session.writer.report()["/tool_pose"]["count"])
+    partner, count = world.partner(), lambda name: recorder.session.writer.report()[name]["count"]
+    partner.create_publisher(*topics.ROBOT_DESCRIPTION).publish(String(data="<robot/>"))
+    pose = partner.create_publisher(*topics.TOOL_POSE[:2], qos_profile_sensor_data)
+    world.until(lambda: pose.get_subscription_count() and count("/robot_description"))
+    pose.publish(to_bytes(PoseSample(500_000, "workpiece", np.zeros(3), UPRIGHT)))
+    world.until(lambda: count("/tool_pose"))
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:
         assert [m.log_time for m in recording.messages()] == [0, 500_000]
 
 
-def test_best_effort_and_latched_publishers_are_both_matched(world, recorder):
-    partner = world.partner()
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    best_effort = QoSProfile(depth=5)
-    best_effort.reliability = 2
-    for name, qos in (("latched", latched), ("effort", best_effort)):
-        publisher = partner.create_publisher(String, name, qos)
-        world.until(lambda p=publisher: p.get_subscription_count())
-        publisher.publish(String(data=name))
-        world.until(lambda n=name: recorder.session.writer.report()[f"/{n}"]["count"] == 1)
-
-
-def test_full_disk_is_reported_and_the_written_part_stays_readable(world, recorder, tmp_path, full_disk):
+def test_full_disk_is_reported_and_the_written_part_stays_readable(world, recorder, tmp_path):
     publisher = world.partner().create_publisher(String, "noise", 100)
     world.until(publisher.get_subscription_count)
-    full_disk(200_000)
-
-    def is_done() -> bool:
-        publisher.publish(String(data=os.urandom(5000).hex()))
-        return recorder.done
-
-    world.until(is_done)
+    with full_disk(200_000):
+        world.until(lambda: publisher.publish(String(data=os.urandom(5000).hex())) or recorder.done)
     assert "are safe" in recorder.failure
     with Recording(tmp_path / "rec") as recording:
         assert recording.topics()["/noise"].count > 0
@@ -166,16 +148,8 @@ def test_topic_with_an_impossible_name_is_refused_before_anything_is_written(wor
 
 def test_a_file_that_ends_anywhere_lacks_nothing_that_came_before_the_rest_of_it(recorder, monkeypatch):
     """The readers are emptied one after another: a wrench came while that of the poses was empty already."""
-    batches = [[(8, "pose 1"), (12, "wrench 2")], [(11, "pose 2"), (13, "pose 3"), (21, "wrench 4")]]
-    assert emptied(recorder, monkeypatch, batches, [10, 20]) == [
-        ["pose 1"], ["pose 1", "pose 2", "wrench 2", "pose 3"],
-    ]  # fmt: skip
-
-
-def emptied(recorder, monkeypatch, batches, moments) -> list[list[str]]:
-    """What is written after each time that the readers were emptied; moments: begin of each poll."""
-    records: list[str] = []
-    after, times, arrived = [], iter(moments), iter(batches)
+    arrived = iter([[(8, "pose 1"), (12, "wrench 2")], [(11, "pose 2"), (13, "pose 3"), (21, "wrench 4")]])
+    times, records = iter([10, 20]), []
     clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=next(times)))
 
     def taken(subscriptions):
@@ -184,18 +158,17 @@ def emptied(recorder, monkeypatch, batches, moments) -> list[list[str]]:
     with monkeypatch.context() as only:
         only.setattr(recorder, "get_clock", lambda: clock)
         only.setattr("kr270_milling.live.nodes.recording_session.poll", taken)
-        for _ in batches:
-            recorder.session.poll()
-            after.append(list(records))
+        recorder.session.poll()
+        assert records == ["pose 1"]
+        recorder.session.poll()
+    assert records == ["pose 1", "pose 2", "wrench 2", "pose 3"]
     recorder.session._waiting.clear()
-    return after
 
 
 def test_a_directory_that_is_set_ends_the_recording_and_begins_another(world, tmp_path):
     recorder = world.add(Recorder, "-p", "autostart:=false")
     partner = world.partner()
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    partner.create_publisher(String, "robot_description", latched).publish(String(data="<robot/>"))
+    partner.create_publisher(*topics.ROBOT_DESCRIPTION).publish(String(data="<robot/>"))
     publisher = partner.create_publisher(*topics.WRENCH)
     assert recorder.watch() == {}
     for name, steps in (("first", range(30)), ("second", range(20))):

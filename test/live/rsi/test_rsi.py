@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from recording_samples import full_disk
 from ros_domain import open_ports
 from rsi_controller import Controller, telegram
 
@@ -54,24 +55,23 @@ def corrections(corrector: Corrector, points) -> np.ndarray:
     return np.array([corrector.step(p) for p in points])
 
 
+def corrector_of(table: CorrectionTable) -> Corrector:
+    return Corrector(table, CorrectionLimits(), CYCLE)
+
+
 # --- the correction belongs to the place ---
 
 
-@pytest.mark.parametrize("override", [0.1, 0.3, 1.0])
-def test_the_correction_starts_from_nothing_and_is_that_of_the_place_whatever_the_override(override):
-    x = np.arange(0.0, 0.05, override * FEED * CYCLE)
-    applied = corrections(Corrector(line(), CorrectionLimits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
+RUNS = {f"{override:.0%}": np.arange(0.0, 0.05, override * FEED * CYCLE) for override in (0.1, 0.3, 1.0)}
+RUNS["a stop"] = np.concatenate([np.linspace(0, 0.02, 200), np.full(500, 0.02), np.linspace(0.02, 0.04, 200)])
+
+
+@pytest.mark.parametrize("x", RUNS.values(), ids=RUNS)
+def test_the_correction_starts_from_nothing_and_is_that_of_the_place_whatever_override_and_stops(x):
+    applied = corrections(corrector_of(line()), np.stack([x, 0 * x, 0 * x], -1))
     assert np.abs(applied[0]).max() < 1e-6
-    late = (x > 0.02) & (x < 0.049)
+    late = (x >= 0.02) & (x < 0.049)
     np.testing.assert_allclose(applied[late, :3], shift_at(x[late]), rtol=0, atol=1e-8)
-
-
-def test_a_stop_keeps_the_correction_and_the_path_continues_from_there():
-    table = line()
-    x = np.concatenate([np.linspace(0, 0.02, 200), np.full(500, 0.02), np.linspace(0.02, 0.04, 200)])
-    applied = corrections(Corrector(table, CorrectionLimits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
-    np.testing.assert_allclose(applied[250:700, 1], 1e-4 * np.sin(1.2), atol=1e-8)
-    np.testing.assert_allclose(applied[-1, 1], 1e-4 * np.sin(2.4), atol=1e-6)
 
 
 def test_a_path_that_crosses_itself_and_one_that_returns_keep_their_order():
@@ -83,7 +83,7 @@ def test_a_path_that_crosses_itself_and_one_that_returns_keep_their_order():
     for points in (eight, np.stack([back, 0 * back, 0 * back], -1)):
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         table = table_of(points, np.stack([0 * way, 2e-4 * way / way[-1], 0 * way], -1))
-        applied = corrections(Corrector(table, CorrectionLimits(), CYCLE), points)
+        applied = corrections(corrector_of(table), points)
         assert np.abs(applied[100:, 1] - table.correction[100:, 1]).max() < 1e-6
 
 
@@ -91,8 +91,8 @@ def test_the_result_does_not_depend_on_the_frame():
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     table = line()
     turned = table_of(table.position @ turn.T + 0.7, table.correction[:, :3] @ turn.T)
-    one = corrections(Corrector(table, CorrectionLimits(), CYCLE), table.position)
-    other = corrections(Corrector(turned, CorrectionLimits(), CYCLE), turned.position)
+    one = corrections(corrector_of(table), table.position)
+    other = corrections(corrector_of(turned), turned.position)
     np.testing.assert_allclose(other[:, :3], one[:, :3] @ turn.T, atol=1e-9)
 
 
@@ -114,22 +114,16 @@ def test_size_and_rate_are_limited_whatever_the_table_and_the_robot_do():
     assert corrector.limited > 100
 
 
-def test_away_from_the_path_the_correction_ramps_to_zero_and_back():
+def test_away_from_the_path_the_correction_ramps_to_zero_and_back_and_missed_cycles_start_it_from_zero():
     table = line()
-    corrector = Corrector(table, CorrectionLimits(), CYCLE)
+    corrector = corrector_of(table)
     corrections(corrector, table.position[:100])
     lifted = corrections(corrector, np.repeat(table.position[100:101] + [0, 0, 5e-3], 60, axis=0))
     assert np.all(lifted[-1] == 0.0) and corrector.reason == "5.0 mm from the path"
     assert np.abs(np.diff(lifted, axis=0)).max() < 1e-5
-    corrections(corrector, table.position[100:180])
-    np.testing.assert_allclose(corrector.applied, table.correction[179], atol=1e-8)
-
-
-def test_after_missed_cycles_the_correction_starts_from_zero():
-    table = line()
-    corrector = Corrector(table, CorrectionLimits(), CYCLE)
-    corrections(corrector, table.position[:100])
-    corrector.step(table.position[105], 6)
+    corrections(corrector, table.position[100:175])
+    np.testing.assert_allclose(corrector.applied, table.correction[174], atol=1e-8)
+    corrector.step(table.position[180], 6)
     assert corrector.share == 0.0 and corrector.reason == "5 cycles without a telegram"
 
 
@@ -145,26 +139,17 @@ def test_a_telegram_is_read_in_si_and_the_answer_repeats_its_counter():
     assert answer == f'<Sen Type="ImFree"><RKorr {wanted}/><IPOC>17</IPOC></Sen>'
 
 
-BAD = {
-    "empty": b"",
-    "text": b"hello",
-    "cut off": telegram(1, (0, 0, 0))[:60],
-    "another root": b"<Sen/>",
-    "no counter": telegram(1, (0, 0, 0)).replace(b"<IPOC>1</IPOC>", b""),
-    "a counter of many digits": telegram("9" * 400, (0, 0, 0)),
-    "a negative counter": telegram(-4, (0, 0, 0)),
-    "no number": telegram(1, (0, 0, 0)).replace(b'X="0.0000"', b'X="zero"'),
-    "nan": telegram(1, (float("nan"), 0, 0)),
-    "far away": telegram(1, (1e9, 0, 0)),
-    "entities": b'<!DOCTYPE Rob [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><Rob><IPOC>&b;</IPOC></Rob>',
-    "UTF-16": ('<?xml version="1.0" encoding="UTF-16"?>' + telegram(1, (0, 0, 0)).decode()).encode("utf-16"),
-    "oversized": telegram(1, (0, 0, 0)) + b" " * 5000,
-    "bytes": bytes(range(256)),
-}
+GOOD = telegram(1, (0, 0, 0))
+BAD = [
+    b"", b"hello", GOOD[:60], b"<Sen/>", GOOD.replace(b"<IPOC>1</IPOC>", b""), telegram("9" * 400, (0, 0, 0)),
+    telegram(-4, (0, 0, 0)), GOOD.replace(b'X="0.0000"', b'X="zero"'), telegram(1, (float("nan"), 0, 0)),
+    telegram(1, (1e9, 0, 0)), b'<!DOCTYPE Rob [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><Rob><IPOC>&b;</IPOC></Rob>',
+    ('<?xml version="1.0" encoding="UTF-16"?>' + GOOD.decode()).encode("utf-16"), GOOD + b" " * 5000, bytes(range(256)),
+]  # fmt: skip
 
 
 def test_an_unusable_telegram_is_refused_in_one_sentence():
-    for data in BAD.values():
+    for data in BAD:
         with pytest.raises(MessageError) as caught:
             read_telegram(data)
         assert "\n" not in str(caught.value)
@@ -184,7 +169,7 @@ def running(patient):
     """A session over the line, its controller, and its sentences."""
     table, sentences = line(), []
     connection = open_socket("127.0.0.1", 0)
-    session = RsiSession(connection, Corrector(table, CorrectionLimits(), CYCLE), 4, sentences.append)
+    session = RsiSession(connection, corrector_of(table), 4, sentences.append)
     thread = threading.Thread(target=session.run)
     thread.start()
     controller = Controller(connection.getsockname()[1])
@@ -206,7 +191,7 @@ def test_lost_repeated_foreign_and_wrong_telegrams_do_not_disturb_the_correction
     np.testing.assert_allclose(1e-3 * applied[:3], table.correction[152, :3], atol=1e-6)
     controller.send(telegram(controller.ipoc, points[152]))  # repeated
     assert np.array_equal(controller.receive()[1], applied)
-    for data in BAD.values():
+    for data in BAD:
         controller.send(data)
     controller.send(telegram(controller.ipoc - 400, points[30]))  # an old counter
     other.send(telegram(controller.ipoc + 4, (500.0, 0.0, 0.0)))
@@ -226,17 +211,17 @@ def test_a_robot_that_falls_silent_ends_the_session(running, monkeypatch):
     assert sentences[-1] == "no telegram for 0.1 s"
 
 
-def test_a_full_disk_is_reported_and_the_answers_continue(running, tmp_path, full_disk):
+def test_a_full_disk_is_reported_and_the_answers_continue(running, tmp_path):
     table, session, controller, sentences = running
     recording = RsiRecording(tmp_path / "rsi", table, {}, {})
     session.record = recording.add
-    full_disk(next((tmp_path / "rsi").glob("*.mcap")).stat().st_size + 100)
     end = time.monotonic() + LIMIT
-    while not session.recording_failed and time.monotonic() < end:
+    with full_disk(next((tmp_path / "rsi").glob("*.mcap")).stat().st_size + 100):
+        while not session.recording_failed and time.monotonic() < end:
+            controller.cycle((0.0, 0.0, 0.0))
         controller.cycle((0.0, 0.0, 0.0))
-    controller.cycle((0.0, 0.0, 0.0))
+        recording.report("is not recorded, and raises no error")
     assert any(s.startswith("answers continue without a recording: ") and "are safe" in s for s in sentences)
-    recording.report("is not recorded, and raises no error")
 
 
 def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path, capsys, patient):

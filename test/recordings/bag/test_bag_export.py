@@ -9,7 +9,7 @@ import json
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from player_options import options
+from pass_recording import options
 from recording_samples import (
     DIAGNOSTICS,
     GRID,
