@@ -13,7 +13,7 @@ import numpy as np
 import pages
 import pytest
 import yaml
-from known_cuts import TRUE, cuts, measured
+from campaigns import FORCES, cuts, measured_cuts
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -65,7 +65,7 @@ def sensor_recording(directory, force) -> None:
 
 def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsys):
     """Tare from the idle stretch, axes turned by A = 90 deg, signs of the part."""
-    some = measured(cuts(feeds=(0.05e-3, 0.1e-3, 0.2e-3)))
+    some = measured_cuts(cuts(feeds=(0.05e-3, 0.1e-3, 0.2e-3)))
     rows = ["feed_per_tooth_mm,depth_mm,width_mm,mode,recording,start_s,stop_s"]
     for i, (feed, force) in enumerate(zip(some.feed_per_tooth, some.force, strict=True)):
         sensor_recording(tmp_path / f"cut_{i}", force)
@@ -77,7 +77,7 @@ def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsy
     )  # fmt: skip
     parts = [("cutting_n_per_mm2", 1e6), ("edge_n_per_mm", 1e3)]
     keys = [(f"{side}_{part}", unit) for side in ("tangential", "radial", "axial") for part, unit in parts]
-    for (key, unit), true in zip(keys, TRUE, strict=True):
+    for (key, unit), true in zip(keys, FORCES, strict=True):
         assert abs(result[key] - true / unit) < 2 * result["ci95"][key]
     assert result["ci95"]["tangential_cutting_n_per_mm2"] < 0.02 * result["tangential_cutting_n_per_mm2"]
 
