@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import pytest
-from slow_rows import rows_and_maker, slow_rows
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cli import main
@@ -49,12 +48,11 @@ class Cluster:
 
     def start(self, *words):
         line = [sys.executable, "-m", "dask", *map(str, words), "--host", "127.0.0.1"]
-        path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        # the result of a killed worker is requested until this time is over
+        environment = os.environ | {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
         with (self.place / "log").open("ab") as log:
-            # the result of a killed worker is requested until this time is over
-            environment = {"PYTHONPATH": path, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
-            return subprocess.Popen(line, stdout=log, stderr=log, cwd=self.place, start_new_session=True,
-                                    env=os.environ | environment)  # fmt: skip
+            output = {"stdout": log, "stderr": log}
+            return subprocess.Popen(line, **output, cwd=self.place, start_new_session=True, env=environment)
 
     def add_worker(self) -> subprocess.Popen:
         words = ("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory")
@@ -79,7 +77,13 @@ def cluster(tmp_path_factory):
 
 
 def rows_of(seconds: float = 0.0):
-    return functools.partial(slow_rows, seconds)
+    """Rows of chunks, after some time; workers get a function in a function as it is, and need no file of it."""
+
+    def rows(number: int) -> bytes:
+        time.sleep(seconds)
+        return f"rows of chunk {number}".encode()
+
+    return rows
 
 
 def chunks(study: Study, count: int) -> list[bytes]:
@@ -114,17 +118,22 @@ def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypat
         return whole(self, number)
 
     monkeypatch.setattr(distributed.Client, "submit", counted)
-    missing = study.missing(200)
+    missing = study.missing(100)
     monkeypatch.setattr(Study, "missing", lambda self, count: missing)
     monkeypatch.setattr(Study, "chunk", written)
-    run_chunks(study, 200, rows_of(), cluster.address)
-    assert len(most) == 200 and max(most) <= 2 * AHEAD
+    run_chunks(study, 100, rows_of(), cluster.address)
+    assert len(most) == 100 and max(most) <= 2 * AHEAD
 
 
 def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
     """Chunks that all need an object of one worker would all go to this worker in the first seconds."""
+
+    def maker(number: int) -> bytes:
+        time.sleep(0.2)
+        return str(os.getpid()).encode()
+
     study = Study(tmp_path / "study", {})
-    run_chunks(study, 8, rows_and_maker, cluster.address)
+    run_chunks(study, 8, maker, cluster.address)
     made = chunks(study, 8)
     assert len(set(made)) == 2 and min(map(made.count, made)) >= 2
 
@@ -132,7 +141,8 @@ def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
 def test_a_killed_worker_loses_no_row(cluster, tmp_path):
     study, count = Study(tmp_path / "study", {}), 12
     victim = cluster.add_worker()
-    until(lambda: len(_workers(cluster)) == 3, "the third worker did not come")
+    with distributed.Client(cluster.address) as client:
+        client.wait_for_workers(3, timeout=PATIENCE)
 
     def kill(done, total):
         if done >= 2 and victim.poll() is None:
@@ -142,11 +152,6 @@ def test_a_killed_worker_loses_no_row(cluster, tmp_path):
     run_chunks(study, count, rows_of(0.05), cluster.address, kill)
     assert victim.poll() == -signal.SIGKILL
     assert chunks(study, count) == [f"rows of chunk {n}".encode() for n in range(count)]
-
-
-def _workers(cluster) -> dict:
-    with distributed.Client(cluster.address) as client:
-        return client.nthreads()
 
 
 #: a driver that makes nothing itself and stays where it is after four chunks
@@ -174,10 +179,7 @@ def ctrl_c_is_kept_from(pid: int) -> bool:
 
 
 def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path, capsys):
-    """SIGKILL, as the kernel does it where memory ends; its workers listened on the loopback alone, and end with it.
-
-    Rows of that cluster, of another scheduler's workers, and of this process alone are the same bit for bit.
-    """
+    """Workers listened on the loopback alone, and end with it. Rows of all clusters and of a loop are the same bits."""
     psutil = pytest.importorskip("psutil")
     out, script = tmp_path / "out", tmp_path / "driver.py"
     script.write_text(DRIVER)

@@ -84,18 +84,12 @@ def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
     assert not whole_turns(q, -limits, limits)
 
 
-def test_a_place_out_of_reach_is_infeasible_and_has_no_errors(placements):
-    rows = placements.rows(np.array([[9.0, 0.0, 0.8, 0.0, 0.0]]))
-    assert not rows["feasible"].any() and not rows["reachable"].any() and np.isnan(rows["error_max_um"]).all()
-
-
 def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placements):
     """Against the equilibrium with weights and compensator, and the modal model of the cell.
 
     A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm.
     """
-    names = ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg")
-    place = dict(zip(names, (1500.0, 0.0, 800.0, 0.0, 0.0), strict=True))
+    place = {"x_mm": 1500.0, "y_mm": 0.0, "z_mm": 800.0, "turn_deg": 0.0, "tool_turn_deg": 0.0}
     whole = placements.course
     course = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
     spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
@@ -117,13 +111,13 @@ def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placeme
     assert ours[1] < 0.95 * ours[0]
 
 
-def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
-    """Turning the place about axis 1 turns axis 1: errors and singularities stay."""
-    one = placements.rows(np.array([[1.4, 0.1, 0.8, 0.3, 0.2]]))
+def test_turning_everything_about_axis_1_changes_nothing_else_and_a_place_out_of_reach_has_no_errors(placements):
     c, s = np.cos(0.5), np.sin(0.5)
-    other = placements.rows(np.array([[1.4 * c - 0.1 * s, 1.4 * s + 0.1 * c, 0.8, 0.8, 0.2]]))
+    places = [1.4, 0.1, 0.8, 0.3, 0.2], [1.4 * c - 0.1 * s, 1.4 * s + 0.1 * c, 0.8, 0.8, 0.2], [9.0, 0.0, 0.8, 0.0, 0.0]
+    one, other, far = (placements.rows(np.array([place])) for place in places)
     np.testing.assert_allclose(one["error_max_um"], other["error_max_um"], rtol=1e-9)
     np.testing.assert_allclose(one["singularity"], other["singularity"], rtol=1e-9)
+    assert not far["feasible"].any() and not far["reachable"].any() and np.isnan(far["error_max_um"]).all()
 
 
 def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(placements):
@@ -274,17 +268,12 @@ def test_a_whole_turn_has_no_seam():
     assert np.abs(np.diff(way.q[:, 5])).max() < 0.1  # joint 6 has room for it and makes no jump
 
 
-@pytest.fixture(scope="module")
-def across() -> Turns:
+def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_what_is_too_fast_is_refused():
     """A cut of 1.2 m across the front of the arm in 24 s, the spindle across axis 6."""
-    cell = read_cell(find_file("test_piece.yaml"))
     y = np.linspace(-0.6, 0.6, 49)
     course = PathPlaces(np.stack([0 * y, y, 0 * y], 1), np.tile(np.diag([1.0, -1.0, -1.0]), (49, 1, 1)),
-                    np.tile([0.0, 1.0, 0.0], (49, 1)), np.tile([150.0, -40.0, -20.0], (49, 1)))  # fmt: skip
-    return Turns(cell, course, 0.5, np.degrees(0.05e-6))
-
-
-def test_no_turn_that_stays_the_same_is_better_and_the_joints_keep_to_their_limits(across):
+                        np.tile([0.0, 1.0, 0.0], (49, 1)), np.tile([150.0, -40.0, -20.0], (49, 1)))  # fmt: skip
+    across = Turns(read_cell(find_file("test_piece.yaml")), course, 0.5, np.degrees(0.05e-6))
     grid = np.radians(np.arange(-180.0, 181.0, 10.0))
     way, arm = find_way(across, grid), across.cell.arm
     same = constant_way(across, np.radians(np.arange(-180.0, 181.0, 2.0)))
@@ -294,12 +283,8 @@ def test_no_turn_that_stays_the_same_is_better_and_the_joints_keep_to_their_limi
     assert 1e6 * way.value == pytest.approx(own, rel=0.01)
     assert np.all(np.abs(np.diff(way.q, axis=0)) <= arm.joint_speed_limit * 0.5)
     assert np.all((way.q >= arm.joint_lower) & (way.q <= arm.joint_upper))
-
-
-def test_what_is_too_fast_for_every_turn_is_refused(across):
-    hasty = Turns(across.cell, across.course, 1e-3, across.weight)
     with pytest.raises(NoWayError, match="lower the feed"):
-        find_way(hasty, GRID)
+        find_way(Turns(across.cell, course, 1e-3, across.weight), GRID)
 
 
 def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
