@@ -125,19 +125,22 @@ def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("tolerance", "level", "tone"), [("600", YES, "good"), ("0.2", NO, "bad")])
-def test_the_decision_is_the_same_in_every_output_of_a_run(tmp_path, capsys, tolerance, level, tone):
+def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(tmp_path, capsys, tolerance, level, tone):
     words = ["--method", "best", "--quick", "--force", "--set", f"part.tolerance_um={tolerance}"]
     code, text, result, programs, headers = run(tmp_path, capsys, *words)
     assert code == (level == NO) and result["decision"] == level and result["may_be_run"] is True
-    line = f"decision: {level}: {result['sentence']}"
-    assert text.splitlines()[0] == line and line in (tmp_path / "out" / "MANIFEST.txt").read_text().splitlines()
+    line, chatter = f"decision: {level}: {result['sentence']}", result["check"]["stability"]["text"]
+    assert chatter.startswith("stability: arm: stable") and text.splitlines()[0] == line
+    manifest = (tmp_path / "out" / "MANIFEST.txt").read_text()
+    assert line in manifest.splitlines() and chatter in manifest and chatter in text
     report = (tmp_path / "out" / "report.html").read_text()
     assert f'<div class="tile {tone}"><span class="label">decision</span><strong>{level}</strong>' in report
     assert f"<span>{result['sentence'].replace(' um', ' µm')}</span>" in report
+    assert chatter.removeprefix("stability: ") in report
     method = result["recommended_method"]  # the method that is recommended is the one that is written
     assert method == result["method"] == "inverse" and f"recommended method: {method}, because" in text
     assert "exchange: largest correction of a predicted pose is" in text
-    assert len(headers) == 2 and all(line in header for header in headers)
+    assert len(headers) == 2 and all(line in header and chatter in header for header in headers)
     assert any(f"method {method}" in header for header in headers)
     for path in programs:
         assert path.name.startswith("NOT_RELEASED") == (level == NO) and f"krl_spline_{method}_" in path.parent.name

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import re
 
 import numpy as np
 import pytest
 from semi_discretisation import BENCHMARK, directional, limit
-from small_part import assignments, small_part
+from small_part import small_part
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -132,24 +130,6 @@ def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
     ratios = [stability._map_at(cell, True, arcs, k).limit()[0] / arcs.depth[k] for k in first]
     assert len(ratios) > 10
     assert square.limit.depth_limit / square.depth == pytest.approx(min(ratios), rel=1e-3)
-
-
-# --- the same statement everywhere ---
-def test_one_run_has_one_statement_in_terminal_json_report_manifest_and_programs(tmp_path, capsys):
-    cell, out = "test_piece_tool_modes.yaml", tmp_path / "out"
-    sets = [*assignments(tmp_path), "stock.grid_step_um=100"]
-    pairs = [word for pair in sets for word in ("--set", pair)]
-    statement = check(read_cell(find_file(cell), sets)).stability.text
-    assert "arm, tool and spindle: stable" in statement
-    assert main(["compensate", cell, "--method", "inverse", "--no-verdict", "--out", str(out), *pairs]) == 0
-    assert statement in capsys.readouterr().out
-    assert statement in (out / "MANIFEST.txt").read_text()
-    programs = list(out.glob("krl_*/*.src"))
-    headers = [" ".join(re.findall(r"^; *(.*)$", path.read_text(), re.MULTILINE)) for path in programs]
-    assert len(headers) == 2 and all(statement in header for header in headers)
-    assert statement.removeprefix("stability: ") in (out / "report.html").read_text()
-    assert main(["check", cell, "--json", *pairs]) == 0
-    assert json.loads(capsys.readouterr().out)["stability"]["text"] == statement
 
 
 # --- the simulated pass, with the modes of the arm alone ---

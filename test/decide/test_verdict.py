@@ -214,7 +214,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     others = alternatives(moving, original, "spline")
     assert set(others) == {"linear", "mirror", "inverse"}
     others.pop("mirror")
-    verdict = monte_carlo(moving, spline.reference, 3, method="spline", others=others)
+    verdict = monte_carlo(moving, spline.reference, 2, method="spline", others=others)
     assert verdict.recommended == "inverse" and verdict.as_dict()["recommended_method"] == "inverse"
     assert np.quantile(verdict.methods[TRACKED], 0.95) < np.quantile(verdict.methods["inverse"], 0.95)
 
