@@ -138,6 +138,10 @@ def test_the_robot_stops_in_the_corners_and_nowhere_else(tmp_path, motion):
     np.testing.assert_allclose(rests[:2], [[20, 0, 0], [20, 20, 0]], atol=1e-6)
     np.testing.assert_allclose(rests[-1], [0.3, 20.004, 0], atol=1e-6)
     assert len(rests) <= 4 and np.linalg.norm(np.diff(robot.column("XYZ"), axis=0), axis=1).min() > 1e-3
+    run = milled(tmp_path, "G0 X0 Y0 Z0\n" + "G1 X30 F4000\nX0\n" * 20 + "M30\n")
+    files = write(tmp_path, Program(motion=motion, line_limit=120), run, run)  # modules end at a stop where one is near
+    stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0) + 1
+    assert len(files) > 8 and set(Robot(tmp_path, "MILLING_ORG").rests) <= set(stops)
 
 
 def test_points_closer_than_the_spacing_are_left_out_of_both_and_their_time_is_kept(tmp_path):
@@ -149,13 +153,6 @@ def test_points_closer_than_the_spacing_are_left_out_of_both_and_their_time_is_k
     assert 2 < len(robots[0].numbers) < len(run) and robots[0].numbers.tolist() == robots[1].numbers.tolist()
     cruise = run.feed(run.time_ns).max()  # the controller plans its own ramps up to the written speed
     assert run.position[-1, 0] / cruise < robots[0].time[-1] < run.time[-1]
-
-
-def test_modules_end_at_a_stop_where_one_is_near(tmp_path):
-    run = milled(tmp_path, "G0 X0 Y0 Z0\n" + "G1 X30 F4000\nX0\n" * 20 + "M30\n")
-    files = write(tmp_path, Program(motion="LIN", line_limit=120), run, run)
-    stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0) + 1
-    assert len(files) > 8 and set(Robot(tmp_path, "MILLING_ORG").rests) <= set(stops)
 
 
 def test_names_are_krl_names_and_what_no_controller_reads_is_refused(tmp_path):
@@ -283,20 +280,11 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
         assert away.min() > least and len(knots) > 0.9 * len(run)  # nothing but close points is left out
 
 
-def test_load_centre_is_told_in_the_axes_of_the_controllers_flange(tmp_path):
-    cell = read_cell(find_file("test_piece.yaml"))
-    part = Trajectory(*(a[:3] for a in (cell.target().time_ns, cell.target().position, cell.target().quaternion)))
-    write_programs(tmp_path, cell, part, part, method="same", date=DATE)
-    text = (next(tmp_path.glob("krl_spline_*")) / "MILLING_ORG.src").read_text()
-    # 130 mm out of the flange and 60 mm below it: out of the flange is the controller's z, up is its minus x
-    assert "$LOAD={M 45.000,CM {X 60.000,Y 0.000,Z 130.000" in text
-
-
-def test_an_axis_at_zero_gets_an_approach_beside_it_so_that_its_turn_is_certain(tmp_path):
+def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of_the_controllers_flange(tmp_path):
     """A part straight ahead: A1, A4 and A6 start at exactly 0, and rounding would decide what T says of them."""
     cell = read_cell(find_file("test_piece.yaml"))
     time_ns, quaternion = np.arange(3) * 12_000_000, cell.target().quaternion[0]
-    line = Trajectory(time_ns, np.array([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [2e-3, 0.0, 0.0]]), quaternion)
+    line = Trajectory(time_ns, np.outer(np.arange(3), [1e-3, 0.0, 0.0]), quaternion)
     for sign in (1.0, -1.0):
         beside = line.with_position(line.position + [0.0, sign * 1e-5, 0.0])
         folder = tmp_path / f"{sign:g}"
@@ -308,6 +296,8 @@ def test_an_axis_at_zero_gets_an_approach_beside_it_so_that_its_turn_is_certain(
             (joints,) = cell.joints_at(above[None], quaternion[None])
             assert np.degrees(np.abs(joints)).min() > 1e-3
             assert robot.turn == sum(1 << axis for axis in range(6) if joints[axis] < 0)
+            # 130 mm out of the flange and 60 mm below it: out of the flange is the controller's z, up is its minus x
+            assert any("$LOAD={M 45.000,CM {X 60.000,Y 0.000,Z 130.000" in step for step in robot.steps)
 
 
 def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, tmp_path):
@@ -321,12 +311,11 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
 
 
 def test_same_input_and_date_give_the_same_files_and_any_change_another_hash(cell, tmp_path):
-    def written(folder) -> dict[str, bytes]:
-        write_programs(folder, cell, cell.target(), wavy(cell.target()), method="wavy", date=DATE, source="ab" * 32)
-        return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-    assert written(tmp_path / "a") == written(tmp_path / "b")
-    target = cell.target()
+    target, written = cell.target(), []
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        write_programs(folder, cell, target, wavy(target), method="wavy", date=DATE, source="ab" * 32)
+        written.append({str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()})
+    assert written[0] == written[1]
     moved = target.with_position(target.position + [1e-12, 0, 0])
     assert trajectory_hash(moved) != trajectory_hash(target)
 
@@ -428,9 +417,7 @@ def part(tmp_path_factory):
     return cell, simulate(cell)
 
 
-@pytest.mark.parametrize(
-    ("method", "tolerance"), [("linear", 2 * UM), *((one, 2 * UM) for one in SMOOTH), ("inverse", 0.0)]
-)
+@pytest.mark.parametrize(("method", "tolerance"), [*((m, 2 * UM) for m in ("linear", *SMOOTH)), ("inverse", 0.0)])
 def test_the_written_program_leaves_what_the_plan_leaves(part, method, tolerance):
     """Points are written to 0.1 um; a step of the path by the tolerance makes an arm with little damping swing."""
     cell, original = part
