@@ -36,8 +36,6 @@ from kr270_milling.live.ros.environment import child_environment, keep_to_this_h
 from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.recordings.messages.topics import RECORDER
 
-__all__ = ["bench_exchanges"]
-
 TRIPS = 4000
 HERE = Path(__file__).resolve().parents[1]
 POSE = topics.TOOL_POSE, to_bytes(PoseSample(0, "workpiece", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
@@ -95,17 +93,9 @@ def bare(*on: str) -> float:
     command = [*on, sys.executable, "-m", "bench.exchanges"]
     with subprocess.Popen([*command, "answer"], env=environment) as other:
         try:
-            asked = subprocess.run(
-                [*command, "ask", str(TRIPS)],
-                env=environment,
-                stdout=subprocess.PIPE,
-                text=True,
-                timeout=120,
-                check=True,
-            )
+            return float(subprocess.check_output([*command, "ask", str(TRIPS)], env=environment, timeout=120))
         finally:
             other.kill()
-    return float(asked.stdout)
 
 
 def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float:

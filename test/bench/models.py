@@ -20,8 +20,6 @@ from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.show.commands.bench import POSTURES, posture_job
 
-__all__ = ["bench_models", "plain_pass"]
-
 
 def plain_pass(cell: Cell, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """The paper's case: the grid after the pass, and the deflections (steps, 2) [m]."""

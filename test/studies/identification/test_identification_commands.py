@@ -170,7 +170,7 @@ def result(ran: dict, *words: str) -> dict:
     return outcome
 
 
-def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_made_with(ran):
+def test_the_identified_arm_coefficients_and_modes_are_those_that_the_examples_were_made_with(ran):
     arm = result(ran, "load_tests.csv")
     truth = np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13]) * [1.18, 0.92, 1.10, 0.85, 1.12, 1.25]
     away = np.abs(np.array(arm["compliance_urad_per_n_m"]) - truth) / arm["ci95_urad_per_n_m"]
@@ -179,6 +179,13 @@ def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_ma
     for side, true in (("tangential", 767.01), ("radial", 168.8), ("axial", 222.0)):
         key = f"{side}_cutting_n_per_mm2"
         assert abs(forces[key] - true) < 1.5 * forces["ci95"][key]
+    modes = result(ran, "identify damping")["modes"]
+    assert [mode["frequency_hz"] for mode in modes] == pytest.approx([11.0, 15.0, 23.0], rel=2e-3)
+    tree = yaml.safe_load((ran["place"] / "identified" / "modes.yaml").read_text())
+    assert len(tree["/**"]["ros__parameters"]["dynamics"]["modes"]) == 3
+    cell = ran["place"] / "rung.yaml"
+    cell.write_text('/**:\n  ros__parameters:\n    includes: ["my_slot.yaml", "identified/modes.yaml"]\n')
+    assert main(["simulate", str(cell), "--json"]) == 0  # the cell takes the modes as they are written
 
 
 def test_the_page_shows_what_is_printed_and_the_identified_band_is_narrower(ran):
@@ -203,16 +210,6 @@ def test_the_plan_is_written_and_pays_as_the_page_states(ran):
     assert len(rows) == 13 and set(rows[0]) <= set(measurements.COLUMNS)
 
 
-def test_modes_are_written_as_the_cell_takes_them(ran):
-    modes = result(ran, "identify damping")["modes"]
-    assert [mode["frequency_hz"] for mode in modes] == pytest.approx([11.0, 15.0, 23.0], rel=2e-3)
-    tree = yaml.safe_load((ran["place"] / "identified" / "modes.yaml").read_text())
-    assert len(tree["/**"]["ros__parameters"]["dynamics"]["modes"]) == 3
-    cell = ran["place"] / "rung.yaml"
-    cell.write_text('/**:\n  ros__parameters:\n    includes: ["my_slot.yaml", "identified/modes.yaml"]\n')
-    assert main(["simulate", str(cell), "--json"]) == 0
-
-
 def test_every_column_of_the_page_is_read_and_every_column_that_is_read_is_there():
     named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| `.*?\|", PAGE.read_text(), re.M))))
     ranges = {f"a{j}_deg" for j in range(1, 7)} | set(measurements.MASS)
@@ -221,7 +218,7 @@ def test_every_column_of_the_page_is_read_and_every_column_that_is_read_is_there
 
 
 # --- A measured wall beside the predicted wall ---
-def wall_table(folder, *rows: str, header: str = "x_mm,y_mm,error_um") -> str:
+def wall_table(folder, header: str, rows) -> str:
     path = folder / "wall.csv"
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
     return str(path)
@@ -230,7 +227,8 @@ def wall_table(folder, *rows: str, header: str = "x_mm,y_mm,error_um") -> str:
 def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_path):
     """58.1 um [Klimchik2014], Table 2: the tool moves to the left, cuts the left wall away and leaves the right one."""
     rows = [f"{x},{y},0" for y in (10, -10) for x in (40, 50, 60)]
-    compared = compare_wall(read_cell(find_file("paper.yaml")), read_wall(wall_table(tmp_path, *rows)), plants=4)
+    table = wall_table(tmp_path, "x_mm,y_mm,error_um", rows)
+    compared = compare_wall(read_cell(find_file("paper.yaml")), read_wall(table), plants=4)
     np.testing.assert_allclose(compared.predicted, 58.1e-6 * np.array([-1] * 3 + [1] * 3), atol=0.5e-6)
     assert np.all(compared.low < compared.predicted) and np.all(compared.predicted < compared.high)
 
@@ -243,5 +241,4 @@ def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_pa
 ])  # fmt: skip
 def test_a_wall_that_cannot_be_compared_is_refused_with_its_line(header, rows, reason, tmp_path, capsys):
     quick = ["--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3", "--plants", "4"]
-    table = wall_table(tmp_path, *rows, header=header)
-    assert re.search(reason, refused(capsys, "compare", table, "paper.yaml", *quick))
+    assert re.search(reason, refused(capsys, "compare", wall_table(tmp_path, header, rows), "paper.yaml", *quick))
