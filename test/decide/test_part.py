@@ -222,16 +222,6 @@ def slot(tmp_path_factory):
     return small_cell(tmp_path_factory.mktemp("slot"), SLOT)
 
 
-def test_a_rigid_arm_leaves_no_error(tmp_path):
-    cell = small_cell(tmp_path, POCKET, RIGID)
-    ran = simulate(cell).result
-    assert np.abs(ran.wrench[:, :2]).max() > 50  # it does cut
-    path, _ = planned(cell)
-    result = surface(cell, path, ran.target, ran.actual)
-    assert result.walls.error.size > 300 and np.abs(result.walls.error).max() < 1e-12
-    assert result.floors.errors().size > 5000 and np.abs(result.floors.errors()).max() == 0.0
-
-
 @pytest.mark.parametrize("shift_um", [(30, 0, 0), (40, -30, 0), (0, 0, -4.0), (0, -20, 2.5), (0, 0, 30.0)])
 def test_a_shift_moves_each_wall_by_its_part_along_the_normal_and_each_floor_by_its_part_along_the_spindle(
     cell, shift_um

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
 from kr270_milling.cli import main
 from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, _client, run_chunks
@@ -90,13 +91,16 @@ def chunks(study: Study, count: int) -> list[bytes]:
     return [study.chunk(number).read_bytes() for number in range(count)]
 
 
-def test_a_short_study_needs_no_cluster_and_a_long_one_soon_has_one(tmp_path, monkeypatch):
+def test_a_short_study_needs_no_cluster_a_long_one_soon_has_one_and_a_folder_is_of_one_study(tmp_path, monkeypatch):
     def refuse(scheduler):
         raise EngineError("a cluster")
 
     monkeypatch.setattr("kr270_milling.studies.maps.engine._client", refuse)
     monkeypatch.setattr("kr270_milling.studies.maps.engine._prepare", lambda rows_of: None)
-    run_chunks(Study(tmp_path / "short", {}), 50, rows_of(0.001))
+    run_chunks(Study(tmp_path / "short", {"seed": 1}), 50, rows_of(0.001))
+    assert Study(tmp_path / "short", {"seed": 1}).missing(50) == []
+    with pytest.raises(InputError, match="another study"):
+        Study(tmp_path / "short", {"seed": 2})
     with pytest.raises(EngineError, match="a cluster"):
         run_chunks(Study(tmp_path / "long", {}), 5000, rows_of(0.05))
     assert len(list((tmp_path / "long").glob("rows-*"))) == 2

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
@@ -19,7 +19,6 @@ from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import NO_COMPENSATOR, GravityCompensator
 from kr270_milling.studies.maps.along import NoWayError, Turns, constant_way, find_way
-from kr270_milling.studies.maps.engine import Study
 from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell, present_row
 from kr270_milling.studies.maps.postures import whole_turns
 from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
@@ -197,13 +196,6 @@ def test_every_spindle_speed_runs_with_the_nearest_period_of_whole_micro_steps()
     assert rows[2]["tool.spindle_speed_rpm"] == 0.0  # a failure is a row
     own = Sweep(made.cell, SHORT, (*made.axes, Axis("exchange.period_ms", (0.5,))))
     assert "whole number of micro-steps" in own.row(0)["error"]  # what was asked for is not changed
-
-
-def test_a_folder_of_another_study_is_refused(tmp_path):
-    Study(tmp_path, {"seed": 1})
-    Study(tmp_path, {"seed": 1})
-    with pytest.raises(InputError, match="another study"):
-        Study(tmp_path, {"seed": 2})
 
 
 # --- The turn of the tool along a path ---
