@@ -88,20 +88,20 @@ def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placeme
 
     A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm.
     """
-    place = {"x_mm": 1500.0, "y_mm": 0.0, "z_mm": 800.0, "turn_deg": 0.0, "tool_turn_deg": 0.0}
-    whole = placements.course
+    place, whole = np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]), placements.course
     course = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
     spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
     cell = read_cell(find_file("test_piece.yaml"))
-    rows = Placements(cell, course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
+    rows = Placements(cell, course, placements.axes).rows(place)
     branch = int(np.flatnonzero(rows["feasible"][0])[0])
-    q = np.radians(moved_cell(cell, course, place | {"branch": branch})["posture_deg"])
+    row = {"x_mm": 1500.0, "y_mm": 0.0, "z_mm": 800.0, "turn_deg": 0.0, "tool_turn_deg": 0.0, "branch": branch}
+    q = np.radians(moved_cell(cell, course, row)["posture_deg"])
     long = spring.length(np.cos(q[1]), np.sin(q[1]))
     slack = spring.replace(preload=20e6 * (spring.length(0.0, -1.0) - long))
     ours = []
     for compensator in (NO_COMPENSATOR, slack):
         arm = cell.arm.replace(compensator=compensator)
-        made = Placements(cell.replace(arm=arm), course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
+        made = Placements(cell.replace(arm=arm), course, placements.axes).rows(place)
         model = modal_models(arm, cell.mount, cell.dynamics, cell.workpiece.pose, q[None])[0]
         assert made["lowest_mode_hz"][0, branch] == pytest.approx(model.frequency[0] / (2 * np.pi), rel=0.01)
         way = compliance(equilibrium(arm, cell.mount, q), arm)[:3, :3] @ course.force[0]
@@ -209,9 +209,9 @@ class Known(Turns):
     def at(self, turn):
         q = np.zeros((*turn.shape, 8, 6))
         q[..., 1:3] = np.radians([-80.0, 100.0])
-        q[..., 5] = turn[..., None]
-        error = np.abs(turn - self.course.wish[:, None])[..., None] * np.where(np.arange(8) == 2, 1.0, 2.0)
-        return q, error
+        q[..., 5] = (turn[..., None] + np.pi) % (2 * np.pi) - np.pi
+        away = (turn - self.course.wish[:, None] + np.pi) % (2 * np.pi) - np.pi
+        return q, np.abs(away)[..., None] * np.where(np.arange(8) == 2, 1.0, 2.0)
 
 
 def known(wish: np.ndarray, weight: float, step: float = 1.0) -> Known:
@@ -245,16 +245,7 @@ def test_a_jump_is_taken_as_fast_as_the_joint_turns():
 def test_a_whole_turn_has_no_seam():
     """A wish that runs through 180 deg is followed on the way that is shorter."""
     wish = np.radians(np.linspace(150.0, 210.0, 60))
-
-    class Round(Known):
-        def at(self, turn):
-            q, _ = super().at(turn)
-            q[..., 5] = (turn[..., None] + np.pi) % (2 * np.pi) - np.pi
-            away = (turn - self.course.wish[:, None] + np.pi) % (2 * np.pi) - np.pi
-            return q, np.abs(away)[..., None] * np.ones(8)
-
-    course = SimpleNamespace(wish=wish, position=np.zeros((60, 3)))
-    way = find_way(Round(SimpleNamespace(arm=ARM), course, 1.0, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
+    way = find_way(known(wish, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
     assert way.value < 2e-3
     assert np.ptp(way.turn) == pytest.approx(np.ptp(wish), abs=0.02)
     assert np.abs(np.diff(way.q[:, 5])).max() < 0.1  # joint 6 has room for it and makes no jump
