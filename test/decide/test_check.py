@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
+from hostile import answered, ask, settings
 from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.findings import violations
@@ -192,19 +190,13 @@ def test_the_shipped_program_has_no_rapid_moves_in_material():
     assert not rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact))
 
 
-def command(directory, *words: str, gcode: str = GCODE) -> list[str]:
-    pairs = assignments(directory, gcode)
-    return ["check", "paper.yaml", *words, *(part for pair in pairs for part in ("--set", pair))]
-
-
-def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, capsys, cell):
+def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, cell):
     through = "G21 G90 S8000 M3\nG43 H1\nM8\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X12 F4000\nG0 X20\nG1 X26\nG0 Z5\nM8\nM30\n"
-    assert main(command(tmp_path, gcode=through)) == 1
-    text = capsys.readouterr().out
-    assert "goes 8 mm through material, 0.5 mm deep at point" in text and "(line 7)" in text
+    words = ["check", "paper.yaml", *settings(*assignments(tmp_path, through))]
+    code, text, _ = ask(*words)
+    assert code == 1 and "goes 8 mm through material, 0.5 mm deep at point" in text and "(line 7)" in text
     assert "removed by rapid moves: 80" in text and "read over: 2 M8, 1 G43 H1" in text
-    assert main(command(tmp_path, "--json", gcode=through)) == 1
-    answer = json.loads(capsys.readouterr().out)
+    answer = answered(*words, code=1)
     assert not answer["may_be_run"] and answer["stops"] == sum(f["severity"] == "stop" for f in answer["findings"])
     assert {row["word"]: row["count"] for row in answer["read_over"]} == {"M8": 2, "G43 H1": 1}
     (move,) = answer["rapid_moves"]
@@ -212,8 +204,9 @@ def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, capsys,
     assert move["unit"] == "mm" and move["advice"] and move["count"] == 1
     assert move["amounts"] == pytest.approx({"length_mm": 8.0, "volume_mm3": 80.0}, rel=0.02)
     assert answer["removed_by_rapid_moves_mm3"] == pytest.approx(80.0, rel=0.02)
-    assert main(command(tmp_path)) == 0
-    assert "may be run, after a test in T1" in capsys.readouterr().out
+    assignments(tmp_path)
+    code, text, _ = ask(*words)
+    assert code == 0 and "may be run, after a test in T1" in text
     write_csv(tmp_path / "revised.csv", shifted(cell.target(), np.full(len(cell.target()), 5e-3)))
-    assert main(command(tmp_path, "--reference", str(tmp_path / "revised.csv"))) == 1
-    assert "the correction exceeds 2000.0 um" in capsys.readouterr().out
+    code, text, _ = ask(*words, "--reference", str(tmp_path / "revised.csv"))
+    assert code == 1 and "the correction exceeds 2000.0 um" in text

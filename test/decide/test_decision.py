@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hostile import settings
 from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import ConfigError
@@ -102,7 +103,7 @@ def test_what_is_missing_is_named_and_a_method_is_recommended_only_where_methods
 
 def run(directory, capsys, *words: str):
     """Run ``compensate`` once: its exit code, what it prints for a reader, its JSON, its programs and their headers."""
-    sets = [part for pair in assignments(directory, GCODE, *MOVING) for part in ("--set", pair)]
+    sets = settings(*assignments(directory, GCODE, *MOVING))
     words = ["compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words]
     answer = (args := _parser(["compensate"]).parse_args(words)).run(args)
     code = answer.print(as_json=False)

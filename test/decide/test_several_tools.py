@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hostile import answered, ask, settings
 
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import Cell, read_cell, read_cells
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.part import assess
@@ -166,28 +163,21 @@ def drafted(tmp_path_factory):
     """The cell that ``init`` writes for the plate."""
     folder = tmp_path_factory.mktemp("plate")
     (folder / "plate.nc").write_text(PLATE)
-    with contextlib.redirect_stdout(io.StringIO()) as text:
-        assert main(["init", "--gcode", str(folder / "plate.nc")]) == 0
-    (folder / "cell.yaml").write_text(text.getvalue())
+    (folder / "cell.yaml").write_text(ask("init", "--gcode", str(folder / "plate.nc")).out)
     return folder / "cell.yaml"
 
 
 FAST = ("cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=mirror")
 
 
-def command(name: str, cell, *words: str) -> list[str]:
-    sets = [*STOCK, *FAST]
-    return [name, str(cell), *(part for one in sets for part in ("--set", one)), *words]
+COMPENSATE = ("--no-verdict", "--gcode", "--out")
 
 
-def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path, capsys):
-    assert main(command("check", drafted, "--json")) == 0
-    checked = json.loads(capsys.readouterr().out)
+def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path):
+    checked = answered("check", drafted, *settings(*STOCK, *FAST))
     assert [one["tool"] for one in checked["tools"]] == ["T1", "T2", "T3"]
     assert checked["may_be_run"] and sum(one["removed_by_rapid_moves_mm3"] for one in checked["tools"]) == 0.0
-    words = ["--no-verdict", "--gcode", "--json", "--out", str(tmp_path / "out")]
-    assert main(command("compensate", drafted, *words)) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answered("compensate", drafted, *settings(*STOCK, *FAST), *COMPENSATE, tmp_path / "out")
     assert answer["decision"] == "caution" and answer["may_be_run"]
     programs = [path for one in answer["tools"] for path in one["programs"]["krl_spline"]]
     names = [path.rpartition("/")[2] for path in programs]
@@ -210,17 +200,14 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
         assert one["compensated"]["deciding_error_um"] < one["as_programmed"]["deciding_error_um"]
 
 
-def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path, capsys):
+def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path):
     program = tmp_path / "dangerous.nc"
     program.write_text(PLATE.replace("G1 X5.7 F2000", "G0 X5.7"))
-    more = ["--set", f"path.file={program}"]
-    out = tmp_path / "out"
-    assert main(command("compensate", drafted, "--no-verdict", "--gcode", "--json", "--out", str(out), *more)) == 1
-    answer = json.loads(capsys.readouterr().out)
+    words, out = [str(drafted), *settings(*STOCK, *FAST, f"path.file={program}")], tmp_path / "out"
+    answer = answered("compensate", *words, *COMPENSATE, out, code=1)
     assert answer["decision"] == "no" and answer["deciding_tool"] == "T2" and "rapid" in answer["sentence"]
     assert [one["level"] for one in answer["tools"]] == ["caution", "no", "caution"]
     assert not [*out.glob("krl_*"), *out.glob("*gcode_*")]
     assert "NOT RELEASED" in (out / "MANIFEST.txt").read_text()
-    assert main(command("check", drafted, *more)) == 1
-    shown = capsys.readouterr().out
-    assert "must not be run: stops of T2" in shown and "tool T3, 3 of 3" in shown
+    code, shown, _ = ask("check", *words)
+    assert code == 1 and "must not be run: stops of T2" in shown and "tool T3, 3 of 3" in shown

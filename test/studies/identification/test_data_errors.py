@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 from campaigns import TRUE, loads, measured
+from hostile import answered, ask
 
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cli import main
 from kr270_milling.studies.identification.measurements import write_measurements
 
 ANGLES = tuple(f"a{j}_deg" for j in range(1, 7))
@@ -74,46 +73,42 @@ def written(folder, rows: list[dict], separator: str = ",") -> str:
     return str(path)
 
 
-def run(capsys, kind: str, table: str, *words: str) -> tuple[int, str]:
-    code = main(["identify", kind, table, *words])
-    text = "".join(capsys.readouterr())
-    assert "Warning" not in text
-    return code, text
+def run(kind: str, table: str, *words: str) -> tuple[int, str]:
+    answer = ask("identify", kind, table, *words)
+    assert "Warning" not in answer.out + answer.err
+    return answer.code, answer.out + answer.err
 
 
 @pytest.mark.parametrize("name", TABLE)
-def test_an_error_is_named_and_no_file_comes_from_a_useless_result(name, tmp_path, capsys):
+def test_an_error_is_named_and_no_file_comes_from_a_useless_result(name, tmp_path):
     """pytest turns every warning of Python into an error, so none reaches a terminal."""
     (kind, source, *words), change, code, sentence = TABLE[name]
     rows = rows_of(source)
     change(rows)
-    ended, text = run(capsys, kind, written(tmp_path, rows), *words, "--out", str(tmp_path / "out"))
+    ended, text = run(kind, written(tmp_path, rows), *words, "--out", str(tmp_path / "out"))
     assert (ended, sentence in text) == (code, True), text
     assert (tmp_path / "out" / f"{kind}.yaml").exists() == (code == 0)
 
 
 @pytest.mark.parametrize("name", [name for name in TABLE if "times too large" in name])
-def test_a_robust_fit_gives_what_the_table_without_the_error_gives(name, tmp_path, capsys):
+def test_a_robust_fit_gives_what_the_table_without_the_error_gives(name, tmp_path):
     (kind, source, *words), change, _, _ = TABLE[name]
     key = "compliance_urad_per_n_m" if kind == "compliance" else "tangential_cutting_n_per_mm2"
     rows, results = rows_of(source), []
     for more in ((), ("--robust",)):
-        code, text = run(capsys, kind, written(tmp_path, rows), *words, "--json", *more)
-        assert code == 0
-        results.append(np.array(json.loads(text)[key]))
+        results.append(answered("identify", kind, written(tmp_path, rows), *words, *more)[key])
         change(rows)
     np.testing.assert_allclose(results[1], results[0], rtol=0.06)
 
 
 @pytest.mark.parametrize("command", [LOAD, CUT])
-def test_a_shipped_table_raises_no_doubt_and_a_german_spreadsheet_is_the_same_table(tmp_path, capsys, command):
+def test_a_shipped_table_raises_no_doubt_and_a_german_spreadsheet_is_the_same_table(tmp_path, command):
     """Columns separated by semicolons, a comma for the point."""
     kind, source, *words = command
     german = [{k: v if k == "note" else v.replace(".", ",") for k, v in row.items()} for row in rows_of(source)]
-    code, text = run(capsys, kind, source, *words, "--json")
-    assert code == 0 and json.loads(text)["doubts"] == [] and json.loads(text)["usable"]
-    other = run(capsys, kind, written(tmp_path, german, ";"), *words, "--json")[1]
-    assert json.loads(other) == json.loads(text)
+    shipped = answered("identify", kind, source, *words)
+    assert shipped["doubts"] == [] and shipped["usable"]
+    assert answered("identify", kind, written(tmp_path, german, ";"), *words) == shipped
 
 
 def campaign(folder, arm=TRUE, signs=1) -> str:
@@ -123,17 +118,16 @@ def campaign(folder, arm=TRUE, signs=1) -> str:
     return path
 
 
-def test_angles_of_another_sign_and_a_base_that_tilts_are_named(tmp_path, capsys):
+def test_angles_of_another_sign_and_a_base_that_tilts_are_named(tmp_path):
     """A1 counted about +z, as ROS does."""
     table = campaign(tmp_path, signs=[-1, 1, 1, 1, 1, 1])
-    code, text = run(capsys, "compliance", table, "--arm", "test_piece.yaml")
+    code, text = run("compliance", table, "--arm", "test_piece.yaml")
     assert code == 1 and "with the sign of A1 changed" in text, text
     tilted = campaign(tmp_path, TRUE.replace(base_compliance=np.array([0.3e-6, 0.3e-6, 0.0])))
-    code, text = run(capsys, "compliance", tilted, "--arm", "test_piece.yaml")
+    code, text = run("compliance", tilted, "--arm", "test_piece.yaml")
     assert "the residuals look like a base that tilts by 0.3, 0.3 urad/(N m) about x, y" in text, text
     assert "fit it with --base (about z " in text and "base z" not in text
-    code, text = run(capsys, "compliance", tilted, "--arm", "test_piece.yaml", "--base")
+    code, text = run("compliance", tilted, "--arm", "test_piece.yaml", "--base")
     assert code == 0 and "look like a base" not in text
     assert "not identified: base z: it turns the arm as joint 1" in text
-    code, text = run(capsys, "compliance", campaign(tmp_path), "--arm", "test_piece.yaml", "--json")
-    assert code == 0 and json.loads(text)["doubts"] == []
+    assert answered("identify", "compliance", campaign(tmp_path), "--arm", "test_piece.yaml")["doubts"] == []

@@ -14,6 +14,7 @@ import pages
 import pytest
 import yaml
 from campaigns import FORCES, cuts, measured_cuts
+from hostile import answered, refused, settings
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -30,18 +31,6 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 RPM, RATE = 6000.0, 2500  # 25 samples a revolution
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # A = 90 deg: sensor axes -> workpiece axes
 OFFSET = np.array([12.0, -7.0, 440.0])  # of the sensor: drift and the weight on it [N], sensor axes
-
-
-def answer(capsys, *words) -> dict:
-    assert main([*map(str, words), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def refused(capsys, *words) -> str:
-    assert main([*map(str, words)]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1
-    return err
 
 
 def record(directory, forces, rate: float, topic: str = "/plate/wrench") -> None:
@@ -63,7 +52,7 @@ def sensor_recording(directory, force) -> None:
     record(directory, -np.outer(share, force) @ TURN + OFFSET + noise, RATE)
 
 
-def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsys):
+def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path):
     """Tare from the idle stretch, axes turned by A = 90 deg, signs of the part."""
     some = measured_cuts(cuts(feeds=(0.05e-3, 0.1e-3, 0.2e-3)))
     rows = ["feed_per_tooth_mm,depth_mm,width_mm,mode,recording,start_s,stop_s"]
@@ -71,8 +60,8 @@ def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsy
         sensor_recording(tmp_path / f"cut_{i}", force)
         rows.append(f"{1e3 * feed},1,20,slot,cut_{i},0.35,0.75")
     (tmp_path / "cuts.csv").write_text("\n".join(rows) + "\n")
-    result = answer(
-        capsys, "identify", "forces", tmp_path / "cuts.csv", "--teeth", 4, "--diameter-mm", 20, "--topic", "wrench",
+    result = answered(
+        "identify", "forces", tmp_path / "cuts.csv", "--teeth", 4, "--diameter-mm", 20, "--topic", "wrench",
         "--spindle-speed-rpm", RPM, "--tare", "0:0.25", "--sensor-abc", "90,0,0", "--sensor-on", "part",
     )  # fmt: skip
     parts = [("cutting_n_per_mm2", 1e6), ("edge_n_per_mm", 1e3)]
@@ -92,22 +81,22 @@ def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on
     assert result == pytest.approx(force, abs=1e-3)
 
 
-def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path, capsys):
+def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path):
     sensor_recording(tmp_path / "cut", np.array([10.0, 20.0, 5.0]))
     table = tmp_path / "cuts.csv"
-    words = ("identify", "forces", table, "--teeth", "4", "--diameter-mm", "20", "--spindle-speed-rpm", RPM)
+    words = ("identify", "forces", str(table), "--teeth=4", "--diameter-mm=20", f"--spindle-speed-rpm={RPM}")
     head = "feed_per_tooth_mm,depth_mm,mode,recording,start_s,stop_s\n"
     table.write_text(f"{head}0.1,1,slot,cut,0.6,1.8\n")
-    assert "it lasts 0.7996 s" in refused(capsys, *words)
+    assert "it lasts 0.7996 s" in refused(*words)
     table.write_text(f"{head}0.1,1,slot,cut,0.4,0.7\n")
-    assert "it holds /plate/wrench" in refused(capsys, *words, "--topic", "force")
-    assert "at least 2 feeds" in refused(capsys, *words)
+    assert "it holds /plate/wrench" in refused(*words, "--topic", "force")
+    assert "at least 2 feeds" in refused(*words)
 
 
-def test_a_material_is_listed_and_written_to_be_included(capsys, tmp_path):
-    assert len(answer(capsys, "identify", "material")["materials"]) >= 6
+def test_a_material_is_listed_and_written_to_be_included(tmp_path):
+    assert len(answered("identify", "material")["materials"]) >= 6
     words = ("identify", "material", "al7075-t6", "--row", 2, "--out", tmp_path)
-    (file,) = answer(capsys, *words)["files"]
+    (file,) = answered(*words)["files"]
     cell = tmp_path / "cell.yaml"
     cell.write_text(f'/**:\n  ros__parameters:\n    includes: ["test_piece.yaml", "{file}"]\n')
     assert read_cell(cell).cutting.linear_edge.tangential_cutting == pytest.approx(767.01e6)
@@ -132,8 +121,8 @@ LOAD = "compliance load_tests.csv --arm kr270_2.yaml --cell test_piece.yaml --co
     ("damping cuts.csv --band 9:3", "band"),
     ("material Al7075 --row 7 --out nowhere", "row"),
 ])  # fmt: skip
-def test_what_is_missing_or_cannot_be_meant_is_refused_in_one_sentence(capsys, words, reason):
-    assert reason in refused(capsys, "identify", *words.split())
+def test_what_is_missing_or_cannot_be_meant_is_refused_in_one_sentence(words, reason):
+    assert reason in refused("identify", *words.split())
 
 
 # --- The README of the folder ---
@@ -239,6 +228,6 @@ def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_pa
     ("x_mm,y_mm,error_um", ["40,10,-58"], "has 1 places, but a comparison needs at least 3"),
     ("x_mm,y_mm", ["40,10"], "has no column error_um"),
 ])  # fmt: skip
-def test_a_wall_that_cannot_be_compared_is_refused_with_its_line(header, rows, reason, tmp_path, capsys):
-    quick = ["--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3", "--plants", "4"]
-    assert re.search(reason, refused(capsys, "compare", wall_table(tmp_path, header, rows), "paper.yaml", *quick))
+def test_a_wall_that_cannot_be_compared_is_refused_with_its_line(header, rows, reason, tmp_path):
+    quick = [*settings("stock.grid_step_um=40", "exchange.micro_step_deg=3"), "--plants", "4"]
+    assert re.search(reason, refused("compare", wall_table(tmp_path, header, rows), "paper.yaml", *quick))

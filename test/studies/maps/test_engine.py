@@ -14,10 +14,10 @@ import time
 from pathlib import Path
 
 import pytest
+from hostile import answered, settings
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
-from kr270_milling.cli import main
 from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, _client, run_chunks
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 
@@ -182,13 +182,12 @@ def ctrl_c_is_kept_from(pid: int) -> bool:
     return any(mask >> (signal.SIGINT - 1) & 1 for mask in masks)
 
 
-def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path, capsys):
+def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path):
     """Workers listened on the loopback alone, and end with it. Rows of all clusters and of a loop are the same bits."""
     psutil = pytest.importorskip("psutil")
     out, script = tmp_path / "out", tmp_path / "driver.py"
     script.write_text(DRIVER)
-    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.1", "--json", "--out", str(out)]
-    words += [part for pair in SHORT for part in ("--set", pair)]
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.1", "--out", str(out), *settings(*SHORT)]
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     driver = subprocess.Popen([sys.executable, str(script), *words], **silent)
     until(lambda: len(list(out.glob("rows-*.parquet"))) == 4, "no rows")
@@ -199,8 +198,7 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     driver.wait()
     assert ports and {port.laddr.ip for port in ports} == {"127.0.0.1"}
     before = {path: path.stat().st_mtime_ns for path in out.glob("rows-*.parquet")}
-    assert main([*words, "--scheduler", cluster.address]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answered(*words, "--scheduler", cluster.address)
     assert answer["rows"] == 10 and parquet.read_table(out).num_rows == 10
     assert [row["path.depth_of_cut_mm"] for row in answer["best"]] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
     assert [row["path.depth_of_cut_mm"] for row in answer["worst"]] == pytest.approx([1.0, 0.9, 0.8, 0.7, 0.6])

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
+from hostile import answered, refused, settings
 from semi_discretisation import BENCHMARK, MASS, OMEGA, TEETH, ZETA, directional, limit
 from small_part import small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cli import main
 from kr270_milling.decide.stability import feature_limits, modes_of
 from kr270_milling.physics.motion.monodromy import Modes, directional_matrices, multipliers
 from kr270_milling.physics.motion.stability import limit_depth
@@ -95,25 +93,22 @@ def test_the_sense_of_rotation_mirrors_and_a_heavier_mode_cuts_deeper():
     assert twice.depth_limit == pytest.approx(2 * one.depth_limit, rel=2e-3)  # m x'' = -a h: only a / m counts
 
 
-def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path, capsys):
-    words = ["stability", "paper.yaml", "--speeds", "8000:10000/3", "--out", str(tmp_path / "out"), "--json"]
-    words += [part for pair in BENCHMARK for part in ("--set", pair)]
-    assert main([*words, "--no-arm"]) == 0
-    alone = json.loads(capsys.readouterr().out)
+def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path):
+    words = ["stability", "paper.yaml", "--speeds", "8000:10000/3", "--out", tmp_path / "out", *settings(*BENCHMARK)]
+    alone = answered(*words, "--no-arm")
     assert [row["spindle_speed_rpm"] for row in alone["lobes"]] == pytest.approx([8000, 9000, 10000])
     assert all(0 < row["depth_limit_mm"] < 10 and row["chatter_hz"] > 500 for row in alone["lobes"])
     page, plotly = (tmp_path / "out" / name for name in ("lobes.html", "plotly.min.js"))
     assert page.stat().st_size < 1e5 and plotly.stat().st_size > 1e6 and "lobes.csv" in alone["files"][0]
     assert "the cell's cut: " in page.read_text() and "modes of the arm" not in page.read_text()
-    assert main([*words, "--self-contained"]) == 0
+    both = answered(*words, "--self-contained")
     assert page.stat().st_size > 1e6 and "modes of the arm" in page.read_text()
-    both = json.loads(capsys.readouterr().out)
     assert both["arm"] and not alone["arm"]
 
 
-def test_what_cannot_be_meant_is_refused(capsys):
+def test_what_cannot_be_meant_is_refused():
     with pytest.raises(ParameterError, match="no mode"):
         lobes(read_cell(find_file("paper.yaml")), [800.0], arm=False)
     with pytest.raises(ConfigError, match="direction"):
         read_cell(find_file("paper.yaml"), [BENCHMARK[-1].replace("[1, 0, 0]", "[2, 0, 0]")])
-    assert main(["stability", "paper.yaml", "--speeds", "1:2"]) == 2
+    assert refused("stability", "paper.yaml", "--speeds", "1:2")

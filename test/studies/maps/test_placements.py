@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import io
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hostile import answered, refused, settings
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
@@ -128,11 +127,9 @@ def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(p
     np.testing.assert_allclose(moved_cell(cell, course, row)["posture_deg"], np.degrees(joints), atol=1e-6)
 
 
-def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys):
-    words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", str(tmp_path / "map"), "--json"]
-    words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40"]
-    assert main(words) == 0
-    result = json.loads(capsys.readouterr().out)
+def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
+    words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", tmp_path / "map"]
+    result = answered(*words, *settings("path.length_mm=6", "stock.grid_step_um=40"))
     assert result["rows"] == 4 * 8 and result["rows_per_s"] > 0 and result["best"] and len(result["best"]) <= 5
     page, now = (tmp_path / "map" / "map.html").read_text(), result["present"]
     for text in ("paper.yaml: KR 270-2 mills a straight cut of 6 mm", "the part now", f">{now['error_max_um']:.2f}<"):
@@ -270,12 +267,11 @@ def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_w
         find_way(Turns(across.cell, course, 1e-3, across.weight), GRID)
 
 
-def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
+def test_the_command_writes_a_cell_that_runs(tmp_path):
     words = ["map", "test_piece.yaml", "--along", "--places", "20", "--tool-turn=-60:60/13", "--out", str(tmp_path)]
     slot = ("path.file=''", "path.start_mm=[-60,0]", "path.length_mm=15", "path.depth_of_cut_mm=1",
             "path.feed_rate_m_per_min=4", "stock.grid_step_um=60")  # fmt: skip
-    assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = answered(*words, *settings(*slot))
     assert result["criterion_um"] <= result["criterion_constant_um"] and max(result["joint_speed_share"]) < 1.0
     cell, old = read_cell(result["best"][0]["cell"]), read_cell(find_file("test_piece.yaml"), slot)
     run = cell.target()
@@ -283,5 +279,5 @@ def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
     assert cell.joints(run).shape == (len(run), 6)
     table = (tmp_path / "along.csv").read_text().splitlines()
     assert len(table) == len(run) + 1 and table[0].endswith("a6_deg")
-    assert main([*words, "--x", "1:2/2"]) == 2
-    assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0  # over the rest
+    assert refused(*words, "--x", "1:2/2")
+    assert answered(*words, *settings(*slot))  # over the rest
