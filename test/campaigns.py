@@ -62,7 +62,7 @@ def covered_compliances(seed: int, count: int, tests: int, robust: bool = False)
 
 # --- Cuts with known force coefficients ---
 TOOL = Tool(diameter=0.02, teeth=4, spindle_speed=8000 * 2 * math.pi / 60)
-FORCES = np.array([767.01e6, 27.7e3, 168.8e6, 26.6e3, 222e6, 0.7e3])
+COEFFICIENTS = np.array([767.01e6, 27.7e3, 168.8e6, 26.6e3, 222e6, 0.7e3])
 FEEDS = (0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3)
 
 
@@ -74,7 +74,7 @@ def cuts(mode="slot", width=0.02, feeds=FEEDS, tool=TOOL) -> CutMeasurements:
 
 
 def measured_cuts(some: CutMeasurements) -> CutMeasurements:
-    return dataclasses.replace(some, force=LinearEdgeLaw(*map(float, FORCES)).mean_forces(some))
+    return dataclasses.replace(some, force=LinearEdgeLaw(*map(float, COEFFICIENTS)).mean_forces(some))
 
 
 def covered_forces(seed: int, count: int, robust: bool = False) -> np.ndarray:

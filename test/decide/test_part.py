@@ -126,21 +126,20 @@ def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
 COARSE = ("stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0")
 
 
-def with_features(path, *names: str):
-    """The programme of the test piece with some of its features only."""
-    keep, copied = True, []
+def piece(folder, *names: str):
+    """The cell of the test piece with some of its features only."""
+    keep, copied, path = True, [], folder / "short.nc"
     for line in (CONFIG / "test_piece.nc").read_text().splitlines():
         if line.startswith("("):
             keep = line.strip("()") in names
         if keep or line.startswith(("N540", "N550")):
             copied.append(line.replace("M3", "M3 F4000"))
     path.write_text("\n".join(copied) + "\n")
-    return path
+    return read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
 
 
 def test_the_square_is_left_too_large_by_tens_of_micrometres(tmp_path):
-    short = with_features(tmp_path / "short.nc", "square", "inclined_side")
-    cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={short}"])
+    cell = piece(tmp_path, "square", "inclined_side")
     part = assess(cell, simulate(cell))
     square, inclined = part.rows
     assert (square.name, inclined.name) == ("square", "inclined_side")
@@ -153,8 +152,7 @@ def test_the_square_is_left_too_large_by_tens_of_micrometres(tmp_path):
 
 def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):
     """Sharp corners, helix, axial force and inertia of the arm. A fifth was asked for; a coarser cut is simulated."""
-    path = with_features(tmp_path / "diamond.nc", "diamond")
-    cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
+    cell = piece(tmp_path, "diamond")
     assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
     original = simulate(cell)
     before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from book import check
-from campaigns import FEEDS, FORCES, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
+from campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError
@@ -23,7 +23,7 @@ from kr270_milling.studies.identification.signals import Signals, read_signals
 def test_slot_means_are_the_closed_forms():
     """[Altintas2012]: F_x = -N a (K_rc f / 4 + K_re / pi), F_y = N a (K_tc f / 4 + K_te / pi), F_z = N a (K_ac f / pi
     + K_ae / 2), toward the part as ``cutting`` has it."""
-    k_tc, k_te, k_rc, k_re, k_ac, k_ae = FORCES
+    k_tc, k_te, k_rc, k_re, k_ac, k_ae = COEFFICIENTS
     f, na = np.array(FEEDS), 4 * 1e-3
     f_x, f_y = -k_rc * f / 4 - k_re / np.pi, k_tc * f / 4 + k_te / np.pi
     f_z = k_ac * f / np.pi + k_ae / 2
@@ -35,7 +35,7 @@ def test_slot_means_are_the_closed_forms():
 def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rotation):
     """The compiled sweep over a grid, a revolution after a run-in; 1 % as its own checks in the book."""
     tool = TOOL.replace(rotation=rotation)
-    law = LinearEdgeLaw(*map(float, FORCES))
+    law = LinearEdgeLaw(*map(float, COEFFICIENTS))
     # with clockwise teeth the chip of up-milling begins at +y: the part lies on that side
     side = (1.0 if mode == "up" else -1.0) * -tool.sense
     low, high = sorted([side * (0.01 - width), side * 0.012])
@@ -54,7 +54,7 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
 @pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
 def test_coefficients_are_exact_without_noise(mode, width):
     result = fit_forces("linear_edge", measured_cuts(cuts(mode, width)))
-    assert result.values == pytest.approx(FORCES, rel=1e-9)
+    assert result.values == pytest.approx(COEFFICIENTS, rel=1e-9)
 
 
 CAMPAIGNS = 400
@@ -72,7 +72,7 @@ def test_axial_forces_may_be_missing_or_point_into_the_holder():
     some = measured_cuts(cuts())
     some.force[:, 2] *= -1.0
     result = fit_forces("linear_edge", some)
-    assert result.values == pytest.approx(FORCES) and result.axial == 1.0
+    assert result.values == pytest.approx(COEFFICIENTS) and result.axial == 1.0
     noise = np.random.default_rng(4).normal(size=some.force.shape)
     result = fit_forces("linear_edge", dataclasses.replace(some, force=some.force + noise))
     sections = law_sections("linear_edge", result.values, result.half_widths, result.axial)
@@ -82,7 +82,7 @@ def test_axial_forces_may_be_missing_or_point_into_the_holder():
     assert spreads == pytest.approx(np.clip(result.half_widths / 1.96 / result.values, 1e-4, 1.0))
     some.force[:, 2] = np.nan
     result = fit_forces("linear_edge", some)
-    assert np.isnan(result.values[4:]).all() and result.values[:4] == pytest.approx(FORCES[:4])
+    assert np.isnan(result.values[4:]).all() and result.values[:4] == pytest.approx(COEFFICIENTS[:4])
 
 
 def test_one_feed_is_refused():
