@@ -133,15 +133,12 @@ def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
 
 
 # --- the simulated pass, with the modes of the arm alone ---
-def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below():
+def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_a_short_pass_has_no_statement():
     cell = cell_of(1e-3, SOFT)
     (lobe,) = lobes(cell, [cell.tool.spindle_speed])
     for share, word in ((0.5, "repeats"), (2.0, "grows")):
         cell = cell_of(share * lobe.depth_limit, SOFT)
         assert residue_of(cell, simulate(cell).result).word == word
-
-
-def test_the_papers_cut_repeats_and_a_short_one_has_no_statement():
     cell = read_cell(find_file("paper.yaml"))
     whole = simulate(cell).result
     assert residue_of(cell, whole).word == "repeats"
