@@ -3,6 +3,9 @@
 Each round runs every composition once, in another order: bare trips; one process a node; robot and cut in one process,
 compensator and recorder in another; with a recording and without. Printed: smallest, median and largest of the rounds,
 and the medians over the bare rate.
+
+A bare trip: a pose as bytes from one process (``bench.exchanges ask COUNT``), a wrench as bytes from the other one
+(``bench.exchanges answer``), the executor, the topics and the profile of the graph, nothing computed.
 """
 
 from __future__ import annotations
@@ -12,21 +15,32 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph
 from kr270_milling.live.graph.processes import RunError
-from kr270_milling.live.ros.environment import child_environment
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.environment import child_environment, keep_to_this_host
+from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.recordings.messages.topics import RECORDER
-
-__all__ = ["bench_exchanges"]
 
 TRIPS = 4000
 HERE = Path(__file__).resolve().parents[1]
+POSE = topics.TOOL_POSE, to_bytes(PoseSample(0, "workpiece", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+WRENCH = topics.WRENCH, to_bytes(WrenchSample(0, "workpiece", np.zeros(6)))
+WARM = 200  # trips before the clock runs
 
 
 class Unrecorded(Graph):
@@ -38,23 +52,50 @@ class Unrecorded(Graph):
         self.renew_workpiece()
 
 
+class Partner(Node):
+    """Answers each message; ends after ``count`` messages."""
+
+    def __init__(self, name: str, context: Context, sends, receives, count: float):
+        super().__init__(name, context=context)
+        (sent, self.data), (received, _) = sends, receives
+        self.publisher = self.create_publisher(*sent)
+        self.source = self.create_subscription(received.type, received.name, self.answer, received.qos, raw=True)
+        self.count, self.trips, self.times = count, 0, []
+
+    def answer(self, _: bytes) -> None:
+        self.trips += 1
+        if self.trips in (WARM, WARM + self.count):
+            self.times.append(time.perf_counter())
+        self.publisher.publish(self.data)
+
+
+def trips(name: str, count: float = float("inf")) -> None:
+    """``ask`` prints trips a second."""
+    keep_to_this_host()
+    context = Context()
+    rclpy.init(args=[], context=context)
+    ends = (WRENCH, POSE) if name == "answer" else (POSE, WRENCH)
+    node, executor = Partner(name, context, *ends, float(count)), EventsExecutor(context=context)
+    executor.add_node(node)
+    while not (node.publisher.get_subscription_count() and node.source.get_publisher_count()):
+        executor.spin_once(timeout_sec=0.05)
+    if name == "ask":
+        node.publisher.publish(node.data)
+    while len(node.times) < 2:
+        executor.spin_once(timeout_sec=0.5)
+    begin, end = node.times
+    print(node.count / (end - begin), flush=True)
+
+
 def bare(*on: str) -> float:
     """Round trips a second of two processes that compute nothing; on: a command line that starts both."""
     environment = child_environment() | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
-    command = [*on, sys.executable, "-m", "bench.trips"]
+    command = [*on, sys.executable, "-m", "bench.exchanges"]
     with subprocess.Popen([*command, "answer"], env=environment) as other:
         try:
-            asked = subprocess.run(
-                [*command, "ask", str(TRIPS)],
-                env=environment,
-                stdout=subprocess.PIPE,
-                text=True,
-                timeout=120,
-                check=True,
-            )
+            return float(subprocess.check_output([*command, "ask", str(TRIPS)], env=environment, timeout=120))
         finally:
             other.kill()
-    return float(asked.stdout)
 
 
 def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float:
@@ -100,4 +141,7 @@ def table(found: dict[str, list[float]]) -> list[str]:
 
 
 if __name__ == "__main__":
-    print("\n".join(table(bench_exchanges(*map(int, sys.argv[1:])))))
+    if sys.argv[1:2] in (["ask"], ["answer"]):
+        trips(*sys.argv[1:])
+    else:
+        print("\n".join(table(bench_exchanges(*map(int, sys.argv[1:])))))

@@ -14,8 +14,6 @@ from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
 
-__all__ = ["ROWS", "Row", "measure"]
-
 INERTIA = ("dynamics.reference_inertia=true",)
 PASSES = 4
 
@@ -59,12 +57,9 @@ def _rows() -> list[Row]:
     rows = [
         Row("as the model, zeta 0.182, lumped", learned=0.1e-6, inverse=0.3e-6, passes=3),
         Row("as the model, zeta 0.04, lumped", _damping(0.04), learned=0.3e-6, inverse=2e-6, passes=3),
-        Row(
-            "as the model, zeta 0.04, rigid masses, knots every 12 ms",
-            (*_damping(0.04), "dynamics.mass_model=rigid", "timing.controller_step_ms=12"),
-            inverse=4e-6,
-        ),
-    ]
+        Row("as the model, zeta 0.04, rigid masses, knots every 12 ms",
+            (*_damping(0.04), "dynamics.mass_model=rigid", "timing.controller_step_ms=12"), inverse=4e-6),
+    ]  # fmt: skip
     for name, factors in (
         ("compliance x 1.2", {"compliance": 1.2}),
         ("forces x 1.2", {"force": 1.2}),
@@ -78,10 +73,8 @@ def _rows() -> list[Row]:
             name = f"zeta {ratio:g} / 2, frequency x {frequency:g}, posture followed"
             rows.append(Row(name, model, frequency=frequency, damping=0.5))
             for noise, left in ((5e-6, 2e-6), (20e-6, 6e-6)):
-                row = Row(
-                    f"  with noise {1e6 * noise:.0f} um", model, frequency, damping=0.5, noise=noise, learned=left
-                )
-                rows.append(row)
+                more = {"damping": 0.5, "noise": noise, "learned": left}
+                rows.append(Row(f"  with noise {1e6 * noise:.0f} um", model, frequency, **more))
     return rows
 
 
@@ -108,11 +101,9 @@ def main() -> int:
         wanted = none if row.inverse is None else row.inverse
         good = inverse <= wanted and learned <= row.learned
         missed += not good
-        numbers = (
-            f"{1e6 * none:7.2f} {1e6 * inverse:8.3f} {1e6 * wanted:7.2f} {1e6 * learned:8.3f} {1e6 * row.learned:7.2f}"
-        )
+        pairs = f"{1e6 * inverse:8.3f} {1e6 * wanted:7.2f} {1e6 * learned:8.3f} {1e6 * row.learned:7.2f}"
         measured = ", ".join(f"{1e6 * e:.3g}" for e in errors)
-        print(f"{row.name:62} {numbers} {'' if good else 'MISSED'}  measured {measured}", flush=True)
+        print(f"{row.name:62} {1e6 * none:7.2f} {pairs} {'' if good else 'MISSED'}  measured {measured}", flush=True)
     return 1 if missed else 0
 
 

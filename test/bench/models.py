@@ -1,6 +1,7 @@
 """Sweep and stiffness model beside a yardstick each: ``python -m bench.models [ROUNDS]``, in this folder's parent.
 
-Model and yardstick take turns, so the ratio is the same on a slow or a busy machine.
+Model and yardstick take turns, so the ratio is the same on a slow or a busy machine. The yardstick of the sweep is an
+independent simulator of the paper's case as well.
 """
 
 from __future__ import annotations
@@ -9,16 +10,93 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from math import ceil, cos, floor, pi, sin, sqrt
 
 import numpy as np
+from numba import njit
 
-from bench.plain_pass import plain_pass
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.show.commands.bench import POSTURES, posture_job
 
-__all__ = ["bench_models"]
+
+def plain_pass(cell: Cell, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """The paper's case: the grid after the pass, and the deflections (steps, 2) [m]."""
+    tool, spacing = cell.tool, cell.stock.grid_step
+    grid = np.ones((int(cell.path.length / spacing) + 10, int(2.4 * tool.radius / spacing)), np.uint8)
+    springs, mass = 1.0 / np.array([0.6369e-6, 0.7168e-6]), 790.4
+    moved = _plain_pass(
+        grid, spacing, tool.radius, tool.teeth, tool.spindle_speed, cell.feed_rate, steps,
+        cell.clock.period / cell.clock.micro_steps, 5e9 * cell.path.depth_of_cut, springs, mass,
+        0.38 * np.sqrt(springs * mass),
+    )  # fmt: skip
+    return grid, moved
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _sector(grid, spacing, tool_x, tool_y, radius, inner, angle, turn):
+    """Clear the nodes that a tooth sweeps from angle - turn to angle; how many there were."""
+    c1, s1, c0, s0 = cos(angle), -sin(angle), cos(angle - turn), -sin(angle - turn)
+    left, right = min(c0, c1), max(c0, c1)
+    below, above = min(s0, s1), max(s0, s1)
+    first = max(0, int(floor((tool_x + min(left * radius, left * inner)) / spacing)) - 1)
+    last = min(grid.shape[0], int(ceil((tool_x + max(right * radius, right * inner)) / spacing)) + 1)
+    count = 0
+    for p in range(first, last):
+        dx = (p + 0.5) * spacing - tool_x
+        reach = radius * radius - dx * dx
+        if reach < 0.0:
+            continue
+        high = sqrt(reach)
+        low = -high
+        if c0 > 0.0:
+            high = min(high, s0 * dx / c0)
+        elif c0 < 0.0:
+            low = max(low, s0 * dx / c0)
+        if c1 > 0.0:
+            low = max(low, s1 * dx / c1)
+        elif c1 < 0.0:
+            high = min(high, s1 * dx / c1)
+        low = max(low, min(below * radius, below * inner))
+        high = min(high, max(above * radius, above * inner))
+        a = max(0, int(ceil((tool_y + low) / spacing - 0.5)))
+        b = min(grid.shape[1] - 1, int(floor((tool_y + high) / spacing - 0.5)))
+        for q in range(a, b + 1):
+            count += grid[p, q]
+            grid[p, q] = 0
+    return count
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _plain_pass(grid, spacing, radius, teeth, omega, feed, steps, step, slope, springs, mass, damping):
+    """Steps of ``step`` [s] into a grid (nx, ny) of ones, along its middle; the deflections (steps, 2) [m].
+
+    slope [N/m]: of the force over the chip thickness; springs (2,) [N/m], mass [kg], damping (2,) [N s/m].
+    """
+    turn, middle = omega * step, 0.5 * spacing * grid.shape[1]
+    x, v, a, force = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
+    out = np.empty((steps, 2))
+    for n in range(steps):
+        force[:] = 0.0
+        for tooth in range(teeth):
+            angle = omega * step * n + 2.0 * pi * tooth / teeth
+            tool_x = feed * step * n - radius + x[0]
+            count = _sector(grid, spacing, tool_x, middle + x[1], radius, radius - 3e-4, angle, turn)
+            if count:
+                chip = count * spacing * spacing / (radius * turn * 1.8e-5)
+                tangential = slope * 1.8e-5 * (chip + 0.1 * chip * chip) / (1.0 + chip)
+                force[0] += -0.3 * tangential * cos(angle) + tangential * sin(angle)
+                force[1] += 0.3 * tangential * sin(angle) + tangential * cos(angle)
+        for d in range(2):
+            drift = x[d] + step * v[d] + 0.25 * step * step * a[d]
+            rest = force[d] - damping[d] * (v[d] + 0.5 * step * a[d]) - springs[d] * drift
+            new = rest / (mass + 0.5 * step * damping[d] + 0.25 * step * step * springs[d])
+            x[d] = drift + 0.25 * step * step * new
+            v[d] += 0.5 * step * (a[d] + new)
+            a[d] = new
+            out[n, d] = x[d]
+    return out
 
 
 def timed(job: Callable[[], object]) -> float:

@@ -1,4 +1,7 @@
-"""How fast the recorder and its writer are, beside mcap's own writer: ``python -m bench.recorder``, in ``test``."""
+"""How fast the recorder and its writer are, beside mcap's own writer: ``python -m bench.recorder``, in ``test``.
+
+``python recorder.py RATE COUNT SIZE`` publishes messages of one size. RATE 0: as fast as they are taken. SIZE 0: poses.
+"""
 
 from __future__ import annotations
 
@@ -10,22 +13,26 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 from mcap.writer import Writer
 
-from kr270_milling.live.ros.environment import child_environment
+from kr270_milling.base.samples import PoseSample, StockMap
+from kr270_milling.live.ros.environment import child_environment, keep_to_this_host
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.recordings.messages.definitions import definition
 
 SMALL_RATE, SMALL_SECONDS = 20_000, 10.0  # messages a second; seconds
 LARGE, LARGE_COUNT = 1_000_000, 1000  # bytes; messages
+WAIT = 20  # [s] of the publisher for the recorder
 POSE, GRID = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/OccupancyGrid"
 
 
 def recorded(out: Path, rate: int, count: int, size: int) -> tuple[float, float, int]:
     """Seconds to send the messages, seconds until they were written, messages that are lost."""
     node = [sys.executable, "-m", "kr270_milling.live.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
-    source = [sys.executable, str(Path(__file__).with_name("source.py")), str(rate), str(count), str(size)]
+    source = [sys.executable, __file__, str(rate), str(count), str(size)]
     quiet = {"env": child_environment(), "stderr": subprocess.DEVNULL}
     with subprocess.Popen([*node, "-p", "topics:=bench"], **quiet) as recorder:
         try:
@@ -36,6 +43,42 @@ def recorded(out: Path, rate: int, count: int, size: int) -> tuple[float, float,
     with Recording(out) as recording:
         written = recording.path.stat().st_mtime - begin
         return seconds, written, count - recording.topics()["/bench"].count
+
+
+def publish(rate: int, count: int, size: int) -> None:
+    """Prints when it began [s of the wall clock] and how many seconds it took; ends when the recorder has all."""
+    import rclpy
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import OccupancyGrid
+    from rclpy.duration import Duration
+    from rclpy.qos import HistoryPolicy, QoSProfile
+
+    keep_to_this_host()
+    rclpy.init(args=[])
+    node = rclpy.create_node("bench_source")
+    # with KEEP_ALL a publisher waits for a reader that does not keep up, in place of dropping
+    qos = QoSProfile(history=HistoryPolicy.KEEP_ALL) if size else QoSProfile(depth=20_000)
+    publisher = node.create_publisher(OccupancyGrid if size else PoseStamped, "bench", qos)
+    end = time.monotonic() + WAIT
+    while not publisher.get_subscription_count() and time.monotonic() < end:
+        time.sleep(0.01)
+    messages = bodies(count, size)
+    begin, wall = time.monotonic(), time.time()
+    for i, body in enumerate(messages):
+        publisher.publish(body)
+        if rate and i % 20 == 19:  # a millisecond's worth at a time
+            time.sleep(max(0.0, begin + (i + 1) / rate - time.monotonic()))
+    print(wall, time.monotonic() - begin)
+    publisher.wait_for_all_acked(Duration(seconds=WAIT))
+    rclpy.try_shutdown()
+
+
+def bodies(count: int, size: int) -> list[bytes]:
+    if not size:
+        down = np.array([1.0, 0.0, 0.0, 0.0])
+        return [to_bytes(PoseSample(i * 50_000, "workpiece", np.full(3, float(i)), down)) for i in range(count)]
+    cells = np.linspace(0, 100, size).astype(np.int8).reshape(1000, -1)
+    return [to_bytes(StockMap(0, "workpiece", 1e-3, np.zeros(3), cells))] * count
 
 
 def plain_writer(file: Path, type_name: str, bodies: list[bytes]) -> float:
@@ -93,4 +136,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    publish(*map(int, sys.argv[1:])) if len(sys.argv) > 1 else main()

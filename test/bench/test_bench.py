@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.plain_pass import plain_pass
+from bench.models import plain_pass
 from bench.recorder import bench_writer
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell

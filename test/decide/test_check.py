@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
+from hostile import answered, ask, settings
 from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.findings import violations
@@ -62,15 +60,21 @@ def test_out_of_reach_names_all_points_that_are(cell):
     assert finding.value == pytest.approx(away.max(), abs=1e-9)
 
 
-def test_a_joint_beyond_its_range_is_named_with_its_worst_point(cell):
+def test_a_joint_beyond_its_range_or_too_fast_or_hard_is_named_with_its_worst_point(cell):
     q = np.tile(cell.posture, (5, 1))
     q[:, 4] = np.radians([110, 120, 126, 128, 121])  # A5 has +-125 deg
     (limit,) = [f for f in along_joints(cell, q) if f.kind == "joint limit"]
     assert limit.point == 4 and limit.severity == "stop" and "axis 5" in limit.sentence
     assert "points 3 to 4" in limit.sentence
+    q = np.tile(cell.posture, (6, 1))
+    q[3:, 0] += np.radians(6.0)  # 120 deg/s within one step of 50 ms, where 110 are allowed
+    fast, hard = (f for f in along_joints(cell, q) if f.severity == "stop")
+    assert fast.kind == "joint speed" and hard.kind == "joint acceleration" and hard.point in (3, 4)
+    assert fast.point == 4 and np.degrees(fast.value) == pytest.approx(120, rel=1e-6) and "axis 1" in fast.sentence
+    assert np.degrees(hard.value) == pytest.approx(120 / 0.05, rel=1e-6)
 
 
-def test_a_pass_through_a5_zero_is_a_singularity_and_a_flip(cell):
+def test_singularities_of_wrist_elbow_and_shoulder_and_a_flip_of_the_wrist_have_their_points(cell):
     q = np.tile(cell.posture, (9, 1))
     q[:, 4] = np.radians(np.linspace(8, -8.5, 9))
     results = along_joints(cell, q)
@@ -78,9 +82,6 @@ def test_a_pass_through_a5_zero_is_a_singularity_and_a_flip(cell):
     (near,) = [f for f in results if f.kind == "singularity"]
     assert np.degrees(near.value) == pytest.approx(np.abs(np.linspace(8, -8.5, 9)).min(), abs=1e-6)
     assert near.point == 5 and "wrist" in near.sentence
-
-
-def test_elbow_and_shoulder_are_watched_too(cell):
     q = np.tile(cell.posture, (3, 1))
     q[:, 2] = cell.arm.elbow_offset + np.radians([8, 6, 4])  # the stretched arm at elbow_offset
     (near,) = [f for f in along_joints(cell, q) if f.kind == "singularity"]
@@ -92,15 +93,6 @@ def test_elbow_and_shoulder_are_watched_too(cell):
     assert near.value == pytest.approx(np.hypot(*centre[:2]), abs=1e-9) and "axis 1" in near.sentence
 
 
-def test_a_fast_joint_and_a_hard_one_are_found_at_their_points(cell):
-    q = np.tile(cell.posture, (6, 1))
-    q[3:, 0] += np.radians(6.0)  # 120 deg/s within one step of 50 ms, where 110 are allowed
-    fast, hard = (f for f in along_joints(cell, q) if f.severity == "stop")
-    assert fast.kind == "joint speed" and hard.kind == "joint acceleration" and hard.point in (3, 4)
-    assert fast.point == 4 and np.degrees(fast.value) == pytest.approx(120, rel=1e-6) and "axis 1" in fast.sentence
-    assert np.degrees(hard.value) == pytest.approx(120 / 0.05, rel=1e-6)
-
-
 # --- A correction ---
 LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)
 
@@ -110,15 +102,11 @@ def shifted(run, lateral):
     return run.with_position(run.position + np.asarray(lateral)[:, None] * [0.0, 1.0, 0.0], run.velocity)
 
 
-def test_a_large_correction_is_found_at_its_point():
-    lateral = np.zeros(25)
-    lateral[7] = 1.2e-3
-    (finding,) = correction_size(LINE, shifted(LINE, lateral), 4_000_000, 1e-3)
+def test_a_large_correction_and_a_step_shared_by_the_ticks_of_its_interval_are_reported_at_their_points():
+    revised = shifted(LINE, 1.2e-3 * (np.arange(25) == 7))
+    (finding,) = correction_size(LINE, revised, 4_000_000, 1e-3)
     assert finding.point == 8 and finding.value == pytest.approx(1.2e-3) and "1200.0 um" in finding.sentence
-    assert correction_size(LINE, shifted(LINE, lateral), 4_000_000, 1.3e-3) == []
-
-
-def test_a_step_of_the_correction_is_shared_by_the_ticks_of_its_interval():
+    assert correction_size(LINE, revised, 4_000_000, 1.3e-3) == []
     revised = shifted(LINE, np.where(np.arange(25) >= 10, 1e-4, 0.0))  # 100 um within 50 ms: 8 um in each tick of 4 ms
     (finding,) = correction_per_tick(LINE, revised, 4_000_000, 7.9e-6)
     assert finding.point == 11 and finding.value == pytest.approx(8e-6)
@@ -144,13 +132,15 @@ def test_blending_rounds_a_corner_as_a_parabola_does_unless_the_tool_stops():
     assert corner_blending(*corner(stop=True), 1e-3) == corner_blending(*corner(stop=False), 0.0) == []
 
 
-def test_a_large_or_hasty_correction_must_not_be_run(cell, ran):
+def test_a_large_or_hasty_correction_must_not_be_run_and_a_reference_of_another_path_is_refused(cell, ran):
     target, most = cell.target(), cell.compensation.max_correction
     checked = check(cell, shifted(target, 1.01 * most * (np.arange(len(target)) == 40)), ran=ran)
     stops = {f.what: f for f in checked.findings if f.severity == "stop"}
     assert stops["correction size"].where.point == 41 and stops["correction per tick"].where.point in (41, 42)
     calm = check(cell, shifted(target, 0.9 * most * np.sin(np.pi * np.linspace(0, 1, len(target)))), ran=ran)
     assert not kinds(calm) & {"correction size", "correction per tick"}
+    with pytest.raises(InputError, match="points of this cell's path"):
+        check(cell, LINE)
 
 
 def test_blending_is_only_a_matter_of_lin_motions(cell, ran):
@@ -162,11 +152,6 @@ def test_blending_is_only_a_matter_of_lin_motions(cell, ran):
         (smooth, "LIN", True), (smooth, "SPLINE", False), (straight, None, True), (smooth, None, False)
     ):  # fmt: skip
         assert ("corner blending" in kinds(check(strict, revised, motion, ran), "warning")) == blended
-
-
-def test_a_reference_of_another_path_is_refused(cell):
-    with pytest.raises(InputError, match="points of this cell's path"):
-        check(cell, LINE)
 
 
 # --- Findings ---
@@ -205,19 +190,13 @@ def test_the_shipped_program_has_no_rapid_moves_in_material():
     assert not rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact))
 
 
-def command(directory, *words: str, gcode: str = GCODE, sets=()) -> list[str]:
-    pairs = assignments(directory, gcode, *sets)
-    return ["check", "paper.yaml", *words, *(part for pair in pairs for part in ("--set", pair))]
-
-
-def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, capsys, cell):
+def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, cell):
     through = "G21 G90 S8000 M3\nG43 H1\nM8\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X12 F4000\nG0 X20\nG1 X26\nG0 Z5\nM8\nM30\n"
-    assert main(command(tmp_path, gcode=through)) == 1
-    text = capsys.readouterr().out
-    assert "goes 8 mm through material, 0.5 mm deep at point" in text and "(line 7)" in text
+    words = ["check", "paper.yaml", *settings(*assignments(tmp_path, through))]
+    code, text, _ = ask(*words)
+    assert code == 1 and "goes 8 mm through material, 0.5 mm deep at point" in text and "(line 7)" in text
     assert "removed by rapid moves: 80" in text and "read over: 2 M8, 1 G43 H1" in text
-    assert main(command(tmp_path, "--json", gcode=through)) == 1
-    answer = json.loads(capsys.readouterr().out)
+    answer = answered(*words, code=1)
     assert not answer["may_be_run"] and answer["stops"] == sum(f["severity"] == "stop" for f in answer["findings"])
     assert {row["word"]: row["count"] for row in answer["read_over"]} == {"M8": 2, "G43 H1": 1}
     (move,) = answer["rapid_moves"]
@@ -225,8 +204,9 @@ def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, capsys,
     assert move["unit"] == "mm" and move["advice"] and move["count"] == 1
     assert move["amounts"] == pytest.approx({"length_mm": 8.0, "volume_mm3": 80.0}, rel=0.02)
     assert answer["removed_by_rapid_moves_mm3"] == pytest.approx(80.0, rel=0.02)
-    assert main(command(tmp_path)) == 0
-    assert "may be run, after a test in T1" in capsys.readouterr().out
+    assignments(tmp_path)
+    code, text, _ = ask(*words)
+    assert code == 0 and "may be run, after a test in T1" in text
     write_csv(tmp_path / "revised.csv", shifted(cell.target(), np.full(len(cell.target()), 5e-3)))
-    assert main(command(tmp_path, "--reference", str(tmp_path / "revised.csv"))) == 1
-    assert "the correction exceeds 2000.0 um" in capsys.readouterr().out
+    code, text, _ = ask(*words, "--reference", str(tmp_path / "revised.csv"))
+    assert code == 1 and "the correction exceeds 2000.0 um" in text

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hostile import settings
 from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import ConfigError
@@ -28,27 +29,19 @@ from kr270_milling.physics.compensation.compensator import Compensator
 def part(**features):
     rows = tuple(SimpleNamespace(name=n, max_wall=w, max_floor=f) for n, (w, f) in features.items())
     walls, floors = ([getattr(row, key) for row in rows] for key in ("max_wall", "max_floor"))
-    whole = SimpleNamespace(max_wall=np.nanmax(walls), max_floor=np.nanmax(floors))
-    return SimpleNamespace(rows=rows, whole=whole)
-
-
-def cell_with(**tolerances):
-    return SimpleNamespace(part=Tolerances(**tolerances))
+    return SimpleNamespace(rows=rows, whole=SimpleNamespace(max_wall=np.nanmax(walls), max_floor=np.nanmax(floors)))
 
 
 def test_the_error_that_is_farthest_beyond_its_own_tolerance_decides():
-    result = judge_part(
-        cell_with(tolerance=50e-6, floor_tolerance=10e-6, features=("pocket=30",)),
-        part(slot=(49e-6, 9e-6), pocket=(40e-6, np.nan)),
-    )
+    def judged(rows, **tolerances):
+        return judge_part(SimpleNamespace(part=Tolerances(**tolerances)), rows)
+
+    limits = {"tolerance": 50e-6, "floor_tolerance": 10e-6, "features": ("pocket=30",)}
+    result = judged(part(slot=(49e-6, 9e-6), pocket=(40e-6, np.nan)), **limits)
     assert not result.passes and result.feature == "pocket" and result.tolerance == pytest.approx(30e-6)
     assert result.words == "largest wall or floor error misses 30 um (40 um at pocket)"
-
-
-def test_all_within_passes_and_without_a_tolerance_nothing_is_said():
-    rows = part(slot=(49e-6, 9e-6))
-    assert judge_part(cell_with(tolerance=50e-6), rows).passes is True
-    result = judge_part(cell_with(), rows)
+    assert judged(part(slot=(49e-6, 9e-6)), tolerance=50e-6).passes is True
+    result = judged(part(slot=(49e-6, 9e-6)))  # no tolerance
     assert result.passes is None and result.wall == 49e-6 and result.error == 49e-6
 
 
@@ -63,7 +56,7 @@ MOVING = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "dyn
 UM = 1e-6
 
 
-def judgement(error: float, tolerance: float = 100 * UM) -> Judgement:
+def judgement(error: float, tolerance: float) -> Judgement:
     passes = error <= tolerance if tolerance else None
     return Judgement(error, error, passes, error, tolerance, "pocket", SURFACE_ERROR)
 
@@ -96,14 +89,12 @@ def test_a_stop_or_a_model_that_misses_is_a_no_whatever_the_plants():
     assert stopped.sentence.startswith("the path must not be run: axis 5 leaves its range, and 1 more")
 
 
-def test_what_is_missing_is_named():
+def test_what_is_missing_is_named_and_a_method_is_recommended_only_where_methods_were_compared():
     assert "no verdict of simulated robots" in decision().sentence and decision().level == CAUTION
     open_ended = decision(tolerance=0.0, verdict=plants(50, 60, tolerance=0.0))
     assert open_ended.level == CAUTION and "set part.tolerance_um" in open_ended.sentence
     assert "is 5 um on the model, median 55 um in 2 simulated robots" in open_ended.sentence
 
-
-def test_a_method_is_recommended_only_where_methods_were_compared():
     assert decision(verdict=plants(50)).recommended_method is None
     assert decision().method_text == "method: inverse, as set"
     compared = decision(comparison=MethodComparison("inverse", "inverse, because", {}))
@@ -111,19 +102,16 @@ def test_a_method_is_recommended_only_where_methods_were_compared():
 
 
 def run(directory, capsys, *words: str):
-    """Run ``compensate`` once: its exit code, what it prints for a reader, its JSON and its programs."""
-    pairs = assignments(directory, GCODE, *MOVING)
-    sets = [part for pair in pairs for part in ("--set", pair)]
-    args = _parser(["compensate"]).parse_args(
-        ["compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words]
-    )
-    answer = args.run(args)
+    """Run ``compensate`` once: its exit code, what it prints for a reader, its JSON, its programs and their headers."""
+    sets = settings(*assignments(directory, GCODE, *MOVING))
+    words = ["compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words]
+    answer = (args := _parser(["compensate"]).parse_args(words)).run(args)
     code = answer.print(as_json=False)
     text = capsys.readouterr().out
     assert answer.print(as_json=True) == code
-    programs = {path: path.read_text() for path in (directory / "out").rglob("*.src")}
-    headers = [" ".join(re.findall(r"^; (.*)$", program, re.MULTILINE)) for program in programs.values()]
-    return code, text, json.loads(capsys.readouterr().out), list(programs), headers
+    programs = list((directory / "out").rglob("*.src"))
+    headers = [" ".join(re.findall(r"^; (.*)$", path.read_text(), re.MULTILINE)) for path in programs]
+    return code, text, json.loads(capsys.readouterr().out), programs, headers
 
 
 def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):
@@ -138,22 +126,25 @@ def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("tolerance", "level", "tone"), [("600", YES, "good"), ("0.2", NO, "bad")])
-def test_the_decision_is_the_same_in_every_output_of_a_run(tmp_path, capsys, tolerance, level, tone):
+def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(tmp_path, capsys, tolerance, level, tone):
     words = ["--method", "best", "--quick", "--force", "--set", f"part.tolerance_um={tolerance}"]
     code, text, result, programs, headers = run(tmp_path, capsys, *words)
     assert code == (level == NO) and result["decision"] == level and result["may_be_run"] is True
-    line = f"decision: {level}: {result['sentence']}"
-    assert text.splitlines()[0] == line and line in (tmp_path / "out" / "MANIFEST.txt").read_text().splitlines()
-    assert len(headers) == 2 and all(line in header for header in headers)
+    line, chatter = f"decision: {level}: {result['sentence']}", result["check"]["stability"]["text"]
+    assert chatter.startswith("stability: arm: stable") and text.splitlines()[0] == line
+    manifest = (tmp_path / "out" / "MANIFEST.txt").read_text()
+    assert line in manifest.splitlines() and chatter in manifest and chatter in text
     report = (tmp_path / "out" / "report.html").read_text()
     assert f'<div class="tile {tone}"><span class="label">decision</span><strong>{level}</strong>' in report
     assert f"<span>{result['sentence'].replace(' um', ' µm')}</span>" in report
-    assert all(path.name.startswith("NOT_RELEASED") == (level == NO) for path in programs)
+    assert chatter.removeprefix("stability: ") in report
     method = result["recommended_method"]  # the method that is recommended is the one that is written
     assert method == result["method"] == "inverse" and f"recommended method: {method}, because" in text
-    assert all(f"krl_spline_{method}_" in path.parent.name for path in programs)
-    assert any(f"method {method}" in header for header in headers)
     assert "exchange: largest correction of a predicted pose is" in text
+    assert len(headers) == 2 and all(line in header and chatter in header for header in headers)
+    assert any(f"method {method}" in header for header in headers)
+    for path in programs:
+        assert path.name.startswith("NOT_RELEASED") == (level == NO) and f"krl_spline_{method}_" in path.parent.name
 
 
 def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monkeypatch):
@@ -164,7 +155,7 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
     assert done.decision.method == done.decision.recommended_method == "none"
 
 
-def test_best_takes_learned_only_with_a_tracker(tmp_path):
+def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_method(tmp_path):
     cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best")
     original = simulate(cell)
     result = compare_methods(cell, original)
@@ -174,18 +165,16 @@ def test_best_takes_learned_only_with_a_tracker(tmp_path):
     assert compare_methods(tracked, original).best == "learned"
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
         assert Compensator(one.compensation, one.target()).method == method
+    judged = cell.replace(part=cell.part.replace(tolerance=100 * UM))
+    result = compensation.compensate(judged, verdict=VerdictOrder(1, asked_for=True)).decision
+    assert list(result.verdict.methods) == ["inverse"]  # it runs no other method
+    assert result.verdict.quantity == result.compensated.quantity
 
 
 def test_learned_says_that_it_needs_a_tracker(tmp_path):
     done = compensation.compensate(small_part(tmp_path, GCODE, "compensation.max_passes=1"), "learned")
     assert any("needs a tracker" in line for line in done.lines())
     assert done.decision.recommended_method is None
-
-
-def test_the_verdict_of_best_runs_no_other_method(tmp_path):
-    cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best", "part.tolerance_um=100")
-    result = compensation.compensate(cell, verdict=VerdictOrder(1, asked_for=True)).decision
-    assert list(result.verdict.methods) == ["inverse"] and result.verdict.quantity == result.compensated.quantity
 
 
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):

@@ -12,18 +12,10 @@ from milled_part import CONFIG, HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.decide.part import (
-    assess,
-    assess_all,
-    heights_at,
-    ideal_part,
-    machined,
-    surface,
-    write_part,
-    write_stl,
-)
+from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface, write_stl
 from kr270_milling.decide.part.course import Course, course, deviations
 from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
+from kr270_milling.decide.part.workpiece import write_part
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.motion.dynamics import discretise
 
@@ -53,7 +45,7 @@ def test_each_feature_that_cuts_has_a_row_and_the_whole_part_is_the_worst_of_the
         assert row.mean_normal < row.quantile_normal < row.max_normal
 
 
-def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell, ran, part):
+def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell, ran, part, tmp_path):
     result, stock = ran.result, cell.stock
     above = np.minimum(result.tool[:-1, 2], result.tool[1:, 2]) > stock.max[2]
     beside = np.abs(result.tool[1:, 0]) > stock.max[0] + RADIUS + 1e-3
@@ -63,9 +55,6 @@ def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell,
     assert part.whole.cut_length < 0.8 * part.path.distance[-1]
     np.testing.assert_allclose(part.power, part.torque * cell.tool.spindle_speed, rtol=1e-12)
     assert result.volume.sum() == pytest.approx(result.removed_volume, rel=1e-9)
-
-
-def test_a_feature_in_the_air_has_no_row(tmp_path):
     cell = small_cell(tmp_path, SLOT.replace("M5", "(air)\nG0 X-28 Y0 Z2\nG1 X28\nM5"))
     assert [row.name for row in assess(cell, simulate(cell)).rows] == ["slot"]
 
@@ -74,7 +63,6 @@ def test_mean_torque_of_a_rigid_slot_is_that_of_the_linear_edge_law(tmp_path):
     cell = small_cell(tmp_path, SLOT, RIGID, "stock.grid_step_um=20.0", "exchange.micro_step_deg=1.0")
     result = assess(cell, simulate(cell))
     full = np.abs(result.path.distance - 30e-3 - 2e-3) < 8e-3  # plunge of 3 mm, then x from -28 to 28: in the middle
-    full = full[: full.size]
     law, depth, feed = cell.cutting.linear_edge, 1e-3, 0.25e-3
     # each of the teeth cuts over half a turn with h = f_z sin: mean of F_t is (2 K_tc f_z + pi K_te) a / (2 pi)
     per_tooth = (2 * law.tangential_cutting * feed + np.pi * law.tangential_edge) * depth / (2 * np.pi)
@@ -91,9 +79,8 @@ def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_give
     x, y, z = cut.heights(thinning=7)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     np.testing.assert_array_equal(heights_at(cut, points).reshape(z.shape), z)
-    first, again = assess_all(
-        cell, [ran, dataclasses.replace(ran, result=dataclasses.replace(ran.result, heights=None))]
-    )
+    swept = dataclasses.replace(ran, result=dataclasses.replace(ran.result, heights=None))
+    first, again = assess_all(cell, [ran, swept])
     assert first.table() == part.table()  # both passes share the ideal part
     differ = np.abs(part.surface.floors.error - again.surface.floors.error)
     assert np.nanquantile(differ, 0.999) <= part.surface.floor_resolution
@@ -101,14 +88,10 @@ def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_give
 
 
 # --- Directions, distances and features along a pass ---
-@pytest.fixture(scope="module")
-def stamps(cell):
-    return np.arange(0, cell.target().duration_ns, 500_000)
-
-
-def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_rests(cell, stamps):
+def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_rests(cell):
     target = cell.target()
     end = target.duration_ns
+    stamps = np.arange(0, end, 500_000)
     path, velocity = course(cell, np.append(stamps, [end, end + 10**9])), target.sample_velocity(stamps)
     speed = np.linalg.norm(velocity, axis=1)
     moving = np.flatnonzero(speed > 5e-3)
@@ -122,6 +105,10 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
     assert upright.any() and not upright[np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1].any()
     assert path.features == ("unnamed", "side", "ring")
     assert set(np.unique(path.feature)) <= {0, 1, 2} and {1, 2} <= set(np.unique(path.feature))
+    straight = course(read_cell(CONFIG / "paper.yaml"), np.array([0, 10**9, 2 * 10**9]))
+    assert straight.features == ("straight cut",)
+    np.testing.assert_allclose(straight.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
+    assert straight.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
 
 
 def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
@@ -135,33 +122,24 @@ def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
     np.testing.assert_allclose(shifted[along_y], np.tile([2, 1, 3], (along_y.sum(), 1)), atol=1e-12)
 
 
-def test_a_straight_cut_without_a_file_is_one_feature_along_x():
-    cell = read_cell(CONFIG / "paper.yaml")
-    path = course(cell, np.array([0, 10**9, 2 * 10**9]))
-    assert path.features == ("straight cut",)
-    np.testing.assert_allclose(path.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
-    assert path.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
-
-
 # --- The shipped cell of the test piece ---
 COARSE = ("stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0")
 
 
-def with_features(path, *names: str):
-    """The programme of the test piece with some of its features only."""
-    keep, copied = True, []
+def piece(folder, *names: str):
+    """The cell of the test piece with some of its features only."""
+    keep, copied, path = True, [], folder / "short.nc"
     for line in (CONFIG / "test_piece.nc").read_text().splitlines():
         if line.startswith("("):
             keep = line.strip("()") in names
         if keep or line.startswith(("N540", "N550")):
             copied.append(line.replace("M3", "M3 F4000"))
     path.write_text("\n".join(copied) + "\n")
-    return path
+    return read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
 
 
 def test_the_square_is_left_too_large_by_tens_of_micrometres(tmp_path):
-    short = with_features(tmp_path / "short.nc", "square", "inclined_side")
-    cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={short}"])
+    cell = piece(tmp_path, "square", "inclined_side")
     part = assess(cell, simulate(cell))
     square, inclined = part.rows
     assert (square.name, inclined.name) == ("square", "inclined_side")
@@ -174,8 +152,7 @@ def test_the_square_is_left_too_large_by_tens_of_micrometres(tmp_path):
 
 def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):
     """Sharp corners, helix, axial force and inertia of the arm. A fifth was asked for; a coarser cut is simulated."""
-    path = with_features(tmp_path / "diamond.nc", "diamond")
-    cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
+    cell = piece(tmp_path, "diamond")
     assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
     original = simulate(cell)
     before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))
@@ -189,17 +166,13 @@ def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_c
 FAR = HEAD + "(far)\nG0 X-100 Y-50 Z-1\nG1 X100 Y50 F3000\n"
 
 
-def static(transition, input_matrix, output, feedthrough) -> np.ndarray:
-    """Deflection under a wrench that stays, (6, 6)."""
-    return output @ np.linalg.solve(np.eye(len(transition)) - transition, input_matrix) + feedthrough
+def static_and_lowest(transition, input_matrix, output, feedthrough) -> tuple[np.ndarray, float]:
+    """Deflection under a wrench that stays, (3, 3), and the angle of the slowest mode in one period [rad]."""
+    static = output @ np.linalg.solve(np.eye(len(transition)) - transition, input_matrix) + feedthrough
+    return static[:3, :3], np.abs(np.angle(np.linalg.eigvals(transition))).min()
 
 
-def lowest(transition) -> float:
-    """Angle of the slowest mode in one period [rad]."""
-    return float(np.abs(np.angle(np.linalg.eigvals(transition))).min())
-
-
-def interpolation_error(folder, spacing_mm: float) -> tuple[float, float]:
+def interpolation_error(folder, spacing_mm: float) -> np.ndarray:
     """Largest relative error of translational compliance and of the lowest frequency, over exchanges along FAR."""
     cell = small_cell(folder, FAR, "dynamics.follow_pose=true", f"dynamics.posture_spacing_mm={spacing_mm}")
     target = cell.target()
@@ -212,16 +185,15 @@ def interpolation_error(folder, spacing_mm: float) -> tuple[float, float]:
     for step, mode in zip(steps, exact, strict=True):
         k, part = divmod(step / model.steps_per_knot, 1.0)
         arrays = [a[int(k)] + part * (a[int(k) + 1] - a[int(k)]) for a in model.arrays[:4]]
-        fresh = discretise(mode, cell.dynamics.damping_ratio, cell.clock.period)
-        soft, right = static(*arrays)[:3, :3], static(*fresh)[:3, :3]
-        wrong = [np.abs(soft - right).max() / np.abs(right).max(), abs(lowest(arrays[0]) / lowest(fresh[0]) - 1)]
-        worst = np.maximum(worst, wrong)
-    return worst[0], worst[1]
+        soft, lowest = static_and_lowest(*arrays)
+        right, exactly = static_and_lowest(*discretise(mode, cell.dynamics.damping_ratio, cell.clock.period))
+        worst = np.maximum(worst, [np.abs(soft - right).max() / np.abs(right).max(), abs(lowest / exactly - 1)])
+    return worst
 
 
 def test_postures_5_mm_apart_give_stiffness_and_frequency_to_1e_3_and_the_error_falls_with_the_square(tmp_path):
     """5 mm is the shipped spacing; joint compliances are known to a few per cent."""
-    finest, fine, coarse = (np.array(interpolation_error(tmp_path, spacing)) for spacing in (5.0, 20.0, 40.0))
+    finest, fine, coarse = (interpolation_error(tmp_path, spacing) for spacing in (5.0, 20.0, 40.0))
     assert finest.max() < 1e-3
     np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.4)
 
@@ -248,31 +220,16 @@ def slot(tmp_path_factory):
     return small_cell(tmp_path_factory.mktemp("slot"), SLOT)
 
 
-def test_a_rigid_arm_leaves_no_error(tmp_path):
-    cell = small_cell(tmp_path, POCKET, RIGID)
-    ran = simulate(cell).result
-    assert np.abs(ran.wrench[:, :2]).max() > 50  # it does cut
-    path, _ = planned(cell)
-    result = surface(cell, path, ran.target, ran.actual)
-    assert result.walls.error.size > 300 and np.abs(result.walls.error).max() < 1e-12
-    assert result.floors.errors().size > 5000 and np.abs(result.floors.errors()).max() == 0.0
-
-
-@pytest.mark.parametrize("shift", [(30e-6, 0, 0), (0, -20e-6, 0), (40e-6, -30e-6, 0)])
-def test_a_shift_across_moves_each_wall_by_its_part_along_the_normal_and_no_floor(cell, shift):
-    result = errors(cell, np.array(shift))
+@pytest.mark.parametrize("shift_um", [(30, 0, 0), (40, -30, 0), (0, 0, -4.0), (0, -20, 2.5), (0, 0, 30.0)])
+def test_a_shift_moves_each_wall_by_its_part_along_the_normal_and_each_floor_by_its_part_along_the_spindle(
+    cell, shift_um
+):
+    result, step = errors(cell, UM * np.array(shift_um)), cell.stock.level_step
     assert len(np.unique(np.round(np.arctan2(*result.walls.normal.T), 2))) > 50  # straight sides, a corner, an arc
-    np.testing.assert_allclose(result.walls.error, result.walls.normal @ np.array(shift[:2]), atol=1e-10)
-    assert np.abs(result.floors.errors()).max() == 0.0
-
-
-@pytest.mark.parametrize("level", [-40, 25, 300])
-def test_a_shift_along_the_spindle_is_the_error_of_every_floor_and_no_wall(cell, level):
-    step = cell.stock.level_step
-    result = errors(cell, np.array([0, 0, level * step]))
+    across = UM * result.walls.normal @ np.array(shift_um[:2])
+    np.testing.assert_allclose(result.walls.error, across, atol=1e-10 if across.any() else 1e-12)
     assert np.unique(result.floors.feature[np.isfinite(result.floors.error)]).tolist() == [1, 2]
-    np.testing.assert_allclose(result.floors.errors(), level * step, atol=1e-9 * step + 1e-15)
-    np.testing.assert_allclose(result.walls.error, 0.0, atol=1e-12)
+    np.testing.assert_allclose(result.floors.errors(), UM * shift_um[2], atol=1e-9 * step + 1e-15)
 
 
 def test_walls_of_a_slot_stand_a_radius_beside_the_path_with_its_depth(slot):
@@ -344,7 +301,7 @@ def test_a_ramp_leaves_its_own_slope_and_an_oblique_shift_its_vertical_part(tmp_
     assert np.mean(error) == pytest.approx(10 * UM, rel=0.02)
 
 
-def test_a_plunge_owns_the_floor_it_ends_on(tmp_path):
+def test_a_plunge_owns_the_floor_it_ends_on_and_heights_beside_the_stock_are_not_known(tmp_path):
     cell = small_cell(tmp_path, HEAD + "(hole)\nG0 X5 Y5 Z2\nG1 Z-1 F600\nG0 Z2\n(slot)\nG0 X-28 Y-8\nG0 Z-1\nG1 X28\n")
     path, target = planned(cell)
     floors = errors(cell, np.zeros(3)).floors
@@ -355,12 +312,8 @@ def test_a_plunge_owns_the_floor_it_ends_on(tmp_path):
     assert away.max() < RADIUS
     deepest = heights_at(machined(cell, target), np.array([[5 * MM, 5 * MM]]))[0]
     assert deepest == pytest.approx(-1 * MM, abs=5e-6)  # no dwell
-
-
-def test_heights_beside_the_stock_are_not_known(slot):
-    cut = slot.cut()
-    result = heights_at(cut, np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
-    assert result[0] == 0.0 and np.isnan(result[1:]).all()
+    beside = heights_at(cell.cut(), np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
+    assert beside[0] == 0.0 and np.isnan(beside[1:]).all()
 
 
 def test_a_mark_among_too_many_of_other_walls_counts_alone():

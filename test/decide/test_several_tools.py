@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hostile import answered, ask, settings
 
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import Cell, read_cell, read_cells
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.part import assess
@@ -54,13 +51,15 @@ PLATE = (
     "(T3 D=10. CR=0. - ZMIN=-3. - FLAT END MILL 3 FLUTES)\nG90 G94 G17 G21 G54\n"
     + "(FACE1)\n" + operation("T1", "G0 X-55 Y0", "Z15", "Z-0.5", "(LEAD IN)", "G1 X55 F1500", speed=3000)
     + "(POCKET2)\n" + operation(
-        "T2", "G0 X0 Y0", "Z15", "Z2", "(HELICAL RAMP)", "G1 Z0 F1200", "X2", "G3 X2 Y0 Z-1.5 I-2 J0",
-        "G3 X2 Y0 Z-3 I-2 J0", "G3 X2 Y0 I-2 J0", "G1 X6.7 F2000", "G3 X6.7 Y0 I-6.7 J0", speed=8000)
+        "T2", "G0 X0 Y0", "Z15", "Z2", "(HELICAL RAMP)", "G1 Z0 F1200", "X2", "G3 X2 Y0 Z-3 I-2 J0",
+        "G1 X5.7 F2000", "G3 X5.7 Y0 I-5.7 J0", speed=8000)
     + "(CONTOUR3)\n" + operation(
-        "T3", "G0 X6 Y0", "Z15", "Z-2", "G1 Z-3 F500", "X7 F1500", "G3 X7 Y0 I-7 J0", "G1 X6", speed=9000)
+        "T3", "G0 X5 Y0", "Z15", "Z-2", "G1 Z-3 F500", "X6 F1500", "G3 X6 Y0 I-6 J0", "G1 X5", speed=9000)
     + END
 )  # fmt: skip
 LARGE, SMALL = {"diameter_mm": 10, "teeth": 2}, {"diameter_mm": 6, "teeth": 2}
+SLOTS = HEAD + operation("T1", *ALONG) + operation("T2", *ACROSS) + END
+TWICE = HEAD + operation("T1", *ALONG) + operation("T2", *ALONG) + END
 
 
 def run_in_turn(cells):
@@ -69,31 +68,23 @@ def run_in_turn(cells):
 
 @pytest.mark.parametrize("detail", DETAIL)
 @pytest.mark.parametrize("first", ["T1", "T2"])
-def test_two_tools_remove_the_union_of_their_slots(tmp_path, detail, first):
+def test_two_tools_remove_the_union_of_their_slots_and_the_second_on_the_same_path_nothing(tmp_path, detail, first):
     slots = [operation("T1", *ALONG), operation("T2", *ACROSS)]
     program = HEAD + "".join(slots if first == "T1" else slots[::-1]) + END
     done = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL}, detail, RIGID))
-    along, across, both = 60 * 10 * 1, 30 * 6 * 2, 6 * 10 * 1  # [mm3], closed form
-    removed = {cell.stage.tool: 1e9 * ran.result.removed_volume for cell, ran in done}
-    alone = {"T1": along, "T2": across}
-    second = "T2" if first == "T1" else "T1"
-    assert removed[first] == pytest.approx(alone[first], rel=0.01)
-    assert removed[second] == pytest.approx(alone[second] - both, rel=0.01)
+    alone, both = {"T1": 60 * 10 * 1, "T2": 30 * 6 * 2}, 6 * 10 * 1  # [mm3], closed form
+    assert done[0][0].stage.tool == first
+    for (cell, ran), shared in zip(done, (0, both), strict=True):
+        assert 1e9 * ran.result.removed_volume == pytest.approx(alone[cell.stage.tool] - shared, rel=0.01)
     assert not any(check(cell, ran=ran).count("stop") for cell, ran in done)
-
-
-@pytest.mark.parametrize("detail", DETAIL)
-def test_a_tool_on_the_path_of_the_one_before_removes_nothing_and_feels_no_force(tmp_path, detail):
-    program = HEAD + operation("T1", *ALONG) + operation("T2", *ALONG) + END
-    (_, first), (_, second) = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": LARGE}, detail, RIGID))
-    assert np.abs(first.result.wrench).max() > 50.0
+    (_, cuts), (_, second) = run_in_turn(tool_cells(tmp_path, TWICE, {"T1": LARGE, "T2": LARGE}, detail, RIGID))
+    assert np.abs(cuts.result.wrench).max() > 50.0
     assert second.result.removed_volume == 0.0 and not second.result.wrench.any()
 
 
 def test_a_soft_arm_leaves_material_that_the_next_tool_finds(tmp_path):
     """Where the first tool is pushed off to one side, the same slot of the second tool is not free of force."""
-    program = HEAD + operation("T1", *ALONG) + operation("T2", *ALONG) + END
-    (_, first), (cell, second) = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": LARGE}))
+    (_, first), (cell, second) = run_in_turn(tool_cells(tmp_path, TWICE, {"T1": LARGE, "T2": LARGE}))
     missed = np.abs(first.result.actual - first.result.target)[first.result.volume > 0.0, 1].mean()
     assert 1e9 * second.result.removed_volume == pytest.approx(1e9 * missed * 60e-3 * 1e-3, rel=0.5)
     (moved,) = cell.stage.earlier
@@ -130,39 +121,34 @@ def test_walls_and_floors_belong_to_the_last_tool_that_passes_there(tmp_path):
 
 
 def test_a_tool_overrides_sections_and_one_tool_can_be_chosen(tmp_path):
-    program = HEAD + operation("T1", *ALONG) + operation("T2", *ACROSS) + END
     tools = {"T1": LARGE, "T2": SMALL | {"cutting": {"linear_edge": {"tangential_cutting_n_per_mm2": 700.0}}}}
-    first, second = tool_cells(tmp_path, program, tools)
+    first, second = tool_cells(tmp_path, SLOTS, tools)
     assert second.cutting.active.tangential_cutting == 700e6 != first.cutting.active.tangential_cutting
     assert (first.program.name, second.program.name) == ("MILLING_T1", "MILLING_T2")
-    (chosen,) = tool_cells(tmp_path, program, tools, "path.tool=T2")
+    (chosen,) = tool_cells(tmp_path, SLOTS, tools, "path.tool=T2")
     assert chosen.tool.diameter == 6e-3 and [one.tool for one in chosen.stage.earlier] == ["T1"]
 
 
-@pytest.mark.parametrize(
-    ("tools", "more", "message"),
-    [
-        ({"T1": LARGE}, "", r"tools\.T2: is missing: the program cuts with T2"),
-        ({"T1": LARGE, "T2": {"teeth": 2, "diameter": 6}}, "", r"tools\.T2\.diameter: is not a known key"),
-        ({"T1": LARGE, "T2": SMALL | {"stock": {"min_mm": [0, 0, 0]}}}, "", r"tools\.T2\.stock: must not have min_mm"),
-        ({"T1": LARGE, "T2": 3}, "", r"tools: must have a group of keys for each tool"),
-        ({"T1": LARGE, "T2": SMALL}, "path.tool=T9", r"path\.tool: 'T9' is not usable, it must be one of T1, T2"),
-        ({"T1": LARGE, "T2": SMALL}, "program.name=LONGEST_NAME_1", r"program\.name: .*16 characters.*with the tool"),
-        ({"T1": LARGE, "T2": SMALL}, "path.file=", r"tools: needs a program in path\.file"),
-    ],
-)
+@pytest.mark.parametrize(("tools", "more", "message"), [
+    ({"T1": LARGE}, "", r"tools\.T2: is missing: the program cuts with T2"),
+    ({"T1": LARGE, "T2": {"teeth": 2, "diameter": 6}}, "", r"tools\.T2\.diameter: is not a known key"),
+    ({"T1": LARGE, "T2": SMALL | {"stock": {"min_mm": [0, 0, 0]}}}, "", r"tools\.T2\.stock: must not have min_mm"),
+    ({"T1": LARGE, "T2": 3}, "", r"tools: must have a group of keys for each tool"),
+    ({"T1": LARGE, "T2": SMALL}, "path.tool=T9", r"path\.tool: 'T9' is not usable, it must be one of T1, T2"),
+    ({"T1": LARGE, "T2": SMALL}, "program.name=LONGEST_NAME_1", r"program\.name: .*16 characters.*with the tool"),
+    ({"T1": LARGE, "T2": SMALL}, "path.file=", r"tools: needs a program in path\.file"),
+])  # fmt: skip
 def test_tools_that_do_not_fit_are_refused(tmp_path, tools, more, message):
-    program = HEAD + operation("T1", *ALONG) + operation("T2", *ACROSS) + END
     with pytest.raises(ConfigError, match=message):
-        tool_cells(tmp_path, program, tools, *filter(None, [more]))
+        tool_cells(tmp_path, SLOTS, tools, *filter(None, [more]))
 
 
 def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path):
-    slots = operation("T1", *ALONG), operation("T2", *ACROSS)
+    twice = SLOTS.replace(END, operation("T1", *ALONG)) + END
     with pytest.raises(ConfigError, match=r"tools\.T1: cuts again in line 20, after T2"):
-        tool_cells(tmp_path, HEAD + "".join(slots) + slots[0] + END, {"T1": LARGE, "T2": SMALL})
+        tool_cells(tmp_path, twice, {"T1": LARGE, "T2": SMALL})
     path = tmp_path / "cell.yaml"
-    (tmp_path / "part.nc").write_text(HEAD + "".join(slots) + END)
+    (tmp_path / "part.nc").write_text(SLOTS)
     path.write_text(
         "/**:\n  ros__parameters:\n    includes: [test_piece.yaml]\n    path: {file: part.nc}\n"
         "    tools: {T1: {diameter_mm: 10.0}, T2: {diameter_mm: 6.0}}\n"
@@ -177,28 +163,21 @@ def drafted(tmp_path_factory):
     """The cell that ``init`` writes for the plate."""
     folder = tmp_path_factory.mktemp("plate")
     (folder / "plate.nc").write_text(PLATE)
-    with contextlib.redirect_stdout(io.StringIO()) as text:
-        assert main(["init", "--gcode", str(folder / "plate.nc")]) == 0
-    (folder / "cell.yaml").write_text(text.getvalue())
+    (folder / "cell.yaml").write_text(ask("init", "--gcode", str(folder / "plate.nc")).out)
     return folder / "cell.yaml"
 
 
 FAST = ("cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=mirror")
 
 
-def command(name: str, cell, *words: str) -> list[str]:
-    sets = [*STOCK, *FAST]
-    return [name, str(cell), *(part for one in sets for part in ("--set", one)), *words]
+COMPENSATE = ("--no-verdict", "--gcode", "--out")
 
 
-def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path, capsys):
-    assert main(command("check", drafted, "--json")) == 0
-    checked = json.loads(capsys.readouterr().out)
+def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path):
+    checked = answered("check", drafted, *settings(*STOCK, *FAST))
     assert [one["tool"] for one in checked["tools"]] == ["T1", "T2", "T3"]
     assert checked["may_be_run"] and sum(one["removed_by_rapid_moves_mm3"] for one in checked["tools"]) == 0.0
-    words = ["--no-verdict", "--gcode", "--json", "--out", str(tmp_path / "out")]
-    assert main(command("compensate", drafted, *words)) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answered("compensate", drafted, *settings(*STOCK, *FAST), *COMPENSATE, tmp_path / "out")
     assert answer["decision"] == "caution" and answer["may_be_run"]
     programs = [path for one in answer["tools"] for path in one["programs"]["krl_spline"]]
     names = [path.rpartition("/")[2] for path in programs]
@@ -221,17 +200,14 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
         assert one["compensated"]["deciding_error_um"] < one["as_programmed"]["deciding_error_um"]
 
 
-def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path, capsys):
+def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path):
     program = tmp_path / "dangerous.nc"
-    program.write_text(PLATE.replace("G1 X6.7 F2000", "G0 X6.7"))
-    more = ["--set", f"path.file={program}"]
-    out = tmp_path / "out"
-    assert main(command("compensate", drafted, "--no-verdict", "--gcode", "--json", "--out", str(out), *more)) == 1
-    answer = json.loads(capsys.readouterr().out)
+    program.write_text(PLATE.replace("G1 X5.7 F2000", "G0 X5.7"))
+    words, out = [str(drafted), *settings(*STOCK, *FAST, f"path.file={program}")], tmp_path / "out"
+    answer = answered("compensate", *words, *COMPENSATE, out, code=1)
     assert answer["decision"] == "no" and answer["deciding_tool"] == "T2" and "rapid" in answer["sentence"]
     assert [one["level"] for one in answer["tools"]] == ["caution", "no", "caution"]
     assert not [*out.glob("krl_*"), *out.glob("*gcode_*")]
     assert "NOT RELEASED" in (out / "MANIFEST.txt").read_text()
-    assert main(command("check", drafted, *more)) == 1
-    shown = capsys.readouterr().out
-    assert "must not be run: stops of T2" in shown and "tool T3, 3 of 3" in shown
+    code, shown, _ = ask("check", *words)
+    assert code == 1 and "must not be run: stops of T2" in shown and "tool T3, 3 of 3" in shown

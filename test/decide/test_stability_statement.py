@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 from semi_discretisation import BENCHMARK, directional, limit
-from small_part import assignments, small_part
+from small_part import small_part
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -40,18 +39,15 @@ def cell_of(depth: float, settings):
     return read_cell(find_file("paper.yaml"), [*settings, f"path.depth_of_cut_mm={depth * 1e3}"])
 
 
-@pytest.fixture(scope="module")
-def slot_limit() -> float:
-    """Of the benchmark in a full slot, by first-order semi-discretisation."""
-    return limit(60.0 / RPM / 2, directional("slot", 40), directional("slot", 100), np.geomspace(1e-4, 6e-3, 30))[0]
-
-
 # --- against the limit ---
 @pytest.mark.parametrize(
     ("share", "word", "severity"),
     [(1.1, "chatter", "stop"), (0.9, "near the limit", "warning"), (0.7, "stable", None)],
 )
-def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(slot_limit, share, word, severity):
+def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(share, word, severity):
+    """The limit of the benchmark in a full slot is that of first-order semi-discretisation."""
+    depths = np.geomspace(1e-4, 6e-3, 30)
+    slot_limit = limit(60.0 / RPM / 2, directional("slot", 40), directional("slot", 100), depths)[0]
     checked = check(cell_of(share * slot_limit, TOOL_MODE))
     result = [f for f in checked.findings if f.what == "chatter"]
     assert checked.stability.word == word and [f.severity for f in result] == ([severity] if severity else [])
@@ -65,12 +61,15 @@ def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(sl
     assert checked.residue.word != "grows"  # the simulated pass has no tool modes: it cannot see this chatter
 
 
-def test_without_tool_modes_the_statement_is_about_the_arm_alone_and_a_variable_pitch_is_unknown():
+def test_without_tool_modes_the_statement_is_about_the_arm_alone_and_a_variable_pitch_is_unknown(capsys):
     result = stability_statement(read_cell(find_file("paper.yaml")))
     assert result.text.startswith("stability: arm: stable (straight cut: 0.547 mm, limit above 100 mm)")
     assert result.text.endswith(UNKNOWN) and not result.with_tool
     result = stability_statement(read_cell(find_file("paper.yaml"), ["tool.pitch_deg=[80,100,80,100]"]))
     assert result.word == "unknown" and "unknown (variable pitch)" in result.text and UNKNOWN in result.text
+    assert main(["stability", "paper.yaml", "--speeds", "6000:8000/2"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert "above 100 mm" in last and "tool and spindle taken as rigid" in last
 
 
 @pytest.fixture(scope="module")
@@ -93,16 +92,12 @@ def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_
 
 
 # --- the engagement along the path ---
-@pytest.mark.parametrize("rotation", ["clockwise", "counterclockwise"])
-@pytest.mark.parametrize(("start", "end", "to_the_left"), [(-14, 54, True), (54, -14, False)])
-def test_half_an_immersion_is_engaged_from_the_middle_to_the_side_with_material(
-    tmp_path, rotation, start, end, to_the_left
-):
-    words = "M3" if rotation == "clockwise" else "M4"
-    program = EDGE.format(start, end).replace("M3", words)
-    cell = small_part(tmp_path, program, f"tool.rotation={rotation}")
+@pytest.mark.parametrize("ends", [(-14, 54), (54, -14)])
+@pytest.mark.parametrize(("rotation", "word"), [("clockwise", "M3"), ("counterclockwise", "M4")])
+def test_half_an_immersion_is_engaged_from_the_middle_to_the_side_with_material(tmp_path, rotation, word, ends):
+    cell = small_part(tmp_path, EDGE.format(*ends).replace("M3", word), f"tool.rotation={rotation}")
     (result,) = feature_limits(cell)
-    up = to_the_left == (rotation == "clockwise")  # a tooth then enters with a chip of 0
+    up = (ends[0] < ends[1]) == (word == "M3")  # a tooth then enters with a chip of 0
     expected = (-90.0, 0.0) if up else (0.0, 90.0)
     assert np.degrees([result.entry, result.exit]) == pytest.approx(expected, abs=1.5)  # the map: R / 50
     assert result.depth == pytest.approx(0.5e-3)
@@ -128,8 +123,7 @@ def test_a_second_way_through_the_same_slot_and_a_rapid_are_no_engagement(tmp_pa
 
 def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
     cell, statement, _ = piece
-    square = next(one for one in statement.features if one.name == "square")
-    arcs = arcs_along(cell)
+    square, arcs = next(one for one in statement.features if one.name == "square"), arcs_along(cell)
     shortest = FEWEST_TEETH * cell.feed_rate / (8000 / 60 * 4)
     groups = stability._groups(arcs, shortest)
     first = [int(rows[0]) for key, rows in groups.items() if arcs.features[key[0]] == "square"]
@@ -138,48 +132,16 @@ def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
     assert square.limit.depth_limit / square.depth == pytest.approx(min(ratios), rel=1e-3)
 
 
-# --- the same statement everywhere ---
-def unwrapped(program: str) -> str:
-    """The comments of a KRL program as one line."""
-    return " ".join(line.lstrip("; ") for line in program.splitlines() if line.startswith(";"))
-
-
-def test_one_run_has_one_statement_in_terminal_json_report_manifest_and_programs(tmp_path, capsys):
-    cell, out = "test_piece_tool_modes.yaml", tmp_path / "out"
-    sets = [*assignments(tmp_path), "stock.grid_step_um=100"]
-    pairs = [word for pair in sets for word in ("--set", pair)]
-    statement = check(read_cell(find_file(cell), sets)).stability.text
-    assert "arm, tool and spindle: stable" in statement
-    assert main(["compensate", cell, "--method", "inverse", "--no-verdict", "--out", str(out), *pairs]) == 0
-    assert statement in capsys.readouterr().out
-    assert statement in (out / "MANIFEST.txt").read_text()
-    headers = [*out.glob("krl_*/*_CMP.src"), *out.glob("krl_*/*_ORG.src")]
-    assert len(headers) == 2 and all(statement in unwrapped(path.read_text()) for path in headers)
-    assert statement.removeprefix("stability: ") in (out / "report.html").read_text()
-    assert main(["check", cell, "--json", *pairs]) == 0
-    assert json.loads(capsys.readouterr().out)["stability"]["text"] == statement
-
-
-def test_limits_over_speed_without_tool_modes_name_tool_and_spindle_as_rigid(capsys):
-    assert main(["stability", "paper.yaml", "--speeds", "6000:8000/2"]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert "above 100 mm" in last and "tool and spindle taken as rigid" in last
-
-
 # --- the simulated pass, with the modes of the arm alone ---
-def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below():
+def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_a_short_pass_has_no_statement():
     cell = cell_of(1e-3, SOFT)
     (lobe,) = lobes(cell, [cell.tool.spindle_speed])
     for share, word in ((0.5, "repeats"), (2.0, "grows")):
         cell = cell_of(share * lobe.depth_limit, SOFT)
         assert residue_of(cell, simulate(cell).result).word == word
-
-
-def test_the_papers_cut_repeats_and_a_short_one_has_no_statement(demo):
-    ran = demo.passes["original"]
     cell = read_cell(find_file("paper.yaml"))
-    assert residue_of(cell, ran.result).word == "repeats"
-    short = {f.name: getattr(ran.result, f.name) for f in dataclasses.fields(ran.result)}
-    short = {k: v[:200] if isinstance(v, np.ndarray) else v for k, v in short.items()}
-    result = residue_of(cell, type(ran.result)(**short))
+    whole = simulate(cell).result
+    assert residue_of(cell, whole).word == "repeats"
+    arrays = {key: value[:200] for key, value in vars(whole).items() if isinstance(value, np.ndarray)}
+    result = residue_of(cell, dataclasses.replace(whole, **arrays))
     assert result.word == "no statement" and np.isnan(result.residue) and "no cut of" in result.text

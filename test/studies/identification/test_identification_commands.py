@@ -1,9 +1,10 @@
-"""The command identify, the commands of its page, and a measured wall beside the predicted wall."""
+"""The command identify, the commands of its page, errors in measurements, a measured wall beside the predicted wall."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import dataclasses
 import io
 import json
 import math
@@ -13,7 +14,8 @@ import numpy as np
 import pages
 import pytest
 import yaml
-from known_cuts import TRUE, cuts, measured
+from campaigns import COEFFICIENTS, TRUE, cuts, loads, measured, measured_cuts
+from hostile import answered, ask, refused, settings
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -30,18 +32,6 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 RPM, RATE = 6000.0, 2500  # 25 samples a revolution
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # A = 90 deg: sensor axes -> workpiece axes
 OFFSET = np.array([12.0, -7.0, 440.0])  # of the sensor: drift and the weight on it [N], sensor axes
-
-
-def answer(capsys, *words) -> dict:
-    assert main([*map(str, words), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def refused(capsys, *words) -> str:
-    assert main([*map(str, words)]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1
-    return err
 
 
 def record(directory, forces, rate: float, topic: str = "/plate/wrench") -> None:
@@ -63,21 +53,21 @@ def sensor_recording(directory, force) -> None:
     record(directory, -np.outer(share, force) @ TURN + OFFSET + noise, RATE)
 
 
-def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsys):
+def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path):
     """Tare from the idle stretch, axes turned by A = 90 deg, signs of the part."""
-    some = measured(cuts(feeds=(0.05e-3, 0.1e-3, 0.2e-3)))
+    some = measured_cuts(cuts(feeds=(0.05e-3, 0.1e-3, 0.2e-3)))
     rows = ["feed_per_tooth_mm,depth_mm,width_mm,mode,recording,start_s,stop_s"]
     for i, (feed, force) in enumerate(zip(some.feed_per_tooth, some.force, strict=True)):
         sensor_recording(tmp_path / f"cut_{i}", force)
         rows.append(f"{1e3 * feed},1,20,slot,cut_{i},0.35,0.75")
     (tmp_path / "cuts.csv").write_text("\n".join(rows) + "\n")
-    result = answer(
-        capsys, "identify", "forces", tmp_path / "cuts.csv", "--teeth", 4, "--diameter-mm", 20, "--topic", "wrench",
+    result = answered(
+        "identify", "forces", tmp_path / "cuts.csv", "--teeth", 4, "--diameter-mm", 20, "--topic", "wrench",
         "--spindle-speed-rpm", RPM, "--tare", "0:0.25", "--sensor-abc", "90,0,0", "--sensor-on", "part",
     )  # fmt: skip
     parts = [("cutting_n_per_mm2", 1e6), ("edge_n_per_mm", 1e3)]
     keys = [(f"{side}_{part}", unit) for side in ("tangential", "radial", "axial") for part, unit in parts]
-    for (key, unit), true in zip(keys, TRUE, strict=True):
+    for (key, unit), true in zip(keys, COEFFICIENTS, strict=True):
         assert abs(result[key] - true / unit) < 2 * result["ci95"][key]
     assert result["ci95"]["tangential_cutting_n_per_mm2"] < 0.02 * result["tangential_cutting_n_per_mm2"]
 
@@ -92,50 +82,169 @@ def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on
     assert result == pytest.approx(force, abs=1e-3)
 
 
-def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path, capsys):
+def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path):
     sensor_recording(tmp_path / "cut", np.array([10.0, 20.0, 5.0]))
     table = tmp_path / "cuts.csv"
-    words = ("identify", "forces", table, "--teeth", "4", "--diameter-mm", "20", "--spindle-speed-rpm", RPM)
+    words = ("identify", "forces", str(table), "--teeth=4", "--diameter-mm=20", f"--spindle-speed-rpm={RPM}")
     head = "feed_per_tooth_mm,depth_mm,mode,recording,start_s,stop_s\n"
     table.write_text(f"{head}0.1,1,slot,cut,0.6,1.8\n")
-    assert "it lasts 0.7996 s" in refused(capsys, *words)
+    assert "it lasts 0.7996 s" in refused(*words)
     table.write_text(f"{head}0.1,1,slot,cut,0.4,0.7\n")
-    assert "it holds /plate/wrench" in refused(capsys, *words, "--topic", "force")
-    assert "at least 2 feeds" in refused(capsys, *words)
+    assert "it holds /plate/wrench" in refused(*words, "--topic", "force")
+    assert "at least 2 feeds" in refused(*words)
 
 
-def test_a_missing_value_is_reported_in_one_sentence(capsys, tmp_path):
-    assert "needs a table of load tests" in refused(capsys, "identify", "compliance", "--arm", "kr270_2.yaml")
-    plan = ("identify", "compliance", "--arm", "kr270_2.yaml", "--plan", "6")
-    assert "--cell CELL.yaml or --at" in refused(capsys, *plan)
-    assert "needs the tool" in refused(capsys, "identify", "forces", "cuts.csv")
-    assert "no such file" in refused(capsys, "identify", "forces", "nowhere.csv", "--cell", "test_piece.yaml")
-    words = ("identify", "compliance", "load_tests.csv", "--arm", "kr270_2.yaml", "--cell", "test_piece.yaml")
-    assert "arm.compensator.stiffness_n_per_mm" in refused(capsys, *words, "--compensator", "stiffness")
-    assert "one of stiffness, preload" in refused(capsys, *words, "--compensator", "colour")
-
-
-def test_a_material_is_listed_and_written_to_be_included(capsys, tmp_path):
-    assert len(answer(capsys, "identify", "material")["materials"]) >= 6
+def test_a_material_is_listed_and_written_to_be_included(tmp_path):
+    assert len(answered("identify", "material")["materials"]) >= 6
     words = ("identify", "material", "al7075-t6", "--row", 2, "--out", tmp_path)
-    (file,) = answer(capsys, *words)["files"]
+    (file,) = answered(*words)["files"]
     cell = tmp_path / "cell.yaml"
     cell.write_text(f'/**:\n  ros__parameters:\n    includes: ["test_piece.yaml", "{file}"]\n')
     assert read_cell(cell).cutting.linear_edge.tangential_cutting == pytest.approx(767.01e6)
 
 
-@pytest.mark.parametrize("words", [
-    "compliance --arm test_piece.yaml --plan 5 --seed -1",
-    "compliance --arm test_piece.yaml --plan 100 --postures 2",
-    "compliance --arm test_piece.yaml --plan 5 --mass-kg 0 --pull-n 0",
-    "compliance --arm test_piece.yaml --plan 5 --noise-um nan",
-    "forces cuts.csv --teeth 0 --diameter-mm 20",
-    "forces cuts.csv --cell test_piece.yaml --tare 5:1",
-    "damping cuts.csv --band 9:3",
-    "material Al7075 --row 7 --out nowhere",
+SPRING = "compliance load_tests.csv --arm kr270_2.yaml --cell test_piece.yaml --compensator"
+
+
+@pytest.mark.parametrize(("words", "reason"), [
+    ("compliance --arm kr270_2.yaml", "needs a table of load tests"),
+    ("compliance --arm kr270_2.yaml --plan 6", "--cell CELL.yaml or --at"),
+    ("forces cuts.csv", "needs the tool"),
+    ("forces nowhere.csv --cell test_piece.yaml", "no such file"),
+    (f"{SPRING} stiffness", "arm.compensator.stiffness_n_per_mm"),
+    (f"{SPRING} colour", "one of stiffness, preload"),
+    ("compliance --arm test_piece.yaml --plan 5 --seed -1", "seed"),
+    ("compliance --arm test_piece.yaml --plan 100 --postures 2", "only 8 are possible"),
+    ("compliance --arm test_piece.yaml --plan 5 --mass-kg 0 --pull-n 0", "pull"),
+    ("compliance --arm test_piece.yaml --plan 5 --noise-um nan", "noise-um"),
+    ("forces cuts.csv --teeth 0 --diameter-mm 20", "teeth"),
+    ("forces cuts.csv --cell test_piece.yaml --tare 5:1", "tare"),
+    ("damping cuts.csv --band 9:3", "band"),
+    ("material Al7075 --row 7 --out nowhere", "row"),
 ])  # fmt: skip
-def test_options_that_cannot_be_meant_are_refused(capsys, words):
-    refused(capsys, "identify", *words.split())
+def test_what_is_missing_or_cannot_be_meant_is_refused_in_one_sentence(words, reason):
+    assert reason in refused("identify", *words.split())
+
+
+# --- Errors in measurements are noticed: each row runs the public command and states the sentence and exit code ---
+ANGLES = tuple(f"a{j}_deg" for j in range(1, 7))
+SHIFTS, FORCES = ("dx_mm", "dy_mm", "dz_mm"), ("fx_n", "fy_n", "fz_n")
+LOAD = ("compliance", "load_tests.csv", "--arm", "kr270_2.yaml", "--cell", "test_piece.yaml")
+CUT = ("forces", "cuts.csv", "--cell", "test_piece.yaml")
+
+
+def times(names, factor: float, row: int | None = None):
+    def change(rows) -> None:
+        for values in rows if row is None else [rows[row]]:
+            values.update({name: repr(factor * float(values[name])) for name in names if values.get(name)})
+
+    return change
+
+
+def swapped(one: str, other: str):
+    def change(rows) -> None:
+        for values in rows:
+            values[one], values[other] = values[other], values[one]
+
+    return change
+
+
+def other_mode(rows) -> None:
+    for values in rows:
+        values["mode"] = {"up": "down", "down": "up"}.get(values["mode"], values["mode"])
+
+
+TABLE = {
+    "metres for mm": (LOAD, times(SHIFTS, 1e-3), 2, "displacements in m in the columns of mm"),
+    "kgf for N": (LOAD, times(FORCES, 1 / 9.80665), 2, "forces in kgf in the columns of N?"),
+    "kN for N": (LOAD, times(FORCES, 1e-3), 2, "forces in kN in the columns of N?"),
+    "radians for degrees": (LOAD, times(ANGLES, np.pi / 180), 2, "radians in the columns of degrees?"),
+    "x and y of the displacements swapped": (LOAD, swapped(*SHIFTS[:2]), 1, "x and y of the displacements swapped"),
+    "x and y of the loads swapped": (LOAD, swapped(*FORCES[:2]), 1, "x and y of the loads swapped"),
+    "wrong sign": (LOAD, times(SHIFTS, -1.0), 1, "the arm moved against its loads: look at the signs"),
+    "one value ten times too large": (LOAD, times(["dx_mm"], 10.0, 9), 0, "test 10 contradicts the others"),
+    "one large value ten times too large": (LOAD, times(["dz_mm"], 10.0, 4), 1, "test 5 contradicts the others"),
+    "forces in kN": (CUT, times(FORCES, 1e-3), 0, "forces in kN in the columns of N?"),
+    "feed per revolution": (CUT, times(["feed_per_tooth_mm"], 4.0), 0, "is feed_per_tooth_mm the feed per revolution?"),
+    "up and down swapped": (CUT, other_mode, 1, "up and down milling are swapped?"),
+    "one force ten times too large": (CUT, times(["fy_n"], 10.0, 3), 1, "cut 4 contradicts the others"),
+    "one force three times too large": (CUT, times(["fy_n"], 3.0, 9), 0, "cut 10 contradicts the others"),
+    "no force": (CUT, times(FORCES, 0.0), 1, "negative or zero, which no cut has"),
+}
+
+
+def rows_of(name: str) -> list[dict]:
+    with open(find_file(name), encoding="utf-8") as stream:
+        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
+
+
+def written(folder, rows: list[dict], separator: str = ",") -> str:
+    path = folder / "table.csv"
+    with open(path, "w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0], delimiter=separator)
+        writer.writeheader()
+        writer.writerows(rows)
+    return str(path)
+
+
+def identified(kind: str, table: str, *words: str) -> tuple[int, str]:
+    answer = ask("identify", kind, table, *words)
+    assert "Warning" not in answer.out + answer.err
+    return answer.code, answer.out + answer.err
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_an_error_is_named_and_no_file_comes_from_a_useless_result(name, tmp_path):
+    """pytest turns every warning of Python into an error, so none reaches a terminal."""
+    (kind, source, *words), change, code, sentence = TABLE[name]
+    rows = rows_of(source)
+    change(rows)
+    ended, text = identified(kind, written(tmp_path, rows), *words, "--out", str(tmp_path / "out"))
+    assert (ended, sentence in text) == (code, True), text
+    assert (tmp_path / "out" / f"{kind}.yaml").exists() == (code == 0)
+
+
+@pytest.mark.parametrize("name", [name for name in TABLE if "times too large" in name])
+def test_a_robust_fit_gives_what_the_table_without_the_error_gives(name, tmp_path):
+    (kind, source, *words), change, _, _ = TABLE[name]
+    key = "compliance_urad_per_n_m" if kind == "compliance" else "tangential_cutting_n_per_mm2"
+    rows, results = rows_of(source), []
+    for more in ((), ("--robust",)):
+        results.append(answered("identify", kind, written(tmp_path, rows), *words, *more)[key])
+        change(rows)
+    np.testing.assert_allclose(results[1], results[0], rtol=0.06)
+
+
+@pytest.mark.parametrize("command", [LOAD, CUT])
+def test_a_shipped_table_raises_no_doubt_and_a_german_spreadsheet_is_the_same_table(tmp_path, command):
+    """Columns separated by semicolons, a comma for the point."""
+    kind, source, *words = command
+    german = [{k: v if k == "note" else v.replace(".", ",") for k, v in row.items()} for row in rows_of(source)]
+    shipped = answered("identify", kind, source, *words)
+    assert shipped["doubts"] == [] and shipped["usable"]
+    assert answered("identify", kind, written(tmp_path, german, ";"), *words) == shipped
+
+
+def campaign(folder, arm=TRUE, signs=1) -> str:
+    rng, path = np.random.default_rng(3), str(folder / "campaign.csv")
+    tests = measured(loads(rng, 24), arm, rng)
+    measurements.write_measurements(path, dataclasses.replace(tests, q=tests.q * signs))
+    return path
+
+
+def test_angles_of_another_sign_and_a_base_that_tilts_are_named(tmp_path):
+    """A1 counted about +z, as ROS does."""
+    table = campaign(tmp_path, signs=[-1, 1, 1, 1, 1, 1])
+    code, text = identified("compliance", table, "--arm", "test_piece.yaml")
+    assert code == 1 and "with the sign of A1 changed" in text, text
+    tilted = campaign(tmp_path, TRUE.replace(base_compliance=np.array([0.3e-6, 0.3e-6, 0.0])))
+    code, text = identified("compliance", tilted, "--arm", "test_piece.yaml")
+    assert "the residuals look like a base that tilts by 0.3, 0.3 urad/(N m) about x, y" in text, text
+    assert "fit it with --base (about z " in text and "base z" not in text
+    code, text = identified("compliance", tilted, "--arm", "test_piece.yaml", "--base")
+    assert code == 0 and "look like a base" not in text
+    assert "not identified: base z: it turns the arm as joint 1" in text
+    assert answered("identify", "compliance", campaign(tmp_path), "--arm", "test_piece.yaml")["doubts"] == []
 
 
 # --- The README of the folder ---
@@ -172,7 +281,7 @@ def result(ran: dict, *words: str) -> dict:
     return outcome
 
 
-def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_made_with(ran):
+def test_the_identified_arm_coefficients_and_modes_are_those_that_the_examples_were_made_with(ran):
     arm = result(ran, "load_tests.csv")
     truth = np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13]) * [1.18, 0.92, 1.10, 0.85, 1.12, 1.25]
     away = np.abs(np.array(arm["compliance_urad_per_n_m"]) - truth) / arm["ci95_urad_per_n_m"]
@@ -181,6 +290,13 @@ def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_ma
     for side, true in (("tangential", 767.01), ("radial", 168.8), ("axial", 222.0)):
         key = f"{side}_cutting_n_per_mm2"
         assert abs(forces[key] - true) < 1.5 * forces["ci95"][key]
+    modes = result(ran, "identify damping")["modes"]
+    assert [mode["frequency_hz"] for mode in modes] == pytest.approx([11.0, 15.0, 23.0], rel=2e-3)
+    tree = yaml.safe_load((ran["place"] / "identified" / "modes.yaml").read_text())
+    assert len(tree["/**"]["ros__parameters"]["dynamics"]["modes"]) == 3
+    cell = ran["place"] / "rung.yaml"
+    cell.write_text('/**:\n  ros__parameters:\n    includes: ["my_slot.yaml", "identified/modes.yaml"]\n')
+    assert main(["simulate", str(cell), "--json"]) == 0  # the cell takes the modes as they are written
 
 
 def test_the_page_shows_what_is_printed_and_the_identified_band_is_narrower(ran):
@@ -205,16 +321,6 @@ def test_the_plan_is_written_and_pays_as_the_page_states(ran):
     assert len(rows) == 13 and set(rows[0]) <= set(measurements.COLUMNS)
 
 
-def test_modes_are_written_as_the_cell_takes_them(ran):
-    modes = result(ran, "identify damping")["modes"]
-    assert [mode["frequency_hz"] for mode in modes] == pytest.approx([11.0, 15.0, 23.0], rel=2e-3)
-    tree = yaml.safe_load((ran["place"] / "identified" / "modes.yaml").read_text())
-    assert len(tree["/**"]["ros__parameters"]["dynamics"]["modes"]) == 3
-    cell = ran["place"] / "rung.yaml"
-    cell.write_text('/**:\n  ros__parameters:\n    includes: ["my_slot.yaml", "identified/modes.yaml"]\n')
-    assert main(["simulate", str(cell), "--json"]) == 0
-
-
 def test_every_column_of_the_page_is_read_and_every_column_that_is_read_is_there():
     named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| `.*?\|", PAGE.read_text(), re.M))))
     ranges = {f"a{j}_deg" for j in range(1, 7)} | set(measurements.MASS)
@@ -223,7 +329,7 @@ def test_every_column_of_the_page_is_read_and_every_column_that_is_read_is_there
 
 
 # --- A measured wall beside the predicted wall ---
-def wall_table(folder, *rows: str, header: str = "x_mm,y_mm,error_um") -> str:
+def wall_table(folder, header: str, rows) -> str:
     path = folder / "wall.csv"
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
     return str(path)
@@ -232,7 +338,8 @@ def wall_table(folder, *rows: str, header: str = "x_mm,y_mm,error_um") -> str:
 def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_path):
     """58.1 um [Klimchik2014], Table 2: the tool moves to the left, cuts the left wall away and leaves the right one."""
     rows = [f"{x},{y},0" for y in (10, -10) for x in (40, 50, 60)]
-    compared = compare_wall(read_cell(find_file("paper.yaml")), read_wall(wall_table(tmp_path, *rows)), plants=4)
+    table = wall_table(tmp_path, "x_mm,y_mm,error_um", rows)
+    compared = compare_wall(read_cell(find_file("paper.yaml")), read_wall(table), plants=4)
     np.testing.assert_allclose(compared.predicted, 58.1e-6 * np.array([-1] * 3 + [1] * 3), atol=0.5e-6)
     assert np.all(compared.low < compared.predicted) and np.all(compared.predicted < compared.high)
 
@@ -243,7 +350,6 @@ def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_pa
     ("x_mm,y_mm,error_um", ["40,10,-58"], "has 1 places, but a comparison needs at least 3"),
     ("x_mm,y_mm", ["40,10"], "has no column error_um"),
 ])  # fmt: skip
-def test_a_wall_that_cannot_be_compared_is_refused_with_its_line(header, rows, reason, tmp_path, capsys):
-    quick = ["--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3", "--plants", "4"]
-    table = wall_table(tmp_path, *rows, header=header)
-    assert re.search(reason, refused(capsys, "compare", table, "paper.yaml", *quick))
+def test_a_wall_that_cannot_be_compared_is_refused_with_its_line(header, rows, reason, tmp_path):
+    quick = [*settings("stock.grid_step_um=40", "exchange.micro_step_deg=3"), "--plants", "4"]
+    assert re.search(reason, refused("compare", wall_table(tmp_path, header, rows), "paper.yaml", *quick))

@@ -14,10 +14,10 @@ import time
 from pathlib import Path
 
 import pytest
-from slow_rows import rows_and_maker, slow_rows
+from hostile import answered, settings
 
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
-from kr270_milling.cli import main
 from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, _client, run_chunks
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 
@@ -49,12 +49,11 @@ class Cluster:
 
     def start(self, *words):
         line = [sys.executable, "-m", "dask", *map(str, words), "--host", "127.0.0.1"]
-        path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        # the result of a killed worker is requested until this time is over
+        environment = os.environ | {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
         with (self.place / "log").open("ab") as log:
-            # the result of a killed worker is requested until this time is over
-            environment = {"PYTHONPATH": path, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
-            return subprocess.Popen(line, stdout=log, stderr=log, cwd=self.place, start_new_session=True,
-                                    env=os.environ | environment)  # fmt: skip
+            output = {"stdout": log, "stderr": log}
+            return subprocess.Popen(line, **output, cwd=self.place, start_new_session=True, env=environment)
 
     def add_worker(self) -> subprocess.Popen:
         words = ("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory")
@@ -79,20 +78,29 @@ def cluster(tmp_path_factory):
 
 
 def rows_of(seconds: float = 0.0):
-    return functools.partial(slow_rows, seconds)
+    """Rows of chunks, after some time; workers get a function in a function as it is, and need no file of it."""
+
+    def rows(number: int) -> bytes:
+        time.sleep(seconds)
+        return f"rows of chunk {number}".encode()
+
+    return rows
 
 
 def chunks(study: Study, count: int) -> list[bytes]:
     return [study.chunk(number).read_bytes() for number in range(count)]
 
 
-def test_a_short_study_needs_no_cluster_and_a_long_one_soon_has_one(tmp_path, monkeypatch):
+def test_a_short_study_needs_no_cluster_a_long_one_soon_has_one_and_a_folder_is_of_one_study(tmp_path, monkeypatch):
     def refuse(scheduler):
         raise EngineError("a cluster")
 
     monkeypatch.setattr("kr270_milling.studies.maps.engine._client", refuse)
     monkeypatch.setattr("kr270_milling.studies.maps.engine._prepare", lambda rows_of: None)
-    run_chunks(Study(tmp_path / "short", {}), 50, rows_of(0.001))
+    run_chunks(Study(tmp_path / "short", {"seed": 1}), 50, rows_of(0.001))
+    assert Study(tmp_path / "short", {"seed": 1}).missing(50) == []
+    with pytest.raises(InputError, match="another study"):
+        Study(tmp_path / "short", {"seed": 2})
     with pytest.raises(EngineError, match="a cluster"):
         run_chunks(Study(tmp_path / "long", {}), 5000, rows_of(0.05))
     assert len(list((tmp_path / "long").glob("rows-*"))) == 2
@@ -114,17 +122,22 @@ def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypat
         return whole(self, number)
 
     monkeypatch.setattr(distributed.Client, "submit", counted)
-    missing = study.missing(200)
+    missing = study.missing(100)
     monkeypatch.setattr(Study, "missing", lambda self, count: missing)
     monkeypatch.setattr(Study, "chunk", written)
-    run_chunks(study, 200, rows_of(), cluster.address)
-    assert len(most) == 200 and max(most) <= 2 * AHEAD
+    run_chunks(study, 100, rows_of(), cluster.address)
+    assert len(most) == 100 and max(most) <= 2 * AHEAD
 
 
 def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
     """Chunks that all need an object of one worker would all go to this worker in the first seconds."""
+
+    def maker(number: int) -> bytes:
+        time.sleep(0.2)
+        return str(os.getpid()).encode()
+
     study = Study(tmp_path / "study", {})
-    run_chunks(study, 8, rows_and_maker, cluster.address)
+    run_chunks(study, 8, maker, cluster.address)
     made = chunks(study, 8)
     assert len(set(made)) == 2 and min(map(made.count, made)) >= 2
 
@@ -132,7 +145,8 @@ def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
 def test_a_killed_worker_loses_no_row(cluster, tmp_path):
     study, count = Study(tmp_path / "study", {}), 12
     victim = cluster.add_worker()
-    until(lambda: len(_workers(cluster)) == 3, "the third worker did not come")
+    with distributed.Client(cluster.address) as client:
+        client.wait_for_workers(3, timeout=PATIENCE)
 
     def kill(done, total):
         if done >= 2 and victim.poll() is None:
@@ -142,11 +156,6 @@ def test_a_killed_worker_loses_no_row(cluster, tmp_path):
     run_chunks(study, count, rows_of(0.05), cluster.address, kill)
     assert victim.poll() == -signal.SIGKILL
     assert chunks(study, count) == [f"rows of chunk {n}".encode() for n in range(count)]
-
-
-def _workers(cluster) -> dict:
-    with distributed.Client(cluster.address) as client:
-        return client.nthreads()
 
 
 #: a driver that makes nothing itself and stays where it is after four chunks
@@ -173,16 +182,12 @@ def ctrl_c_is_kept_from(pid: int) -> bool:
     return any(mask >> (signal.SIGINT - 1) & 1 for mask in masks)
 
 
-def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path, capsys):
-    """SIGKILL, as the kernel does it where memory ends; its workers listened on the loopback alone, and end with it.
-
-    Rows of that cluster, of another scheduler's workers, and of this process alone are the same bit for bit.
-    """
+def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path):
+    """Workers listened on the loopback alone, and end with it. Rows of all clusters and of a loop are the same bits."""
     psutil = pytest.importorskip("psutil")
     out, script = tmp_path / "out", tmp_path / "driver.py"
     script.write_text(DRIVER)
-    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.1", "--json", "--out", str(out)]
-    words += [part for pair in SHORT for part in ("--set", pair)]
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.1", "--out", str(out), *settings(*SHORT)]
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     driver = subprocess.Popen([sys.executable, str(script), *words], **silent)
     until(lambda: len(list(out.glob("rows-*.parquet"))) == 4, "no rows")
@@ -193,8 +198,7 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     driver.wait()
     assert ports and {port.laddr.ip for port in ports} == {"127.0.0.1"}
     before = {path: path.stat().st_mtime_ns for path in out.glob("rows-*.parquet")}
-    assert main([*words, "--scheduler", cluster.address]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answered(*words, "--scheduler", cluster.address)
     assert answer["rows"] == 10 and parquet.read_table(out).num_rows == 10
     assert [row["path.depth_of_cut_mm"] for row in answer["best"]] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
     assert [row["path.depth_of_cut_mm"] for row in answer["worst"]] == pytest.approx([1.0, 0.9, 0.8, 0.7, 0.6])

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
+from hostile import answered, refused, settings
 from semi_discretisation import BENCHMARK, MASS, OMEGA, TEETH, ZETA, directional, limit
 from small_part import small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cli import main
 from kr270_milling.decide.stability import feature_limits, modes_of
 from kr270_milling.physics.motion.monodromy import Modes, directional_matrices, multipliers
 from kr270_milling.physics.motion.stability import limit_depth
@@ -25,12 +23,12 @@ def benchmark(immersion: float = 1.0, mode: str = "slot"):
     return read_cell(find_file("paper.yaml"), [*BENCHMARK, f"path.radial_immersion={immersion}", f"path.mode={mode}"])
 
 
-@pytest.mark.parametrize("immersion, mode, name", [(1.0, "slot", "slot"), (0.5, "up", "up"), (0.5, "down", "down")])
+@pytest.mark.parametrize(("immersion", "mode"), [(1.0, "slot"), (0.5, "up"), (0.5, "down")])
 @pytest.mark.parametrize("speed", [5000, 9000, 13500, 20000])
-def test_limit_and_frequency_are_those_of_semi_discretisation(immersion, mode, name, speed):
+def test_limit_and_frequency_are_those_of_semi_discretisation(immersion, mode, speed):
     delay = 60.0 / speed / TEETH
     depths = np.geomspace(1e-4, 6e-3, 30)
-    expected, multiplier = limit(delay, directional(name, 40), directional(name, 100), depths)
+    expected, multiplier = limit(delay, directional(mode, 40), directional(mode, 100), depths)
     (result,) = lobes(benchmark(immersion, mode), [speed * RPM], arm=False)
     assert result.depth_limit == pytest.approx(expected, rel=0.01)
     beat = abs(np.angle(multiplier))
@@ -49,7 +47,7 @@ def test_the_limit_converges_with_the_square_of_the_step():
     assert np.polyfit(np.log([40, 80, 160]), np.log(errors), 1)[0] < -1.6
 
 
-def test_the_largest_multiplier_of_many_states_is_that_of_the_whole_map(monkeypatch):
+def test_multipliers_are_those_of_the_whole_map_and_without_a_cut_those_of_the_free_modes(monkeypatch):
     """Arnoldi's method against all eigenvalues, where 200 nodes make 402 states."""
     cell, delay = benchmark(0.5, "down"), 60.0 / 3000 / TEETH
     matrices = directional_matrices(lambda s: (6e8 + 0 * s, 2e8 + 0 * s, 0 * s), -1.0, TEETH, 0.5 * np.pi, np.pi, 200)
@@ -59,6 +57,10 @@ def test_the_largest_multiplier_of_many_states_is_that_of_the_whole_map(monkeypa
             patch.setattr("kr270_milling.physics.motion.monodromy.KRYLOV", 1000)
             whole = multipliers(modes_of(cell, arm=False), matrices, depth, delay)
         assert len(few) < len(whole) and np.abs(few).max() == pytest.approx(np.abs(whole).max(), rel=1e-9)
+    free = Modes(np.array([OMEGA, 3 * OMEGA]), np.array([ZETA, 0.05]), np.array([[1.0, 0, 0], [0, 1.0, 0]]))
+    result = multipliers(free, np.zeros((30, 3, 2)), 0.0, 1e-3)
+    expected = np.exp(-free.damping_ratio * free.frequency * 1e-3)
+    assert np.sort(np.abs(result))[-4:] == pytest.approx(np.sort(np.repeat(expected, 2)), rel=1e-9)
 
 
 def test_a_feature_is_cut_in_its_own_direction(tmp_path):
@@ -81,13 +83,6 @@ def test_a_feature_is_cut_in_its_own_direction(tmp_path):
     assert limit_of(along_x, "[0, 1, 0]")[0].depth_limit != pytest.approx(with_x.depth_limit, rel=0.2)
 
 
-def test_without_a_cut_the_multipliers_are_those_of_the_free_modes():
-    modes = Modes(np.array([OMEGA, 3 * OMEGA]), np.array([ZETA, 0.05]), np.array([[1.0, 0, 0], [0, 1.0, 0]]))
-    result = multipliers(modes, np.zeros((30, 3, 2)), 0.0, 1e-3)
-    expected = np.exp(-modes.damping_ratio * modes.frequency * 1e-3)
-    assert np.sort(np.abs(result))[-4:] == pytest.approx(np.sort(np.repeat(expected, 2)), rel=1e-9)
-
-
 def test_the_sense_of_rotation_mirrors_and_a_heavier_mode_cuts_deeper():
     cell = benchmark()
     other = cell.replace(tool=cell.tool.replace(rotation="counterclockwise"))
@@ -98,25 +93,22 @@ def test_the_sense_of_rotation_mirrors_and_a_heavier_mode_cuts_deeper():
     assert twice.depth_limit == pytest.approx(2 * one.depth_limit, rel=2e-3)  # m x'' = -a h: only a / m counts
 
 
-def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path, capsys):
-    words = ["stability", "paper.yaml", "--speeds", "8000:10000/3", "--out", str(tmp_path / "out"), "--json"]
-    words += [part for pair in BENCHMARK for part in ("--set", pair)]
-    assert main([*words, "--no-arm"]) == 0
-    alone = json.loads(capsys.readouterr().out)
+def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path):
+    words = ["stability", "paper.yaml", "--speeds", "8000:10000/3", "--out", tmp_path / "out", *settings(*BENCHMARK)]
+    alone = answered(*words, "--no-arm")
     assert [row["spindle_speed_rpm"] for row in alone["lobes"]] == pytest.approx([8000, 9000, 10000])
     assert all(0 < row["depth_limit_mm"] < 10 and row["chatter_hz"] > 500 for row in alone["lobes"])
     page, plotly = (tmp_path / "out" / name for name in ("lobes.html", "plotly.min.js"))
     assert page.stat().st_size < 1e5 and plotly.stat().st_size > 1e6 and "lobes.csv" in alone["files"][0]
     assert "the cell's cut: " in page.read_text() and "modes of the arm" not in page.read_text()
-    assert main([*words, "--self-contained"]) == 0
+    both = answered(*words, "--self-contained")
     assert page.stat().st_size > 1e6 and "modes of the arm" in page.read_text()
-    both = json.loads(capsys.readouterr().out)
     assert both["arm"] and not alone["arm"]
 
 
-def test_what_cannot_be_meant_is_refused(capsys):
+def test_what_cannot_be_meant_is_refused():
     with pytest.raises(ParameterError, match="no mode"):
         lobes(read_cell(find_file("paper.yaml")), [800.0], arm=False)
     with pytest.raises(ConfigError, match="direction"):
         read_cell(find_file("paper.yaml"), [BENCHMARK[-1].replace("[1, 0, 0]", "[2, 0, 0]")])
-    assert main(["stability", "paper.yaml", "--speeds", "1:2"]) == 2
+    assert refused("stability", "paper.yaml", "--speeds", "1:2")

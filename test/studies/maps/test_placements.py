@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import io
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hostile import answered, refused, settings
 
-from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import NO_COMPENSATOR, GravityCompensator
 from kr270_milling.studies.maps.along import NoWayError, Turns, constant_way, find_way
-from kr270_milling.studies.maps.engine import Study
 from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell, present_row
 from kr270_milling.studies.maps.postures import whole_turns
 from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
@@ -84,31 +82,25 @@ def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
     assert not whole_turns(q, -limits, limits)
 
 
-def test_a_place_out_of_reach_is_infeasible_and_has_no_errors(placements):
-    rows = placements.rows(np.array([[9.0, 0.0, 0.8, 0.0, 0.0]]))
-    assert not rows["feasible"].any() and not rows["reachable"].any() and np.isnan(rows["error_max_um"]).all()
-
-
 def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placements):
     """Against the equilibrium with weights and compensator, and the modal model of the cell.
 
     A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm.
     """
-    names = ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg")
-    place = dict(zip(names, (1500.0, 0.0, 800.0, 0.0, 0.0), strict=True))
-    whole = placements.course
+    place, whole = np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]), placements.course
     course = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
     spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
     cell = read_cell(find_file("test_piece.yaml"))
-    rows = Placements(cell, course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
+    rows = Placements(cell, course, placements.axes).rows(place)
     branch = int(np.flatnonzero(rows["feasible"][0])[0])
-    q = np.radians(moved_cell(cell, course, place | {"branch": branch})["posture_deg"])
+    row = {"x_mm": 1500.0, "y_mm": 0.0, "z_mm": 800.0, "turn_deg": 0.0, "tool_turn_deg": 0.0, "branch": branch}
+    q = np.radians(moved_cell(cell, course, row)["posture_deg"])
     long = spring.length(np.cos(q[1]), np.sin(q[1]))
     slack = spring.replace(preload=20e6 * (spring.length(0.0, -1.0) - long))
     ours = []
     for compensator in (NO_COMPENSATOR, slack):
         arm = cell.arm.replace(compensator=compensator)
-        made = Placements(cell.replace(arm=arm), course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
+        made = Placements(cell.replace(arm=arm), course, placements.axes).rows(place)
         model = modal_models(arm, cell.mount, cell.dynamics, cell.workpiece.pose, q[None])[0]
         assert made["lowest_mode_hz"][0, branch] == pytest.approx(model.frequency[0] / (2 * np.pi), rel=0.01)
         way = compliance(equilibrium(arm, cell.mount, q), arm)[:3, :3] @ course.force[0]
@@ -117,13 +109,13 @@ def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placeme
     assert ours[1] < 0.95 * ours[0]
 
 
-def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
-    """Turning the place about axis 1 turns axis 1: errors and singularities stay."""
-    one = placements.rows(np.array([[1.4, 0.1, 0.8, 0.3, 0.2]]))
+def test_turning_everything_about_axis_1_changes_nothing_else_and_a_place_out_of_reach_has_no_errors(placements):
     c, s = np.cos(0.5), np.sin(0.5)
-    other = placements.rows(np.array([[1.4 * c - 0.1 * s, 1.4 * s + 0.1 * c, 0.8, 0.8, 0.2]]))
+    places = [1.4, 0.1, 0.8, 0.3, 0.2], [1.4 * c - 0.1 * s, 1.4 * s + 0.1 * c, 0.8, 0.8, 0.2], [9.0, 0.0, 0.8, 0.0, 0.0]
+    one, other, far = (placements.rows(np.array([place])) for place in places)
     np.testing.assert_allclose(one["error_max_um"], other["error_max_um"], rtol=1e-9)
     np.testing.assert_allclose(one["singularity"], other["singularity"], rtol=1e-9)
+    assert not far["feasible"].any() and not far["reachable"].any() and np.isnan(far["error_max_um"]).all()
 
 
 def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(placements):
@@ -135,11 +127,9 @@ def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(p
     np.testing.assert_allclose(moved_cell(cell, course, row)["posture_deg"], np.degrees(joints), atol=1e-6)
 
 
-def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys):
-    words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", str(tmp_path / "map"), "--json"]
-    words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40"]
-    assert main(words) == 0
-    result = json.loads(capsys.readouterr().out)
+def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
+    words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", tmp_path / "map"]
+    result = answered(*words, *settings("path.length_mm=6", "stock.grid_step_um=40"))
     assert result["rows"] == 4 * 8 and result["rows_per_s"] > 0 and result["best"] and len(result["best"]) <= 5
     page, now = (tmp_path / "map" / "map.html").read_text(), result["present"]
     for text in ("paper.yaml: KR 270-2 mills a straight cut of 6 mm", "the part now", f">{now['error_max_um']:.2f}<"):
@@ -205,13 +195,6 @@ def test_every_spindle_speed_runs_with_the_nearest_period_of_whole_micro_steps()
     assert "whole number of micro-steps" in own.row(0)["error"]  # what was asked for is not changed
 
 
-def test_a_folder_of_another_study_is_refused(tmp_path):
-    Study(tmp_path, {"seed": 1})
-    Study(tmp_path, {"seed": 1})
-    with pytest.raises(InputError, match="another study"):
-        Study(tmp_path, {"seed": 2})
-
-
 # --- The turn of the tool along a path ---
 GRID = np.radians(np.arange(-90.0, 91.0, 10.0))
 ARM, _ = read_arm(find_file("kr270_2.yaml"))
@@ -223,9 +206,9 @@ class Known(Turns):
     def at(self, turn):
         q = np.zeros((*turn.shape, 8, 6))
         q[..., 1:3] = np.radians([-80.0, 100.0])
-        q[..., 5] = turn[..., None]
-        error = np.abs(turn - self.course.wish[:, None])[..., None] * np.where(np.arange(8) == 2, 1.0, 2.0)
-        return q, error
+        q[..., 5] = (turn[..., None] + np.pi) % (2 * np.pi) - np.pi
+        away = (turn - self.course.wish[:, None] + np.pi) % (2 * np.pi) - np.pi
+        return q, np.abs(away)[..., None] * np.where(np.arange(8) == 2, 1.0, 2.0)
 
 
 def known(wish: np.ndarray, weight: float, step: float = 1.0) -> Known:
@@ -259,32 +242,18 @@ def test_a_jump_is_taken_as_fast_as_the_joint_turns():
 def test_a_whole_turn_has_no_seam():
     """A wish that runs through 180 deg is followed on the way that is shorter."""
     wish = np.radians(np.linspace(150.0, 210.0, 60))
-
-    class Round(Known):
-        def at(self, turn):
-            q, _ = super().at(turn)
-            q[..., 5] = (turn[..., None] + np.pi) % (2 * np.pi) - np.pi
-            away = (turn - self.course.wish[:, None] + np.pi) % (2 * np.pi) - np.pi
-            return q, np.abs(away)[..., None] * np.ones(8)
-
-    course = SimpleNamespace(wish=wish, position=np.zeros((60, 3)))
-    way = find_way(Round(SimpleNamespace(arm=ARM), course, 1.0, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
+    way = find_way(known(wish, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
     assert way.value < 2e-3
     assert np.ptp(way.turn) == pytest.approx(np.ptp(wish), abs=0.02)
     assert np.abs(np.diff(way.q[:, 5])).max() < 0.1  # joint 6 has room for it and makes no jump
 
 
-@pytest.fixture(scope="module")
-def across() -> Turns:
+def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_what_is_too_fast_is_refused():
     """A cut of 1.2 m across the front of the arm in 24 s, the spindle across axis 6."""
-    cell = read_cell(find_file("test_piece.yaml"))
     y = np.linspace(-0.6, 0.6, 49)
     course = PathPlaces(np.stack([0 * y, y, 0 * y], 1), np.tile(np.diag([1.0, -1.0, -1.0]), (49, 1, 1)),
-                    np.tile([0.0, 1.0, 0.0], (49, 1)), np.tile([150.0, -40.0, -20.0], (49, 1)))  # fmt: skip
-    return Turns(cell, course, 0.5, np.degrees(0.05e-6))
-
-
-def test_no_turn_that_stays_the_same_is_better_and_the_joints_keep_to_their_limits(across):
+                        np.tile([0.0, 1.0, 0.0], (49, 1)), np.tile([150.0, -40.0, -20.0], (49, 1)))  # fmt: skip
+    across = Turns(read_cell(find_file("test_piece.yaml")), course, 0.5, np.degrees(0.05e-6))
     grid = np.radians(np.arange(-180.0, 181.0, 10.0))
     way, arm = find_way(across, grid), across.cell.arm
     same = constant_way(across, np.radians(np.arange(-180.0, 181.0, 2.0)))
@@ -294,20 +263,15 @@ def test_no_turn_that_stays_the_same_is_better_and_the_joints_keep_to_their_limi
     assert 1e6 * way.value == pytest.approx(own, rel=0.01)
     assert np.all(np.abs(np.diff(way.q, axis=0)) <= arm.joint_speed_limit * 0.5)
     assert np.all((way.q >= arm.joint_lower) & (way.q <= arm.joint_upper))
-
-
-def test_what_is_too_fast_for_every_turn_is_refused(across):
-    hasty = Turns(across.cell, across.course, 1e-3, across.weight)
     with pytest.raises(NoWayError, match="lower the feed"):
-        find_way(hasty, GRID)
+        find_way(Turns(across.cell, course, 1e-3, across.weight), GRID)
 
 
-def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
+def test_the_command_writes_a_cell_that_runs(tmp_path):
     words = ["map", "test_piece.yaml", "--along", "--places", "20", "--tool-turn=-60:60/13", "--out", str(tmp_path)]
     slot = ("path.file=''", "path.start_mm=[-60,0]", "path.length_mm=15", "path.depth_of_cut_mm=1",
             "path.feed_rate_m_per_min=4", "stock.grid_step_um=60")  # fmt: skip
-    assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = answered(*words, *settings(*slot))
     assert result["criterion_um"] <= result["criterion_constant_um"] and max(result["joint_speed_share"]) < 1.0
     cell, old = read_cell(result["best"][0]["cell"]), read_cell(find_file("test_piece.yaml"), slot)
     run = cell.target()
@@ -315,5 +279,5 @@ def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
     assert cell.joints(run).shape == (len(run), 6)
     table = (tmp_path / "along.csv").read_text().splitlines()
     assert len(table) == len(run) + 1 and table[0].endswith("a6_deg")
-    assert main([*words, "--x", "1:2/2"]) == 2
-    assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0  # over the rest
+    assert refused(*words, "--x", "1:2/2")
+    assert answered(*words, *settings(*slot))  # over the rest
