@@ -45,15 +45,6 @@ def test_messages_come_in_the_order_of_the_file_from_every_packing(tmp_path, kin
         assert [(m.log_time, m.data) for m in recording.messages()] == messages
 
 
-def test_what_was_written_is_read_and_topics_can_be_chosen(tmp_path):
-    data, written, _ = whole_recording()
-    (tmp_path / "a.mcap").write_bytes(data)
-    messages, cut_off = read(tmp_path / "a.mcap")
-    assert not cut_off and sorted(messages) == sorted(written)
-    with Recording(tmp_path / "a.mcap") as recording:
-        assert [m.data for m in recording.messages(["/wrench"])] == [d for t, _, d in written if t == "/wrench"]
-
-
 def test_files_without_chunks_are_read(tmp_path):
     with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/tool_pose", POSE, typestore=STORE)
@@ -124,15 +115,6 @@ def test_a_foreign_schema_is_listed_and_its_bytes_are_read_but_not_decoded(tmp_p
                 list(recording.decoded([topic]))
             with pytest.raises(RecordingError):
                 series(recording, topic)
-
-
-def test_decoded_messages_have_the_fields_of_the_definition(tmp_path):
-    record(tmp_path / "a", 3)
-    with Recording(tmp_path / "a") as recording:
-        decoded = {m.topic: d for m, d in recording.decoded()}
-    assert set(decoded) == set(TOPICS)
-    assert decoded["/tool_pose"].pose.position.y == 2.1
-    assert decoded["/diagnostics"].status[1].message == "äußerst gut"
 
 
 PACKAGES = ("@mcap/core", "@foxglove/rosmsg", "@foxglove/rosmsg2-serialization", "fzstd")
