@@ -185,18 +185,6 @@ def test_the_numbers_of_a_file_come_back_and_their_bounds_hold_to_the_last_digit
     assert flatten(sample.replace(speed=2.0))["speed_rpm"] == 2.0 / (2 * math.pi / 60)
 
 
-def all_specs(record, prefix=""):
-    for spec in specs(record):
-        inside = isinstance(spec.kind, type) and issubclass(spec.kind, Record)
-        yield from all_specs(spec.kind, f"{prefix}{spec.key}.") if inside else [(prefix + spec.key, spec)]
-
-
-def test_every_parameter_says_what_it_is_and_has_a_unit_that_the_key_ends_in():
-    for key, spec in all_specs(Cell):
-        assert spec.text, key
-        assert key.endswith(spec.unit), key
-
-
 SOURCE = re.compile(r"\[paper|\[derived\]|\[source:|assumed|identified:|\((?:\d+)\)|paper's|\bFig\. ")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 
 import pytest
 import yaml
@@ -13,8 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import Record, build, find_file, flatten, specs
+from kr270_milling.base.record import build, find_file, flatten
 from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.keys import keys_of
 
 FLAT = flatten(read_cell(find_file("paper.yaml"), SHORT))
 KEYS = sorted(FLAT)
@@ -90,19 +90,12 @@ def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
     """The bounds of every number with bounds, one at a time; sections that no pass asks are only read."""
     assert refused_or_sound("simulate", write(place, "arm.name", "arm")).code == 0  # the cell itself is sound
     unasked = ("uncertainty.", "limits.", "program.", "compensation.", "publish.")
-
-    def leaves(record, prefix=""):
-        for spec in specs(record):
-            if issubclass(spec.kind, Record):
-                yield from leaves(spec.kind, f"{prefix}{spec.key}.")
-            elif spec.kind in (int, float):
-                yield prefix + spec.key, spec
-
-    tried = 0
-    for key, spec in leaves(Cell):
-        for bound in (spec.low, spec.high, spec.above + 1e-9):
-            if math.isfinite(bound):
-                cell = write(place, key, spec.kind(bound))
-                read_cell(cell) if key.startswith(unasked) else refused_or_sound("simulate", cell)
+    kinds, tried = {"number": float, "whole number": int}, 0
+    for row in keys_of():
+        above = None if row["above"] is None else row["above"] + 1e-9
+        for bound in (row["low"], row["high"], above) if row["type"] in kinds else ():
+            if bound is not None:
+                cell = write(place, row["key"], kinds[row["type"]](bound))
+                read_cell(cell) if row["key"].startswith(unasked) else refused_or_sound("simulate", cell)
                 tried += 1
     assert tried > 60
