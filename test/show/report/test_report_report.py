@@ -172,8 +172,11 @@ def test_a_part_shows_its_features_its_source_and_its_tolerance_also_without_any
     assert data["tolerance_um"] == pytest.approx([30.0, 30.0])
     assert data["linked"]["source"][2]["text"] == "G0 X-28 Y8 Z2"
     assert data["linked"]["source_name"] == "path.nc"
-    rigid = small_cell(tmp_path, POCKET, RIGID)
-    assert 'id="map_after"' in written(tmp_path, rigid, [simulate(rigid)])
+    evil = "(</title></svg><script>evil</script>)"
+    rigid = small_cell(tmp_path, POCKET.replace("(ring)", evil), RIGID)
+    text = written(tmp_path, rigid, [simulate(rigid)])
+    assert 'id="map_after"' in text and evil not in text
+    assert evil in [line["text"] for line in json.loads(Page(text).scripts[0])["linked"]["source"]]
 
 
 def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(straight):
