@@ -146,11 +146,9 @@ def shipped_records():
 def unflatten(flat: dict) -> dict:
     tree: dict = {}
     for key, value in flat.items():
-        *groups, last = key.split(".")
-        group = tree
-        for g in groups:
-            group = group.setdefault(g, {})
-        group[last] = value
+        for part in reversed(key.split(".")):
+            value = {part: value}
+        tree = merge(tree, value)
     return tree
 
 
@@ -363,11 +361,9 @@ def test_an_assignment_sets_a_nested_key_of_a_copy_and_the_last_one_wins():
         ("speed_rpm=", ["speed_rpm", "has no value"]), ("speed_rpm=[", ["speed_rpm", "YAML"]),
         ("speed_rpm=fast", ["speed_rpm", "'fast'", "at most 600"]), ("speed_rpm=1e400", ["speed_rpm", "at most 600"]),
         (f"speed_rpm={10**400}", ["speed_rpm", "at most 600"]), ("speed_rpm=2026-99-99", ["speed_rpm", "YAML"]),
-        ("speed_rpm=1:30", ["speed_rpm", "YAML"]), ("speed_rpm=" + "[" * 3000, ["speed_rpm", "nested too deeply"]),
-        ("spede_rpm=60", ["spede_rpm", "did you mean speed_rpm?"]), ("inner=3", ["inner", "a group of keys"]),
-        ("teeth=2.0", ["teeth", "a whole number"]), ("angles_deg=[1]", ["angles_deg", "2 finite numbers"]),
-        ("mode=odd", ["mode", "one of plain, fancy"]), ("speed_rpm.x=1", ["speed_rpm", "finite number"]),
+        ("speed_rpm=" + "[" * 3000, ["speed_rpm", "nested too deeply"]), ("inner=3", ["inner", "a group of keys"]),
         ("inner={length_mm: 1.0, length_mm: 2.0}", ["inner", "twice"]), ("on=!!python/none", ["on", "YAML"]),
+        ("speed_rpm.x=1", ["speed_rpm", "finite number"]),
     ],
 )  # fmt: skip
 def test_a_bad_assignment_is_refused(text, names):
@@ -377,31 +373,24 @@ def test_a_bad_assignment_is_refused(text, names):
     assert str(caught.value).isprintable() and all(n in str(caught.value) for n in names), str(caught.value)
 
 
-def result_or_one_sentence(read) -> None:
-    try:
-        assert isinstance(read(), (dict, Sample))
-    except ConfigError as error:
-        assert str(error).isprintable() and len(str(error)) < 3000
-
-
-@settings(max_examples=budget(150), deadline=None)
-@given(VALUES.map(lambda v: yaml.dump({"/**": {"ros__parameters": v}}).encode()) | st.binary(max_size=200))
-def test_any_file_gives_a_record_or_one_sentence(tmp_path_factory, content):
-    path = write(tmp_path_factory.getbasetemp(), content)
-    result_or_one_sentence(lambda: build(Sample, read_tree(path), path))
-
-
 TOKENS = st.sampled_from(
     ["/**:", " ros__parameters:", "\n", "  ", "a", ": ", "- ", "[", "]", "{", "}", ",", "&a ", "*a", "!!int ",
      "!!map ", "!!set ", "!!omap ", "!!pairs ", "!!binary ", "!!timestamp ", "!!float ", "!!bool ", "!x ", "|", ">",
      "'", '"', "#", "1", ".", "e", "-", "0x", "0b", "_", ":", "~", "? ", "%", "---\n", "...\n", "<<", "=",
      "\t", "\x00", "ü"]
 )  # fmt: skip
+DUMPED = VALUES.map(lambda v: yaml.dump({"/**": {"ros__parameters": v}}).encode())
 
 
-@settings(max_examples=budget(400), deadline=None)
-@given(st.sampled_from(["speed_rpm", "inner", "topics"]), st.lists(TOKENS, max_size=25).map("".join))
-def test_any_text_out_of_pieces_of_yaml_is_read_or_refused_in_one_sentence(tmp_path_factory, key, text):
-    path = write(tmp_path_factory.getbasetemp(), text)
-    for read in (lambda: read_tree(path), lambda: build(Sample, override(GOOD, [f"{key}={text}"])[0])):
-        result_or_one_sentence(read)
+PIECES = st.lists(TOKENS, max_size=25).map("".join)
+
+
+@settings(max_examples=budget(400))
+@given(DUMPED | st.binary(max_size=200) | PIECES.map(str.encode), st.sampled_from(["speed_rpm", "inner"]), PIECES)
+def test_any_file_and_any_assignment_gives_a_record_or_one_sentence(tmp_path_factory, content, key, text):
+    path = write(tmp_path_factory.getbasetemp(), content)
+    for read in (lambda: read_tree(path), lambda: override(GOOD, [f"{key}={text}"])[0]):
+        try:
+            assert isinstance(build(Sample, read(), path), Sample)
+        except ConfigError as error:
+            assert str(error).isprintable() and len(str(error)) < 3000

@@ -181,7 +181,8 @@ def test_files_have_the_permissions_of_the_umask_and_replace_links_but_not_their
     assert answer.code in (0, 1) and answer.err == "", answer
     files = {file: data for file, data in contents(out).items() if data not in ("dir", SECRET)}
     assert files and all(files.values()) and not any(".part" in file for file in files)
-    assert {stat.S_IMODE((out / file).stat().st_mode) for file in files} == {0o640}
+    for path in (out, *out.rglob("*")):
+        assert stat.S_IMODE(path.stat().st_mode) == (0o750 if path.is_dir() else 0o640), path
     assert name == "recover" or (out / "mine.txt").read_bytes() == SECRET
     victim.write_bytes(SECRET)
     for file in files:
