@@ -15,19 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kr270_milling.base import parameter_file
-from kr270_milling.base.errors import ParameterError
-from kr270_milling.base.record import (
-    ConfigError,
-    Record,
-    build,
-    find_file,
-    flatten,
-    merge,
-    override,
-    parameter,
-    read_tree,
-    specs,
-)
+from kr270_milling.base.errors import ConfigError, ParameterError
+from kr270_milling.base.record import Record, build, find_file, flatten, merge, override, parameter, read_tree, specs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.cutting import Tool
 from kr270_milling.physics.robot import Arm

@@ -8,26 +8,10 @@ import json
 
 import numpy as np
 import pytest
+import recording_samples as samples
 from mcap.writer import Writer
 from player_options import options
-from recording_samples import (
-    DIAGNOSTICS,
-    GRID,
-    JOINTS,
-    PERIOD,
-    POSE,
-    TEXT,
-    TOPICS,
-    WRENCH,
-    header,
-    joints,
-    make,
-    pose,
-    raw,
-    record,
-    time,
-    wrench,
-)
+from recording_samples import DIAGNOSTICS, PERIOD, POSE, TEXT, TOPICS, WRENCH, header, make, pose, raw, record, wrench
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
@@ -89,9 +73,9 @@ def test_numbers_read_back_to_the_same_bits_and_lists_are_json(tables):
 
 def test_a_new_file_begins_where_the_joints_change(tmp_path):
     with BagWriter(tmp_path / "a") as writer:
-        writer.add_topic("/joint_states", JOINTS)
+        writer.add_topic("/joint_states", samples.JOINTS)
         for i, names in enumerate([["a", "b"], ["a", "b"], ["c"]]):
-            writer.write("/joint_states", raw(joints(i, [1.0] * len(names), names=names)), 0)
+            writer.write("/joint_states", raw(samples.joints(i, [1.0] * len(names), names=names)), 0)
     files = exported(tmp_path / "a", tmp_path / "csv")
     assert [f.name for f in files] == ["joint_states.csv", "joint_states_2.csv"]
     assert [len(rows(f)) for f in files] == [2, 1]
@@ -161,10 +145,10 @@ def test_nothing_stays_where_the_disk_is_full(tmp_path, full_disk, steps):
 def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
     """Each becomes a text of five times its size ("100, ")."""
     size, count = 100_000, 25
-    about = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, size, 1, pose(0, [0, 0, 0, 0, 0, 0, 1]).pose)
-    data = raw(make(GRID, header(0), about, np.full(size, 100, np.int8)))
+    about = make("nav_msgs/msg/MapMetaData", samples.time(0), 1e-5, size, 1, pose(0, [0, 0, 0, 0, 0, 0, 1]).pose)
+    data = raw(make(samples.GRID, header(0), about, np.full(size, 100, np.int8)))
     with BagWriter(tmp_path / "a") as writer:
-        writer.add_topic("/workpiece", GRID)
+        writer.add_topic("/workpiece", samples.GRID)
         for _ in range(count):
             writer.write("/workpiece", data, 0)
     with Recording(tmp_path / "a") as recording:

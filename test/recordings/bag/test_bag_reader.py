@@ -13,19 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
-from recording_samples import (
-    PERIOD,
-    POSE,
-    STORE,
-    TOPICS,
-    poses,
-    raw,
-    read,
-    record,
-    sample,
-    whole_recording,
-    write_mcap,
-)
+from recording_samples import PERIOD, POSE, STORE, TOPICS, poses, raw, read, record, sample, whole_recording, write_mcap
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
