@@ -171,7 +171,7 @@ def test_the_layout_of_the_3d_viewers_places_what_it_describes_and_plots_numbers
 
 
 def test_every_curve_of_plotjuggler_is_a_number_of_its_message():
-    root = ET.parsefind_file("plotjuggler_layout.xml").getroot()
+    root = ET.parse(find_file("plotjuggler_layout.xml")).getroot()
     assert root.tag == "root" and root.find("tabbed_widget/Tab/Container/DockSplitter") is not None
     for splitter in root.iter("DockSplitter"):
         assert int(splitter.get("count")) == len(list(splitter)) == len(splitter.get("sizes").split(";"))
