@@ -104,17 +104,13 @@ def test_a_set_of_files_appears_whole_or_not_at_all(tmp_path):
         (b"G0\n\n\nG1 \x00\n", 4, "zero byte"),
     ],
 )
-def test_what_is_no_text_is_refused_with_its_first_bad_line(tmp_path, data, line, word):
+def test_what_is_no_text_is_refused_with_its_first_bad_line_and_every_line_end_is_read(tmp_path, data, line, word):
     path = tmp_path / "x.nc"
     path.write_bytes(data)
     with pytest.raises(InputError, match=word) as caught:
         read_lines(path)
     assert caught.value.line == line and "\n" not in str(caught.value)
-
-
-def test_every_kind_of_line_end_and_a_byte_order_mark_are_read(tmp_path):
-    path = tmp_path / "x.nc"
-    path.write_bytes(b"\xef\xbb\xbfa\r\nb\rc\nd\n")
+    path.write_bytes(b"\xef\xbb\xbfa\r\nb\rc\nd\n")  # every kind of line end, and a byte order mark
     lines = read_lines(path)
     assert lines == ["a", "b", "c", "d", ""] and unended(lines) == ""
     assert "cut off" in unended(["G0 X0", "G1 X1"])

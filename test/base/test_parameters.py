@@ -82,11 +82,14 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one_or_with_all(change
     assert text in str(refused(change, key))
 
 
-def test_a_missing_key_is_refused_with_its_range_and_meaning():
+def test_a_missing_key_is_refused_with_its_range_and_meaning_and_a_condition_between_values_with_its_key():
     error = refused({}, "speed_rpm", drop="speed_rpm")
     assert "is missing" in str(error) and "at least 10 and at most 600" in str(error) and "(a speed)" in str(error)
     with pytest.raises(ConfigError, match=r"x.yaml: arm.name: is missing"):  # the first key of a missing group
         build(Cell, {"start_joints_deg": [0.0] * 6}, "x.yaml")
+    tree = {"diameter_mm": 20.0, "teeth": 2, "spindle_speed_rpm": 8000.0, "pitch_deg": [100.0, 100.0]}
+    with pytest.raises(ConfigError, match=r"x.yaml: tool.pitch_deg: .* angles that sum up to 360"):
+        build(Tool, tree, "x.yaml", "tool.")
 
 
 SPEED, ANGLES = "at least 10 and at most 600", "list of 2 finite numbers"
@@ -200,12 +203,6 @@ VALUES = st.recursive(
 )
 
 
-def test_a_tool_with_conditions_between_values_names_the_key():
-    tree = {"diameter_mm": 20.0, "teeth": 2, "spindle_speed_rpm": 8000.0, "pitch_deg": [100.0, 100.0]}
-    with pytest.raises(ConfigError, match=r"x.yaml: tool.pitch_deg: .* angles that sum up to 360"):
-        build(Tool, tree, "x.yaml", "tool.")
-
-
 # --- Parameter files ---
 def write(directory, text, name="cell.yaml") -> Path:
     path = directory / name
@@ -262,11 +259,6 @@ def test_a_file_of_another_form_is_refused_in_one_sentence(tmp_path, text, names
     refusal_of(write(tmp_path, text), *names)
 
 
-def test_a_directory_and_a_missing_file_are_refused(tmp_path):
-    refusal_of(tmp_path, "cannot be read", "directory")
-    refusal_of(tmp_path / "none.yaml", "cannot be read", "No such file")
-
-
 def test_numbers_and_keys_of_yaml_are_those_of_ros(tmp_path):
     assert read_tree(write(tmp_path, b"\xef\xbb\xbf" + wrapped("a: 1").encode())) == {"a": 1}  # a byte order mark
     tree = read_tree(write(tmp_path, wrapped("length_mm: 1e1")))
@@ -312,7 +304,9 @@ def test_the_including_file_overrides_the_included_and_later_includes_earlier_on
     assert read_tree(write(tmp_path, twice))["g"] == {"a": 1, "b": 2, "c": 3, "d": 1}
 
 
-def test_a_circle_of_includes_and_a_missing_include_are_refused(tmp_path):
+def test_a_directory_a_missing_file_or_include_and_a_circle_of_includes_are_refused(tmp_path):
+    refusal_of(tmp_path, "cannot be read", "directory")
+    refusal_of(tmp_path / "none.yaml", "cannot be read", "No such file")
     for length in (1, 3):
         for i in range(length):
             write(tmp_path, wrapped(f"includes: [f{(i + 1) % length}.yaml]"), f"f{i}.yaml")

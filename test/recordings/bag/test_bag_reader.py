@@ -33,7 +33,7 @@ def test_messages_come_in_the_order_of_the_file_from_every_packing(tmp_path, kin
         assert [(m.log_time, m.data) for m in recording.messages()] == messages
 
 
-def test_files_without_chunks_are_read(tmp_path):
+def test_files_without_chunks_or_without_index_and_summary_are_read(tmp_path):
     with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/tool_pose", POSE, typestore=STORE)
         for log_time, data in poses(range(100)):
@@ -41,9 +41,6 @@ def test_files_without_chunks_are_read(tmp_path):
     messages, cut_off = read(tmp_path / "bag")
     assert not cut_off
     assert [(t, d) for _, t, d in messages] == poses(range(100))
-
-
-def test_files_without_index_and_summary_are_read(tmp_path):
     bare = dict(use_statistics=False, repeat_channels=False, repeat_schemas=False, use_summary_offsets=False)
     messages = poses(range(99, -1, -1))
     path = write_mcap(tmp_path / "a.mcap", messages, chunk_size=2000, index_types=IndexType.NONE, **bare)
