@@ -211,6 +211,9 @@ def test_a_topic_without_messages_has_empty_arrays_and_other_topics_are_refused(
             with pytest.raises(RecordingError):
                 read(recording, "/u")
     assert len(actual.stamp) == 0 and actual.values.shape == (0, 7)
+    longer = written(tmp_path / "b", WRENCH, [raw(pose(1, np.arange(7)))])
+    with Recording(longer) as recording, pytest.raises(RecordingError, match="longer than its type"):
+        series(recording, "/t")
 
 
 @given(data=st.binary(max_size=120), kind=st.sampled_from([POSE, WRENCH, TWIST, JOINTS]), cut=st.integers(0, 200))

@@ -139,6 +139,7 @@ def test_a_cut_off_recording_is_counted_exported_and_recovered(whole, tmp_path):
     assert answered("info", file)["cut_off"] is True and "cut off" in ask("info", str(file)).out
     words = ("export", str(file), "--csv", str(tmp_path / "t"), "--topics", "/wrench")
     assert answered(*words)["files"] == [str(tmp_path / "t" / "wrench.csv")] and "was cut off" in ask(*words).out
+    assert "give --csv DIR or --parquet DIR" in refused("export", str(file))
     result = answered("recover", file, "--out", saved)
     assert not result["whole"] and result["messages"] > 100 and answered("info", saved)["cut_off"] is False
     assert answered("replay", saved, "--recompute")["verdict"] == "identical"
