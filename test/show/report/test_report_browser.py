@@ -40,7 +40,7 @@ MARKS = """() => {
 def shown(browser, directory, cell, passes, width: int, place: str = "", **words) -> Visit:
     """The report of some passes, everything on it drawn; solids are small, since here the processor draws them."""
     url = write_report(directory, cell, passes, **WORDS, **words).as_uri() + place
-    visit = Visit(browser, url, width, touch=width < 600)
+    visit = Visit(browser, url, width, dark=width < 600, touch=width < 600)
     visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
     visit.ask("KR.drawEverything()")
     return visit
@@ -243,7 +243,7 @@ def look(visit, width: int, dark: bool, height: int = 900) -> None:
 
 
 def test_nothing_is_wider_than_the_screen_in_light_and_dark(visit):
-    for width, dark in ((1400, False), (390, True), (820, False)):
+    for width, dark in ((1400, False), (390, False), (820, True)):
         look(visit, width, dark)
     assert visit.ask(
         """() => [...document.querySelectorAll('[role=img]')]
@@ -260,7 +260,7 @@ def test_a_phone_opened_at_the_address_of_a_place_turned_and_a_page_printed(brow
         phone.page.wait_for_function("location.hash === `#XP${KR.data.linked.point[40]}`")
         phone.ask("() => { location.hash = '#XP99999999'; }")
         phone.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
-        look(phone, 390, False)
+        look(phone, 390, True)
         look(phone, 844, True, 390)
         phone.page.emulate_media(media="print", color_scheme="dark")
         phone.ask("dispatchEvent(new Event('beforeprint'))")
