@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import resource
 import tempfile
 from pathlib import Path
 
@@ -165,6 +167,17 @@ def whole_recording() -> Whole:
         written = record(directory, 40, ["/tool_pose", "/wrench", "/robot_description"],
                          attachments={"cell.yaml": "a: 1\n" * 50}, metadata={"seed": 7}, chunk_size=2000)  # fmt: skip
         return Whole(((directory / "a.mcap").read_bytes(), written, (directory / "metadata.yaml").read_bytes()))
+
+
+@contextlib.contextmanager
+def full_disk(limit: int):
+    """No file of this process can be longer than a limit [bytes]."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def poses(times) -> list[tuple[int, bytes]]:

@@ -130,14 +130,13 @@ def test_parquet_has_the_columns_of_the_topic_and_an_unknown_topic_is_named(tmp_
 
 
 @pytest.mark.parametrize("steps", [30, 2000])
-def test_nothing_stays_where_the_disk_is_full(tmp_path, full_disk, steps):
+def test_nothing_stays_where_the_disk_is_full(tmp_path, steps):
     """The disk is full in the last bytes, which are written when the file is closed, or long before."""
     with BagWriter(tmp_path / "a") as writer:
         writer.add_topic("/tool_pose", POSE)
         for step in range(steps):
             writer.write("/tool_pose", raw(pose(step * PERIOD, np.full(7, 0.1 + step / 7))), 0)
-    full_disk(4096)
-    with pytest.raises(RecordingError, match="the tables cannot be written"):
+    with samples.full_disk(4096), pytest.raises(RecordingError, match="the tables cannot be written"):
         exported(tmp_path / "a", tmp_path / "csv")
     assert list((tmp_path / "csv").iterdir()) == []
 

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_samples import DIAGNOSTICS, PATH, PERIOD, POSE, TEXT, header, make, path, pose, raw, record
+from recording_samples import DIAGNOSTICS, PATH, PERIOD, POSE, TEXT, full_disk, header, make, path, pose, raw, record
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
@@ -161,10 +161,9 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_
 
 
 @pytest.mark.parametrize("limit", [4, 30_000])
-def test_a_full_disk_ends_the_file_after_its_last_whole_chunk(tmp_path, full_disk, limit):
+def test_a_full_disk_ends_the_file_after_its_last_whole_chunk(tmp_path, limit):
     rng, writer = np.random.default_rng(6), None  # numbers that cannot be packed
-    full_disk(limit)
-    with pytest.raises(RecordingError, match="File too large") as caught:
+    with full_disk(limit), pytest.raises(RecordingError, match="File too large") as caught:
         writer = BagWriter(tmp_path / "a", chunk_size=4000)
         writer.add_topic("/p", POSE)
         for step in range(10_000):
