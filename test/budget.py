@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["budget"]
-
-SHARE, LEAST = 5, 20
-
 
 def budget(examples: int) -> int:
     """Of a long run; a fifth of it, but 20 at least, in a usual one."""
-    return examples if os.environ.get("KR270_MILLING_LONG_TESTS") else min(examples, max(examples // SHARE, LEAST))
+    return examples if os.environ.get("KR270_MILLING_LONG_TESTS") else min(examples, max(examples // 5, 20))

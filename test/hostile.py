@@ -48,6 +48,10 @@ def answered(*words: str, code: int = 0) -> dict:
     """The JSON object of a command; beside it only the caution of a decision may be printed."""
     answer = ask(*map(str, words), "--json")
     assert answer.code == code, answer
+    return parsed(answer)
+
+
+def parsed(answer: Answer) -> dict:
     assert answer.err == "" or answer.err.startswith("warning: decision: caution: "), answer.err
     return json.loads(answer.out, parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))
 
@@ -68,8 +72,7 @@ def refused_or_sound(*words: str, most: float = 1e15) -> Answer:
         refusal = json.loads(answer.out)
         assert refusal["exit_code"] == 2 and refusal["error"].isprintable() and answer.err == "", answer
         return answer
-    assert answer.err == "" or answer.err.startswith("warning: decision: caution: "), answer.err
-    for key, value in _numbers(json.loads(answer.out, parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))):
+    for key, value in _numbers(parsed(answer)):
         assert math.isfinite(value), f"{key} is {value}"
         if key != ".findings.value":  # a stop says how far beyond its limit, however far that is
             assert abs(value) < most, f"{key} is {value}"

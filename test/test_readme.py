@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterator
 
 import pytest
-from pages import PAGES, ROOT, Block, blocks, differences, directory_of, run_page, updated
+from pages import PAGES, ROOT, blocks, differences, directory_of, run_page, updated
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
@@ -47,6 +47,10 @@ def numbers(text: str) -> list[float]:
     return [float(word) for word in re.findall(r"-?\d+(?:\.\d+)?", text)]
 
 
+def name_of(page) -> str:
+    return str(page.relative_to(ROOT))
+
+
 # --- commands ---
 @pytest.mark.parametrize("words", commands())
 def test_every_command_is_one_that_the_program_takes(words):
@@ -55,27 +59,21 @@ def test_every_command_is_one_that_the_program_takes(words):
     assert args.command == words[0] and hasattr(args, "run")
 
 
-def test_every_command_of_the_program_is_shown():
+def test_commands_cells_topics_and_methods_of_the_pages_are_those_of_the_package():
     assert set(COMMANDS) - {words.split()[0] for words in commands()} == set()
-
-
-def test_every_cell_and_path_that_is_named_is_shipped():
     named = {*re.findall(r"config/[\w.]+ml\b", TEXT), "config/fastdds.xml"}
     assert {str(p.relative_to(ROOT)) for p in ROOT.glob("config/*.[yx]*ml")} == named
+    assert topic_table() in (ROOT / "kr270_milling" / "live" / "nodes" / "README.md").read_text(encoding="utf-8")
+    assert tuple(re.findall(r"`(\w+)`", names)[0] for names, _ in rows("method | what it does")) == tuple(METHODS)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_link_leads_to_a_file_and_the_first_line_says_the_purpose(page):
     text = page.read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (page.parent / link).exists(), link
     assert text.startswith("# ") and text.splitlines()[2]
     assert page != PAGES[0] or text.count("\n") <= 120  # the README is short
-
-
-def here(page) -> list[Block]:
-    """The blocks that the tests run."""
-    return [block for block in blocks(page) if not block.mark]
 
 
 @pytest.mark.parametrize("block", [block for page in PAGES for block in blocks(page)], ids=str)
@@ -87,11 +85,10 @@ def test_a_block_of_commands_is_run_or_states_the_reason(block):
         assert block.page.name == "README.md" and "demo" in block.reason
 
 
-@pytest.mark.parametrize(
-    "page",
-    [page for page in PAGES if here(page) and str(page.relative_to(ROOT)) not in RUN_ELSEWHERE],
-    ids=lambda page: str(page.relative_to(ROOT)),
-)
+RUN_HERE = [page for page in PAGES if name_of(page) not in RUN_ELSEWHERE and any(not b.mark for b in blocks(page))]
+
+
+@pytest.mark.parametrize("page", RUN_HERE, ids=name_of)
 def test_the_commands_of_a_page_run_and_print_what_the_page_shows(page, tmp_path, monkeypatch):
     monkeypatch.chdir(directory_of(page, tmp_path))
     for block, printed in run_page(page):
@@ -158,25 +155,17 @@ def test_the_demo_prints_what_is_shown(demo):
     assert differences(block.shown[0], demo.text.replace(demo.directory, "out")) == []
 
 
-def test_the_tables_of_topics_and_methods_are_those_of_the_package():
-    assert topic_table() in (ROOT / "kr270_milling" / "live" / "nodes" / "README.md").read_text(encoding="utf-8")
-    assert tuple(re.findall(r"`(\w+)`", names)[0] for names, _ in rows("method | what it does")) == tuple(METHODS)
-
-
 # --- numbers ---
+GRID, MICRO_STEP = "stock.grid_step_um", "exchange.micro_step_deg"
+
+
 @pytest.mark.parametrize(
-    ("row", "place", "overrides"),
-    [
-        (0, 0, []),
-        (2, 1, ["stock.grid_step_um=20"]),
-        (2, 2, ["stock.grid_step_um=40"]),
-        (3, 2, ["exchange.micro_step_deg=2"]),
-    ],
+    ("row", "place", "key", "value"), [(0, 0, GRID, 10), (2, 1, GRID, 20), (2, 2, GRID, 40), (3, 2, MICRO_STEP, 2)]
 )
-def test_the_convergence_table_is_what_comes_out(row, place, overrides):
+def test_the_convergence_table_is_what_comes_out(row, place, key, value):
     _, *cells = rows("the paper's pass")[row]
     shown = [numbers(cell)[place] for cell in cells]
-    scores = simulate(read_cell(find_file("paper.yaml"), overrides)).scores
+    scores = simulate(read_cell(find_file("paper.yaml"), [f"{key}={value}"])).scores
     assert shown == pytest.approx([1e6 * scores.static_deviation, 1e6 * scores.max_deviation], abs=0.00051)
 
 
@@ -192,13 +181,10 @@ def test_little_damping_leaves_what_is_said():
         assert compensated(cell, original, method).scores.max_deviation * 1e6 == pytest.approx(float(value), abs=0.051)
 
 
-def test_what_was_identified_is_in_the_shipped_cell():
+def test_what_was_identified_and_queue_and_silence_are_as_said():
     cell = read_cell(find_file("paper.yaml"))
     _, depth, _, damping, _, _ = numbers(re.search(r"from Table 2: a_p = .*", TEXT)[0])
     assert (depth, damping) == (cell.path.depth_of_cut * 1e3, cell.dynamics.damping_ratio)
-
-
-def test_queue_and_silence_are_as_said():
     pytest.importorskip("rclpy")
     from kr270_milling.live.ros import topics
     from kr270_milling.live.ros.node import SILENT

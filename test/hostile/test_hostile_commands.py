@@ -1,19 +1,29 @@
-"""Every command with input files that are none, with output places that must not change, with texts from elsewhere."""
+"""Every command with files that are none, places that must not change, impossible options, and with Ctrl-C."""
 
 from __future__ import annotations
 
-import html.parser
+import math
 import os
+import random
+import re
+import signal
 import stat
+import subprocess
 import sys
+import time
+from argparse import ArgumentTypeError
 from pathlib import Path
 
+import hypothesis
+import numpy as np
 import pass_recording
 import pytest
-from hostile import POSTURE, SHORT, ask, contents, refused, settings
+from budget import budget
+from hostile import POSTURE, SHORT, ask, contents, refused, refused_or_sound, settings
+from hypothesis import strategies as st
 from recording_samples import record
-from small_part import SET
 
+from kr270_milling.base.arguments import bounded, numbers
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.recordings.bag.writer import BagWriter
 
@@ -67,16 +77,12 @@ ENDS = {"reference": ".csv", "corrected": ".csv", "path": ".nc", "stiffness": ".
         "UFF": ".uff"}  # fmt: skip
 
 
-def words(name: str, file, out) -> list[str]:
-    return [word.format(file=file, out=out) for word in COMMANDS[name]]
-
-
 #: one command for each reader: parameter file, text, recording, recovery, measured signals
 @pytest.mark.parametrize("name", ["stiffness", "path", "info", "recover", "UFF"])
 @pytest.mark.parametrize("kind", [*CONTENTS, *PLACES, *MAKERS])
 def test_every_reader_refuses_what_is_no_such_file_in_one_sentence(name, kind, tmp_path):
     path = made(kind, tmp_path / f"thing{ENDS.get(name, '.mcap')}")
-    refused(*words(name, path, tmp_path / "out"))
+    refused(*[word.format(file=path, out=tmp_path / "out") for word in COMMANDS[name]])
     assert not list(tmp_path.glob("*out*"))
 
 
@@ -85,9 +91,10 @@ def test_every_reader_refuses_what_is_no_such_file_in_one_sentence(name, kind, t
 def test_every_command_refuses_missing_files_and_garbage_of_any_name(name, tmp_path):
     strange = b"-x\xff\xfea\nb\x1b[2J<b>" + "ä".encode() + ENDS.get(name, ".mcap").encode()
     path = os.fsdecode(os.path.join(os.fsencode(tmp_path), strange))
-    refused(*words(name, path, tmp_path / "out"))
+    words = [word.format(file=path, out=tmp_path / "out") for word in COMMANDS[name]]
+    refused(*words)
     Path(path).write_bytes(GARBAGE)
-    refused(*words(name, path, tmp_path / "out"))
+    refused(*words)
     left = contents(tmp_path)
     assert left.pop("out", "dir") == "dir" and list(left.values()) == [GARBAGE]
 
@@ -106,17 +113,12 @@ def test_a_cell_with_a_name_that_is_no_text_is_run(tmp_path):
 
 
 def test_a_reference_that_is_none_for_this_path_is_refused(tmp_path):
-    """Huge, backward and unfinished tables."""
     head = "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n"
     rows = {
         "huge": "0,0,0,0,1,0,0,0\n1,1e30,0,0,1,0,0,0\n",
         "far": "0,0,0,0,1,0,0,0\n0.05,50,0,0,1,0,0,0\n0.06,0,0,0,1,0,0,0\n",
         "longer": "0,-0.01,0,-0.0005,1,0,0,0\n0.07,-0.006,0,-0.0005,1,0,0,0\n",
         "days": "0,0,0,0,1,0,0,0\n9e8,0.01,0,0,1,0,0,0\n",
-        "backward": "0,0,0,0,1,0,0,0\n-1,0.1,0,0,1,0,0,0\n",
-        "infinite": "0,0,0,0,1,0,0,0\n1,inf,0,0,1,0,0,0\n",
-        "turned": "0,0,0,0,0,0,0,0\n1,0.1,0,0,1,0,0,0\n",
-        "cut off": "0,0,0,0,1,0,0,0\n1,0.1,0,0,1,0",
     }
     for name, text in rows.items():
         file = tmp_path / f"{name}.csv"
@@ -171,7 +173,8 @@ def test_files_have_the_permissions_of_the_umask_and_replace_links_but_not_their
     assert answer.code in (0, 1) and answer.err == "", answer
     files = {file: data for file, data in contents(out).items() if data not in ("dir", SECRET)}
     assert files and all(files.values()) and not any(".part" in file for file in files)
-    assert {stat.S_IMODE((out / file).stat().st_mode) for file in files} == {0o640}
+    for path in (out, *out.rglob("*")):
+        assert stat.S_IMODE(path.stat().st_mode) == (0o750 if path.is_dir() else 0o640), path
     assert name == "recover" or (out / "mine.txt").read_bytes() == SECRET
     victim.write_bytes(SECRET)
     for file in files:
@@ -180,63 +183,6 @@ def test_files_have_the_permissions_of_the_umask_and_replace_links_but_not_their
     answer = ask(*words)
     assert victim.read_bytes() == SECRET and (answer.code == 2) == (name == "recover")
     assert name == "recover" or not any((out / file).is_symlink() for file in files)
-
-
-class Page(html.parser.HTMLParser):
-    """Tags, attributes and texts of a page."""
-
-    def __init__(self):
-        super().__init__()
-        self.tags, self.attributes, self.texts = set(), set(), []
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.add(tag)
-        self.attributes |= {name for name, _ in attributes}
-
-    def handle_data(self, data):
-        self.texts.append(data)
-
-
-EVIL = "<script>alert(1)</script><img src=x onerror=alert(2)>&lt;{{ 7*7 }}\"'"
-GCODE = """G21 G90 S8000 M3
-G0 X-14 Y0 Z2
-G0 Z-0.5
-(</title></svg><script>evil4</script>)
-G1 X6 F4000
-(<img src=x onerror=evil3>)
-G1 X8 Y2
-G0 Z2
-M30
-"""
-
-
-def looked_at(path: Path) -> Page:
-    page = Page()
-    text = path.read_text(encoding="utf-8")
-    page.feed(text)
-    # the page's own scripts are inline; a text from a file is never markup, nor in the data of a script
-    assert not [evil for evil in ("<script>alert", "<script>evil", "<img src=x", "</title></svg>") if evil in text]
-    assert not page.tags & {"img", "iframe", "object", "embed", "link"}, page.tags
-    assert not [name for name in page.attributes if name.startswith("on")]
-    return page
-
-
-def test_a_report_shows_texts_from_files_and_does_not_run_them(tmp_path):
-    """Names of arm, cell file and folder; a comment of the program names a feature only if it is one word."""
-    folder = tmp_path / "<script>alert(5)<" / "b onclick=x"
-    folder.mkdir(parents=True)
-    (folder / "path <i>.nc").write_text(GCODE)
-    name = EVIL.replace("\\", "\\\\").replace('"', '\\"')
-    text = (f'/**:\n  ros__parameters:\n    includes: ["paper.yaml"]\n    arm: {{name: "{name}"}}\n'
-            f'    path: {{file: "path <i>.nc"}}\n')  # fmt: skip
-    (folder / "cell <u>.yaml").write_text(text)
-    cell = str(folder / "cell <u>.yaml")
-    answer = ask("compensate", cell, *settings(*SET), "--method=linear", "--no-verdict", "--out", str(tmp_path / "out"))
-    assert answer.code in (0, 1), answer
-    page = looked_at(tmp_path / "out" / "report.html")
-    shown = " ".join(page.texts)
-    for part in ("<script>alert(1)</script>", "{{ 7*7 }}", "cell <u>.yaml", "path <i>.nc"):
-        assert part in shown, part
 
 
 @pytest.mark.parametrize("command", [["info"], ["replay", "--recompute"], ["export", "--csv", "{out}"]])
@@ -248,3 +194,142 @@ def test_texts_of_a_recording_do_not_steer_the_terminal(command, tmp_path):
         writer.add_channel(f"/{evil}", schema, "cdr", {evil: evil})
     answer = ask(command[0], str(tmp_path / "a"), *[word.format(out=tmp_path / "out") for word in command[1:]])
     assert not set("\x1b\x07\r") & set(answer.out + answer.err), answer
+
+
+# --- options with impossible values ---
+
+
+NUMBERS = ("", "nan", "inf", "-inf", "1e999", "-1", "9" * 5000, "0x10", "ä", "1;2", "--", "1e30")
+COUNTS = ("", "nan", "inf", "1e30", "-1", "0", "1.5", "9" * 5000, "1_0", "0x10", "٣", "²")
+SIX = ("", "1", "1,2,3,4,5", "1,2,3,4,5,6,7", "nan,0,0,0,0,0", "0,0,0,0,0,inf", "1e30,0,0,0,0,0", ",,,,,",
+       "a,b,c,d,e,f", "-1e300,0,0,0,0,0", "721,0,0,0,0,0")  # fmt: skip
+CELL = ("paper.yaml", *settings(*SHORT))
+
+
+@pytest.mark.parametrize(("parse", "texts"), [
+    (numbers(6, 720.0), SIX), (bounded(0.0, 1e6), NUMBERS), (bounded(0.0, 1e6, above=True), (*NUMBERS, "0")),
+    (bounded(1, 999999, int), COUNTS),
+])  # fmt: skip
+def test_a_number_of_an_option_is_finite_within_its_bounds_and_written_in_digits(parse, texts):
+    for text in texts:
+        with pytest.raises(ArgumentTypeError):
+            parse(text)
+
+
+@pytest.mark.parametrize("words", [
+    ["stiffness", "kr270_2.yaml", "--joints-deg=721,0,0,0,0,0"],
+    ["stiffness", "kr270_2.yaml", POSTURE, "--wrench=nan,0,0,0,0,0"],
+    ["compensate", *CELL, "--verdict=-1"], ["compensate", *CELL, "--seed=1_0"], ["run", *CELL, "--passes=0"],
+    ["compensate", *CELL, "--method=LINEAR"], ["run", *CELL, "--method="], ["compensate", *CELL, "--krl=PTP"],
+    ["check", *CELL, "--motion=PTP"],
+    *[["replay", "none.mcap", f"{option}=nan"]
+      for option in ("--rate", "--start-offset", "--playback-duration", "--delay", "--clock")],
+    ["stiffness", "kr270_2.yaml", "--joints-deg"], ["stiffness", "kr270_2.yaml"], ["stiffness"],
+    ["simulate", "paper.yaml", "--set"], ["check", "paper.yaml", "--reference"], ["run"], ["replay"], ["info"],
+    ["replay", "a", "--recompute", "--compensate"], ["export"], ["export", "a"], ["recover"], ["report"],
+    ["export", "a", "--csv", "x", "--topics"], ["bench", "x"], ["demo", "x"], ["bench", "--steps=3"],
+    ["", ""], ["simulate", ""], ["simulate", "paper.yaml", "--set", ""], ["simulate", "paper.yaml", "--set", "="],
+    ["simulate", "paper.yaml", "--set", "tool..teeth=3"], ["simulate", "paper.yaml", "--set", "tool=3"],
+    ["simulate", "paper.yaml", "--set", "tool.teeth.more=3"], ["simulate", "paper.yaml", "--set", "tool.teeth=[3"],
+    ["run", "paper.yaml", "--namespace", "a b", "--out", "/proc/x"],
+])  # fmt: skip
+def test_a_call_with_a_wrong_value_too_little_or_too_much_is_refused(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused(*words)
+    assert contents(tmp_path) == {}
+
+
+@hypothesis.settings(max_examples=budget(150))
+@hypothesis.given(
+    st.lists(st.floats(), min_size=6, max_size=6), st.lists(st.floats(), min_size=6, max_size=6), st.booleans()
+)
+def test_any_posture_under_any_wrench_is_refused_or_has_finite_numbers(joints, wrench, gravity):
+    words = [f"--joints-deg={','.join(map(repr, joints))}", f"--wrench={','.join(map(repr, wrench))}"]
+    # springs of some 1e7 N m/rad over the square of the condition number that is let through, 1e6
+    most = 1e20 if np.abs(wrench).max() < 1e6 else math.inf
+    refused_or_sound("stiffness", "kr270_2.yaml", *words, *["--gravity"] * gravity, "--frame", "tool", most=most)
+
+
+# --- Ctrl-C at any time: exit code 130, one line, no traceback, nothing half written ---
+
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+#: prints a line at the start of the command's work, some ten times as long as the paper's pass
+STARTED = """
+import sys, kr270_milling.cell.jobs as m
+real = m.simulate
+def reporting(*args, **kwargs):
+    print("started", file=sys.stderr, flush=True)
+    return real(*args, **kwargs)
+m.simulate = reporting
+from kr270_milling.cli import main
+sys.exit(main(["simulate", "paper.yaml", "--set", "path.feed_rate_m_per_min=0.05", "--out", "out"]))
+"""
+
+
+def test_ctrl_c_ends_a_command_with_one_sentence_and_leaves_the_files_of_the_last_run(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "original.csv").write_text("mine")
+    command = [sys.executable, "-c", STARTED]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            assert any(line == "started\n" for line in process.stderr)
+            time.sleep(random.uniform(0.0, 0.2))  # the moment is to be any; nothing is waited for
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    err = re.sub(r"started\n|.*( so far| left): .*\n", "", err)  # and lines of progress, on a busy machine
+    assert (process.returncode, err, out) == (130, "kr270_milling: interrupted\n", "")
+    assert contents(tmp_path) == {"out": "dir", "out/original.csv": b"mine"}
+
+
+COMPILING = """
+import os, signal
+from numba.core.compiler_lock import global_compiler_lock as lock
+from kr270_milling.cli import _handle_interrupts
+_handle_interrupts()
+with lock:
+    os.kill(os.getpid(), signal.{number})
+    sum(range(10**6))
+    print("still here")
+try:
+    while True:
+        signal.pause()
+except {error}:
+    print("now")
+with lock:
+    try:
+        os.kill(os.getpid(), signal.{number})
+    except {error}:
+        print("at once when sent again")
+"""
+
+
+STARTING = """
+import os, signal, sys
+
+class Press:
+    def find_spec(self, name, *_):
+        if name == "kr270_milling.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Press())
+from kr270_milling.__main__ import run_program
+run_program()
+"""
+
+
+def test_a_signal_waits_for_a_compilation_unless_it_comes_twice_but_not_for_imports():
+    def ran(code: str) -> subprocess.CompletedProcess:
+        command = [sys.executable, "-c", code]
+        return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=30)
+
+    for number, error in (("SIGINT", "KeyboardInterrupt"), ("SIGTERM", "SystemExit")):
+        done = ran(COMPILING.format(number=number, error=error))
+        assert done.stdout.split("\n") == ["still here", "now", "at once when sent again", ""], done.stderr
+    done = ran(STARTING)
+    assert (done.returncode, done.stderr) == (130, "kr270_milling: interrupted\n")

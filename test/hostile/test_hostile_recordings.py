@@ -173,15 +173,6 @@ def test_a_chunk_above_the_limit_is_not_unpacked(tmp_path, monkeypatch):
         Recording(path)
 
 
-def test_a_definition_that_cannot_be_parsed_is_reported_with_the_offset_of_its_chunk(tmp_path):
-    body = struct.pack("<BQHHI1sII", 4, 17, 1, 0, 1, b"\xff", 0, 0)  # the topic is not UTF-8
-    (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
-    with pytest.raises(RecordingError, match="cannot be parsed") as error:
-        Recording(tmp_path / "a.mcap")
-    assert error.value.offset == len(BEGIN)
-    assert recover(tmp_path / "a.mcap").messages == 0
-
-
 @pytest.mark.parametrize(("body", "sentence"), [
     (struct.pack("<BQHIQQ", 5, 22, 9, 0, 0, 0), "channel 9, which is not defined"),
     (struct.pack("<BQHII", 5, 10, 1, 0, 0) + struct.pack("<BQ", 0x90, 20) + bytes(20), "message .* impossible length"),
@@ -189,11 +180,13 @@ def test_a_definition_that_cannot_be_parsed_is_reported_with_the_offset_of_its_c
     (struct.pack("<BQ", 0x90, 20) + bytes(24), "ends in the middle of a record"),
     (struct.pack("<BQHIQQ", 5, 22, 9, 0, 2**63, 0), "after the year 2262"),
     (struct.pack("<BQHIQQ", 5, 22, 9, 0, 1, 0), "other log times than it states"),
+    (struct.pack("<BQHHI1sII", 4, 17, 1, 0, 1, b"\xff", 0, 0), "cannot be parsed"),  # the topic is not UTF-8
 ])  # fmt: skip
-def test_a_chunk_with_records_that_cannot_be_is_an_error(tmp_path, body, sentence):
+def test_a_chunk_with_records_that_cannot_be_is_an_error_with_its_offset(tmp_path, body, sentence):
     (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
-    with pytest.raises(RecordingError, match=sentence), Recording(tmp_path / "a.mcap") as recording:
+    with pytest.raises(RecordingError, match=sentence) as error, Recording(tmp_path / "a.mcap") as recording:
         list(recording.messages())
+    assert error.value.offset == len(BEGIN) and recover(tmp_path / "a.mcap").messages == 0
 
 
 def test_a_message_that_unfolds_into_millions_of_objects_is_not_exported_and_other_topics_are(tmp_path):

@@ -33,16 +33,6 @@ from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
 
-def test_configuration_version_and_command_line_are_in_the_file(tmp_path):
-    cell = "/**:\n  ros__parameters: {}\n"
-    record(tmp_path / "a", 2, attachments={"cell.yaml": cell}, metadata={"seed": 7, "command_line": "run x"})
-    with Recording(tmp_path / "a") as recording:
-        assert recording.attachment("cell.yaml") == cell.encode()
-        about = recording.metadata()["kr270_milling"]
-        assert about == {"kr270_milling_version": __version__, "seed": "7", "command_line": "run x"}
-        assert recording.profile == "ros2"
-
-
 def test_gaps_are_counted_per_topic_by_the_writer_and_by_a_reader(tmp_path):
     with BagWriter(tmp_path / "a") as writer:
         for name in ("/holes", "/whole"):
@@ -61,8 +51,13 @@ def test_gaps_are_counted_per_topic_by_the_writer_and_by_a_reader(tmp_path):
     assert read["missing"] == 5 and "5 missing in 3 gaps" in info_text(read)
 
 
-def test_metadata_yaml_is_what_rosbag2_of_jazzy_writes(tmp_path):
-    record(tmp_path / "a", 3, topics=["/tool_pose", "/clock"])
+def test_metadata_yaml_is_what_rosbag2_of_jazzy_writes_and_the_file_has_configuration_and_version(tmp_path):
+    metadata = {"seed": 7, "command_line": "run x"}
+    record(tmp_path / "a", 3, ["/tool_pose", "/clock"], attachments={"cell.yaml": "ä: 1\n"}, metadata=metadata)
+    with Recording(tmp_path / "a") as recording:
+        assert recording.attachment("cell.yaml") == "ä: 1\n".encode() and recording.profile == "ros2"
+        expected = {"kr270_milling_version": __version__, "seed": "7", "command_line": "run x"}
+        assert recording.metadata()["kr270_milling"] == expected
     text = (tmp_path / "a" / "metadata.yaml").read_text()
     about = yaml.safe_load(text)["rosbag2_bagfile_information"]
     # the keys in the order of a file written by ros2 bag record (Jazzy, version 9)
@@ -78,7 +73,6 @@ def test_wrong_use_is_one_sentence(tmp_path):
     writer = BagWriter(tmp_path / "a")
     writer.add_topic("/p", POSE)
     for call in (
-        lambda: writer.write("/q", b"", 0),
         lambda: writer.add_topic("/p", TEXT),
         lambda: writer.write("/p", b"", -1, -1),
         lambda: writer.add_topic("/z", "no_such_msgs/msg/Thing"),
@@ -138,10 +132,7 @@ for i in range(50_000):  # 5,000 messages a second
 
 
 def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_and_recovered(tmp_path):
-    def sent(i: int) -> bytes:
-        return raw(pose(i * 10_000, np.arange(7)))
-
-    command = [sys.executable, "-c", KILLED, str(tmp_path / "a"), sent(0).hex()]
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "a"), posed(0).hex()]
     env = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[3]))
     with subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True) as process:
         process.stdout.readline()
@@ -156,7 +147,7 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_
         assert recording.cut_off
         assert last - 5000 < len(messages)  # 5,000 are one second
         assert [m.log_time for m in messages] == [i * 10_000 for i in range(len(messages))]
-        assert messages[-1].data == sent(len(messages) - 1)
+        assert messages[-1].data == posed(10_000 * (len(messages) - 1))
         assert recording.last_log_time == messages[-1].log_time
         assert info(recording)["cut_off"] and info(recording)["missing"] == 0
         [table] = export(recording, tmp_path / "csv").files
@@ -213,6 +204,7 @@ def test_nothing_is_written_elsewhere_through_a_link_or_over_a_file(tmp_path):
 
 WALL = 1_800_000_000 * 10**9  # [ns], in 2027
 KINDS = {"/p": POSE, "/q": POSE, "/s": TEXT, "/t": PATH, "/d": DIAGNOSTICS}
+AT_ONCE = raw(path(0, [0, 10**9], np.zeros((2, 1, 3)), [[[0, 0, 0, 1]]] * 2))
 
 
 def text(words: str) -> bytes:
@@ -225,10 +217,6 @@ def report(stamp: int) -> bytes:
 
 def posed(stamp: int) -> bytes:
     return raw(pose(stamp, np.arange(7)))
-
-
-def at_once() -> bytes:
-    return raw(path(0, [0, 10**9], np.zeros((2, 1, 3)), [[[0, 0, 0, 1]]] * 2))
 
 
 def opened(directory, *topics: str) -> BagWriter:
@@ -245,11 +233,11 @@ def log_times(directory) -> list[tuple[str, int]]:
 
 @pytest.mark.parametrize(("sent", "expected"), [
     (  # messages before the first stamp take that stamp and stay in their order
-        [("/s", text("description")), ("/t", at_once()), ("/d", report(0)), ("/s", text("again")), ("/p", posed(500))],
+        [("/s", text("description")), ("/t", AT_ONCE), ("/d", report(0)), ("/s", text("again")), ("/p", posed(500))],
         [("/s", 500), ("/t", 500), ("/d", 0), ("/s", 500), ("/p", 500)],
     ),
     (  # stamps of the wall clock; the recorder itself knows no time
-        [("/d", report(0)), ("/t", at_once()), ("/p", posed(WALL + 7)), ("/d", report(0))],
+        [("/d", report(0)), ("/t", AT_ONCE), ("/p", posed(WALL + 7)), ("/d", report(0))],
         [(topic, WALL + 7) for topic in ("/d", "/t", "/p", "/d")],
     ),
     (  # a foreign driver with another clock does not make the recording last for decades
@@ -363,10 +351,14 @@ ONE_LATCHED = Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurabilit
                   QosLiveliness.AUTOMATIC, FOREVER, False)  # fmt: skip
 
 
-def test_a_profile_is_what_rosbags_writes_and_reads():
+def test_a_profile_is_what_rosbags_writes_and_reads_and_a_misspelt_policy_is_refused():
     profile = {"depth": 1, "durability": "transient_local"}
     assert [describe_qos(profile)] == dump_qos_v9([ONE_LATCHED])
     assert parse_qos(qos_text([profile])) == [ONE_LATCHED]
+    for duration, seconds in ((1_500_000_000, (1, 500_000_000)), (dict(sec=2, nsec=3), (2, 3))):
+        assert tuple(describe_qos({"deadline": duration})["deadline"].values()) == seconds
+    with pytest.raises(KeyError, match="durabilty"):
+        describe_qos({"durabilty": "volatile"})
 
 
 def test_a_profile_object_of_rclpy_is_described():
@@ -374,13 +366,6 @@ def test_a_profile_object_of_rclpy_is_described():
     actual = describe_qos(qos.QoSProfile(depth=7, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL))
     assert list(actual) == list(DEFAULT_QOS) and actual["deadline"] == dict(sec=0, nsec=0)
     assert (actual["history"], actual["depth"], actual["durability"]) == ("keep_last", 7, "transient_local")
-
-
-def test_durations_are_in_nanoseconds_or_as_in_the_file_and_a_misspelt_policy_is_refused():
-    for duration, seconds in ((1_500_000_000, (1, 500_000_000)), (dict(sec=2, nsec=3), (2, 3))):
-        assert tuple(describe_qos({"deadline": duration})["deadline"].values()) == seconds
-    with pytest.raises(KeyError, match="durabilty"):
-        describe_qos({"durabilty": "volatile"})
 
 
 def test_profiles_of_other_versions_of_rosbag2_are_read_and_foreign_text_is_none():

@@ -1,4 +1,4 @@
-"""Stamps, texts and trajectories out of serialised bytes, in both byte orders and from damaged ones."""
+"""Stamps, texts, series and trajectories out of serialised bytes, in both byte orders and from damaged ones."""
 
 from __future__ import annotations
 
@@ -8,37 +8,32 @@ import time
 
 import numpy as np
 import pytest
+import recording_samples as made
 from budget import budget
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from recording_samples import JOINTS, PATH, POSE, STORE, TOPICS, joints, path, pose, raw, sample
+from recording_samples import JOINTS, PATH, POSE, STORE, TWIST, WRENCH, joints, pose, raw
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import series, stamped
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.cdr import Cursor, stamp_of
 from kr270_milling.recordings.messages.trajectory import read_trajectory
 
-TIMES = st.integers(0, 2**31 * 10**9 - 1)
-
-
-@given(TIMES, st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20), st.booleans())
-def test_stamp_is_read_from_the_bytes_in_both_byte_orders(stamp, frame, little):
-    data = STORE.serialize_cdr(pose(stamp, np.zeros(7), frame), POSE, little_endian=little)
-    assert stamp_of(bytes(data)) == stamp
-
 
 def test_every_stamped_topic_of_the_table_gives_its_stamp_and_other_bytes_give_none():
-    for topic in TOPICS.keys() - {"/robot_description"}:
-        assert stamp_of(raw(sample(topic, 4321))) == 4321 * 500_000, topic
+    for topic in made.TOPICS.keys() - {"/robot_description"}:
+        assert stamp_of(raw(made.sample(topic, 4321))) == 4321 * 500_000, topic
+    for stamp, little in itertools.product((0, 1, 999_999_999, 10**9, 2**31 * 10**9 - 1), (True, False)):
+        assert stamp_of(bytes(STORE.serialize_cdr(pose(stamp, np.zeros(7)), POSE, little_endian=little))) == stamp
     data = raw(pose(5, np.zeros(7)))
     assert stamp_of(data, schema_has_header=False) is None
-    assert stamp_of(data[:11]) is None
-    assert stamp_of(b"") is None
-    assert stamp_of(b"\0\x01\0\0" + b"\xff" * 8) is None  # second -1
-    assert stamp_of(b"\0\x01\0\0" + b"\0\0\0\0" + b"\xff" * 4) is None  # 4.29 s of nanoseconds
-    assert stamp_of(b"\0\x07" + data[2:]) is None  # version 2 of CDR
+    seconds, nanoseconds = b"\xff" * 8, bytes(4) + b"\xff" * 4  # second -1, 4.29 s of nanoseconds
+    version_2 = b"\0\x07" + data[2:]
+    for wrong in (data[:11], b"", b"\0\x01\0\0" + seconds, b"\0\x01\0\0" + nanoseconds, version_2):
+        assert stamp_of(wrong) is None
 
 
 def test_cursor_reads_strings_and_numbers_at_their_alignment():
@@ -61,12 +56,15 @@ def test_cursor_refuses_bytes_that_end_too_early_and_never_reads_beyond(data):
     assert cursor.offset <= len(data)
 
 
-def random_path(points: int, bodies: int = 1, speeds: bool = True, seed: int = 1):
-    rng = np.random.default_rng(seed)
+# --- trajectories ---
+
+
+def random_path(points: int, bodies: int = 1, speeds: bool = True):
+    rng = np.random.default_rng(1)
     arrays = [rng.normal(size=(points, bodies, width)) for width in (3, 4, 6)]
     times = np.cumsum(rng.integers(1, 10**9, points))
     names = tuple(f"tool{i}" for i in range(bodies))
-    return path(77, times.tolist(), *arrays[:2], arrays[2] if speeds else None, names), times, arrays
+    return made.path(77, times.tolist(), *arrays[:2], arrays[2] if speeds else None, names), times, arrays
 
 
 @pytest.mark.parametrize("bodies", [1, 2, 3])
@@ -101,12 +99,10 @@ def test_200000_points_take_less_than_a_second():
     """The bytes are laid out here point by point: 128 bytes each from the second on."""
     count = 200_000
     point = struct.pack("<I7dI4x6dIiI", 1, *range(7), 1, *range(6), 0, 3, 4)
-    assert len(point) == 4 + 56 + 4 + 4 + 48 + 4 + 8
     head = struct.pack("<4BiII1s3xII5s3xI", 0, 1, 0, 0, 0, 0, 1, b"\0", 1, 5, b"tool\0", count)
     assert (len(head) - 4) % 8 == 4  # so that the first transform needs no padding either
-    data = head + count * point
     begin = time.process_time()
-    actual = read_trajectory(data)
+    actual = read_trajectory(head + count * point)
     assert time.process_time() - begin < 1.0
     assert actual.time.tolist() == [3_000_000_004] * count
     np.testing.assert_array_equal(actual.velocity[:, 0], np.tile(np.arange(6.0), (count, 1)))
@@ -114,13 +110,13 @@ def test_200000_points_take_less_than_a_second():
 
 @given(st.integers(0, 400), st.binary(max_size=30))
 @settings(max_examples=budget(300))
-def test_a_damaged_message_is_refused_or_read_within_its_bytes(cut, tail):
-    data = raw(random_path(3)[0])
+def test_a_damaged_trajectory_is_refused_or_read_within_its_bytes(cut, tail):
+    data = raw(random_path(3)[0])[:cut] + tail
     try:
-        actual = read_trajectory(data[:cut] + tail)
+        actual = read_trajectory(data)
     except ValueError:
         return
-    assert 20 * len(actual.time) <= len(data[:cut] + tail)
+    assert 20 * len(actual.time) <= len(data)
 
 
 def test_a_message_made_to_change_its_layout_all_the_time_costs_no_more_than_its_size():
@@ -133,24 +129,108 @@ def test_a_message_made_to_change_its_layout_all_the_time_costs_no_more_than_its
     assert time.process_time() - begin < 2.0
 
 
-def test_trajectories_of_a_recording_are_tables_up_to_one_that_is_none(tmp_path):
-    with BagWriter(tmp_path / "a") as writer:
-        writer.add_topic("/reference_trajectory", PATH)
-        for points in (2, 5):
-            writer.write("/reference_trajectory", raw(random_path(points)[0]), 0)
-        writer.write("/reference_trajectory", raw(pose(100, np.zeros(7))), 0)
-    with Recording(tmp_path / "a") as recording:
-        actual = rows(recording, "/reference_trajectory")
-        assert [next(actual)[1][0] for _ in range(7)] == [0, 0, 1, 1, 1, 1, 1]  # number of the message
-        with pytest.raises(RecordingError, match="is not a trajectory_msgs"):
-            next(actual)
-
-
 def test_points_without_content_for_many_bodies_are_refused_before_room_is_made_for_them():
     """56 kB that would ask for 1 GB of NaN."""
     names, points = 4000, 1800
     head = struct.pack("<4BiII1s3xI", 0, 1, 0, 0, 0, 0, 1, b"\0", names) + struct.pack("<I1s3x", 1, b"\0") * names
     data = head + struct.pack("<I", points) + struct.pack("<IIIiI", 0, 0, 0, 0, 0) * points
-    assert len(data) < 70_000
     with pytest.raises(ValueError, match="leave out most of the 4000 bodies"):
         read_trajectory(data)
+
+
+# --- series and tables of a recording ---
+
+
+def written(directory, type_name, messages, little=True):
+    """A recording of one topic "/t" with the given messages, or bytes."""
+    with BagWriter(directory) as writer:
+        writer.add_topic("/t", type_name)
+        for i, message in enumerate(messages):
+            if not isinstance(message, bytes):
+                message = bytes(STORE.serialize_cdr(message, type_name, little_endian=little))
+            writer.write("/t", message, i, log_time=i)
+    return directory
+
+
+@pytest.mark.parametrize("little", [True, False])
+@pytest.mark.parametrize(
+    ("kind", "build", "width"), [(POSE, pose, 7), (WRENCH, made.wrench, 6), (TWIST, made.twist, 6)]
+)
+def test_numbers_come_out_bit_for_bit_behind_frames_of_any_length(tmp_path, kind, build, width, little):
+    values = np.random.default_rng(3).normal(size=(200, width))
+    values[5, 2], values[6, 1] = np.nan, -np.inf
+    stamps = np.cumsum(np.random.default_rng(4).integers(0, 10**10, 200))
+    frames = ["base_link"] * 100 + ["ä" * (i % 13) + "b" * (i % 2) for i in range(100)]
+    messages = [build(int(t), v, frame) for t, v, frame in zip(stamps, values, frames, strict=True)]
+    with Recording(written(tmp_path / "a", kind, messages, little)) as recording:
+        actual = series(recording, "/t")
+        assert [frame for _, _, frame, _ in stamped(recording, "/t")] == frames
+    np.testing.assert_array_equal(actual.values, values)
+    np.testing.assert_array_equal(actual.stamp, stamps)
+    assert not actual.values.flags.writeable and not actual.stamp.flags.writeable
+
+
+def joint_table(directory, messages) -> dict[str, list]:
+    """The columns of a topic with joint states."""
+    actual: dict[str, list] = {}
+    with Recording(written(directory, JOINTS, messages)) as recording:
+        for names, cells in rows(recording, "/t"):
+            for name, cell in zip(names, cells, strict=True):
+                actual.setdefault(name, []).append(cell)
+    return actual
+
+
+def test_joint_states_with_and_without_velocities(tmp_path):
+    rng = np.random.default_rng(5)
+    position, velocity, effort = rng.normal(size=(3, 100, 6))
+    messages = [joints(i, position[i], velocity[i] if i % 2 else (), effort[i] if i > 50 else ()) for i in range(100)]
+    actual = joint_table(tmp_path / "a", messages)
+    with pytest.raises(RecordingError, match="names 2 joints and gives 3 values of position"):
+        joint_table(tmp_path / "b", [joints(0, [1, 2, 3], names=["a", "b"])])
+    velocity[::2], effort[:51] = np.nan, np.nan
+    assert actual["stamp_ns"] == list(range(100))
+    for kind, unit, expected in (("position", "rad", position), ("velocity", "rad_per_s", velocity),
+                                 ("effort", "n_m", effort)):  # fmt: skip
+        columns = [actual[f"{kind}_joint_{i}_{unit}"] for i in range(1, 7)]
+        np.testing.assert_array_equal(np.transpose(columns), expected)
+
+
+def test_trajectories_of_a_recording_are_tables_up_to_one_that_is_none(tmp_path):
+    messages = [random_path(2)[0], random_path(5)[0], raw(pose(100, np.zeros(7)))]
+    with Recording(written(tmp_path / "a", PATH, messages)) as recording:
+        actual = rows(recording, "/t")
+        assert [next(actual)[1][0] for _ in range(7)] == [0, 0, 1, 1, 1, 1, 1]  # number of the message
+        with pytest.raises(RecordingError, match="is not a trajectory_msgs"):
+            next(actual)
+
+
+def test_a_topic_without_messages_has_empty_arrays_and_other_topics_are_refused(tmp_path):
+    with Recording(written(tmp_path / "a", POSE, [])) as recording:
+        actual = series(recording, "/t")
+        for read in (series, lambda *wanted: list(stamped(*wanted))):
+            with pytest.raises(RecordingError):
+                read(recording, "/u")
+    assert len(actual.stamp) == 0 and actual.values.shape == (0, 7)
+    longer = written(tmp_path / "b", WRENCH, [raw(pose(1, np.arange(7)))])
+    with Recording(longer) as recording, pytest.raises(RecordingError, match="longer than its type"):
+        series(recording, "/t")
+
+
+@given(data=st.binary(max_size=120), kind=st.sampled_from([POSE, WRENCH, TWIST, JOINTS]), cut=st.integers(0, 200))
+@settings(max_examples=budget(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_bytes_that_are_no_message_are_one_sentence(tmp_path_factory, data, kind, cut):
+    good = raw(joints(1, [1, 2, 3])) if kind == JOINTS else raw(pose(1, np.arange(7)))
+    with Recording(written(tmp_path_factory.mktemp("x") / "a", kind, [good[:cut] + data])) as recording:
+        try:
+            list(rows(recording, "/t")) if kind == JOINTS else series(recording, "/t")
+        except RecordingError as error:
+            assert "\n" not in str(error)
+
+
+def test_30000_poses_are_read_in_less_than_a_second(tmp_path):
+    body = raw(pose(0, np.arange(7)))
+    with Recording(written(tmp_path / "a", POSE, [body] * 30_000)) as recording:
+        begin = time.process_time()
+        actual = series(recording, "/t")
+        assert time.process_time() - begin < 1.0
+    np.testing.assert_array_equal(actual.values, np.tile(np.arange(7.0), (30_000, 1)))

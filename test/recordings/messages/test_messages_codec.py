@@ -12,32 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from splines import spline
 
+from kr270_milling.base import samples
 from kr270_milling.base.errors import MessageError
-from kr270_milling.base.samples import (
-    ClockSample,
-    CompensatorState,
-    JointProgram,
-    JointSample,
-    LearnedPass,
-    PoseSample,
-    StockMap,
-    Text,
-    TwistSample,
-    WrenchSample,
-)
+from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.exchange.inputs import checked_pose, checked_wrench, in_workpiece_axes
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 from kr270_milling.recordings.messages import codec
-from kr270_milling.recordings.messages.codec import (
-    deserialise,
-    from_bytes,
-    pose_from_bytes,
-    serialise,
-    to_bytes,
-    trajectory_from_bytes,
-    type_of,
-    wrench_from_bytes,
-)
+from kr270_milling.recordings.messages.codec import to_bytes
 
 RANDOM = np.random.default_rng(7).normal(size=40)
 ROWS = np.random.default_rng(8).normal(size=(3, 5, 6))
@@ -45,18 +26,18 @@ ROWS[1:, 2] = ROWS[2, 3] = np.nan  # a point with positions only, and a point wi
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 STAMP = 3_000_000_001
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
-LEARNED = (LearnedPass("original/original.mcap", "ab" * 32, 121, 120), LearnedPass("", "cd" * 32, 3, 0))
+LEARNED = (samples.LearnedPass("original/original.mcap", "ab" * 32, 121, 120), samples.LearnedPass("", "cd" * 32, 3, 0))
 RECORDS = [
     PoseSample(STAMP, "workpiece", RANDOM[:3], RANDOM[3:7]),
     WrenchSample(STAMP, "tcp", RANDOM[:6]),
-    TwistSample(0, "workpiece", RANDOM[6:12]),
-    JointSample(STAMP, NAMES, RANDOM[:6]),
-    JointSample(STAMP, (), ()),
-    ClockSample(STAMP),
-    Text("fräsen"),
-    JointProgram(STAMP, "base_link", NAMES, np.arange(5) * 40_000_000, ROWS[0], ROWS[1], ROWS[2]),
-    StockMap(STAMP, "workpiece", float(np.float32(2e-4)), RANDOM[:3], np.arange(28).reshape(7, 4)),
-    CompensatorState("/left/trajectory_compensator", "learned", 2, True, "01234567", "89abcdef", LEARNED),
+    samples.TwistSample(0, "workpiece", RANDOM[6:12]),
+    samples.JointSample(STAMP, NAMES, RANDOM[:6]),
+    samples.JointSample(STAMP, (), ()),
+    samples.ClockSample(STAMP),
+    samples.Text("fräsen"),
+    samples.JointProgram(STAMP, "base_link", NAMES, np.arange(5) * 40_000_000, ROWS[0], ROWS[1], ROWS[2]),
+    samples.StockMap(STAMP, "workpiece", float(np.float32(2e-4)), RANDOM[:3], np.arange(28).reshape(7, 4)),
+    samples.CompensatorState("/left/trajectory_compensator", "learned", 2, True, "01234567", "89abcdef", LEARNED),
 ]
 RUNS = [
     Trajectory.straight_line([0.0, 0.0, 0.1], [1.0, 0.0, 0.0], 0.01, 0.05, 0.05),
@@ -77,7 +58,7 @@ def bits(record) -> tuple:
 def test_a_record_comes_back_with_every_bit_also_from_the_middleware(record):
     def read(data: bytes):
         run = isinstance(record, Trajectory)
-        return trajectory_from_bytes(data, as_sent=True) if run else from_bytes(type_of(record), data)
+        return codec.trajectory_from_bytes(data, as_sent=True) if run else codec.from_bytes(codec.type_of(record), data)
 
     data = to_bytes(record)
     assert bits(read(data)) == bits(record)
@@ -85,7 +66,7 @@ def test_a_record_comes_back_with_every_bit_also_from_the_middleware(record):
         with pytest.raises((ValueError, MessageError)):
             read(data[:end])
     rclpy = pytest.importorskip("rclpy.serialization")
-    package, _, name = type_of(record).split("/")
+    package, _, name = codec.type_of(record).split("/")
     kind = getattr(pytest.importorskip(f"{package}.msg"), name)
     assert bits(read(rclpy.serialize_message(rclpy.deserialize_message(data, kind)))) == bits(record)
 
@@ -102,7 +83,7 @@ def test_the_bytes_of_the_exchange_are_those_that_rclpy_writes_of_the_fields_tha
     for sample, kind in (
         (pose, messages.PoseStamped),
         (WrenchSample(stamp, "workpiece", values), messages.WrenchStamped),
-        (TwistSample(stamp, "workpiece", values), messages.TwistStamped),
+        (samples.TwistSample(stamp, "workpiece", values), messages.TwistStamped),
     ):
         read = rclpy.deserialize_message(to_bytes(sample), kind)
         written = bytearray(rclpy.serialize_message(read))
@@ -113,34 +94,38 @@ def test_the_bytes_of_the_exchange_are_those_that_rclpy_writes_of_the_fields_tha
             assert (read.pose.position.z, read.pose.orientation.w) == (values[2], quaternion[3])
 
 
-def test_sensor_wrench_in_tool_axes_is_turned_into_workpiece_axes():
-    sample = wrench_from_bytes(to_bytes(WrenchSample(5, "tcp", np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))))
+def test_a_record_keeps_its_arrays_and_a_wrench_in_tool_axes_is_turned_into_workpiece_axes():
+    with pytest.raises(ValueError, match="position"):
+        samples.JointSample(0, NAMES, [[1.0, 2.0]])
+    with pytest.raises(ValueError, match="read-only"):
+        RECORDS[3].position[0] = 1.0
+    sample = codec.wrench_from_bytes(to_bytes(WrenchSample(5, "tcp", np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))))
     assert np.array_equal(in_workpiece_axes(sample, DOWN), [1.0, -2.0, -3.0, 4.0, -5.0, -6.0])  # half a turn about x
 
 
 def test_what_the_exchange_cannot_use_is_refused():
     for frame in ("base_link", "", "workpiece2", "Workpiece", "tcp"):
         with pytest.raises(MessageError, match="frame"):
-            checked_pose(pose_from_bytes(to_bytes(PoseSample(0, frame, np.zeros(3), DOWN))))
+            checked_pose(codec.pose_from_bytes(to_bytes(PoseSample(0, frame, np.zeros(3), DOWN))))
     for bad in (np.nan, np.inf, -np.inf):
         for values in np.where(np.eye(6), bad, 1.0):
             with pytest.raises(MessageError, match="not finite"):
-                checked_wrench(wrench_from_bytes(to_bytes(WrenchSample(0, "workpiece", values))))
+                checked_wrench(codec.wrench_from_bytes(to_bytes(WrenchSample(0, "workpiece", values))))
             with pytest.raises(MessageError):
                 checked_pose(PoseSample(0, "workpiece", values[:3], np.append(values[3:], 0.0)))
     large = WrenchSample(3, "workpiece", np.full(6, 1.7e308))  # finite, though the sum overflows
     assert checked_wrench(large) is large
     with pytest.raises(MessageError, match="wrench"):
-        wrench_from_bytes(to_bytes(large)[:40])
+        codec.wrench_from_bytes(to_bytes(large)[:40])
 
 
 def test_a_trajectory_of_something_else_is_refused_and_tool0_is_the_tool_tip_before_0_3():
     run = Trajectory([0, 10], [[0.0, 0, 0], [1e-3, 0, 0]], DOWN, [[0.1, 0, 0], [0.1, 0, 0]])
     data, far = to_bytes(run), np.float64(1e-3).tobytes()
-    fields = deserialise("trajectory_msgs/msg/MultiDOFJointTrajectory", data)
+    fields = codec.deserialise("trajectory_msgs/msg/MultiDOFJointTrajectory", data)
     fields.joint_names = ["tool0"]
-    old = codec.store_of(type_of(run)).serialize_cdr(fields, type_of(run))
-    assert to_bytes(trajectory_from_bytes(bytes(old))) == data == to_bytes(trajectory_from_bytes(data))
+    old = codec.store_of(codec.type_of(run)).serialize_cdr(fields, codec.type_of(run))
+    assert to_bytes(codec.trajectory_from_bytes(bytes(old))) == data == to_bytes(codec.trajectory_from_bytes(data))
     for changed, error, sentence in (
         (data.replace(b"workpiece", b"base_link"), MessageError, "frame"),
         (data.replace(b"tcp", b"tip"), MessageError, "tcp"),
@@ -148,32 +133,25 @@ def test_a_trajectory_of_something_else_is_refused_and_tool0_is_the_tool_tip_bef
         (data.replace(far, np.float64(np.nan).tobytes()), TrajectoryError, "finite"),
     ):
         with pytest.raises(error, match=sentence):
-            trajectory_from_bytes(changed)
+            codec.trajectory_from_bytes(changed)
 
 
 def test_a_state_with_other_fields_is_refused_and_rclpy_reads_a_state():
     state, kind = RECORDS[-1], "diagnostic_msgs/msg/DiagnosticStatus"
-    read = deserialise(kind, to_bytes(state))
+    read = codec.deserialise(kind, to_bytes(state))
     assert (read.level, read.name) == (0, state.name)
     assert {pair.key: pair.value for pair in read.values}["learned_1.recording"] == "original/original.mcap"
     with pytest.raises(ValueError, match="state of a compensator"):
-        from_bytes(kind, to_bytes(state).replace(b"finished", b"finishes"))
-
-
-def test_a_record_refuses_a_wrong_shape_and_keeps_its_arrays():
-    with pytest.raises(ValueError, match="position"):
-        JointSample(0, NAMES, [[1.0, 2.0]])
-    with pytest.raises(ValueError, match="read-only"):
-        RECORDS[3].position[0] = 1.0
+        codec.from_bytes(kind, to_bytes(state).replace(b"finished", b"finishes"))
 
 
 def test_any_message_is_written_from_nested_mappings():
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     status = {"name": "n", "level": 2, "values": [{"key": "k", "value": "v"}]}
-    actual = deserialise(kind, serialise(kind, {"header": {"stamp": {"sec": 1}}, "status": [status]}))
+    actual = codec.deserialise(kind, codec.serialise(kind, {"header": {"stamp": {"sec": 1}}, "status": [status]}))
     assert actual.header.stamp.sec == 1 and actual.status[0].level == 2 and actual.status[0].values[0].value == "v"
     with pytest.raises(KeyError, match="no field x"):
-        serialise(kind, {"x": 1})
+        codec.serialise(kind, {"x": 1})
 
 
 def test_the_example_of_the_readme_runs():

@@ -14,13 +14,7 @@ from rosbags.typesys import get_types_from_msg
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder, store_for
 from kr270_milling.recordings.messages import definitions
-from kr270_milling.recordings.messages.definitions import (
-    definition,
-    plain,
-    starts_with_stamp,
-    store_of,
-    type_hash,
-)
+from kr270_milling.recordings.messages.definitions import definition, plain, starts_with_stamp, store_of, type_hash
 
 KINDS = sorted(set(TOPICS.values()))
 

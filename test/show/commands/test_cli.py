@@ -51,24 +51,15 @@ for words in ([], *([name] for name in COMMANDS)):
 """
 
 
-def process(*words: str) -> str:
-    """What Python prints with these words."""
-    ran = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert ran.returncode == 0, ran.stderr
-    return ran.stdout
-
-
 def test_help_comes_within_200_ms_without_libraries_and_shows_every_command_with_an_example():
-    top, *helps, _ = process("-c", HELP).split("END\n")
+    ran = subprocess.run([sys.executable, "-c", HELP], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    top, *helps, _ = ran.stdout.split("END\n")
     assert "SUPPRESS" not in top and all(command.text in top for command in COMMANDS.values())
     for name, text in zip(COMMANDS, helps, strict=True):
         example = COMMANDS[name].load(name).example
         assert name in top and "--json" in text and f"example: kr270_milling {example}" in " ".join(text.split())
         assert _parser(example.split()).parse_args(example.split()).command == name
-
-
-def test_the_version_is_that_of_the_package():
-    assert process("-m", "kr270_milling", "-V") == f"kr270_milling {__version__}\n"
 
 
 @pytest.mark.parametrize(
@@ -117,10 +108,8 @@ def test_a_missing_extra_is_named_before_anything_is_computed(capsys, monkeypatc
 
 def test_stiffness_prints_the_analysis_of_a_posture_under_a_wrench_in_a_frame():
     words = ("stiffness", "kr270_2.yaml", POSTURE, "--wrench", "-1,2,-3,0.1,0.2,0.3", "--frame", "tool", "--gravity")
-    posture = np.radians([90, -50, 120, 180, 25, 180])
-    expected = analyse(
-        *read_arm(find_file("kr270_2.yaml")), posture, np.array([-1, 2, -3, 0.1, 0.2, 0.3]), "tool", True
-    )
+    posture, wrench = np.radians([90, -50, 120, 180, 25, 180]), np.array([-1, 2, -3, 0.1, 0.2, 0.3])
+    expected = analyse(*read_arm(find_file("kr270_2.yaml")), posture, wrench, "tool", True)
     assert answered(*words) == json.loads(json.dumps(expected))
     text = ask(*words).out
     assert "KR 270-2" in text and "tool frame" in text and "Hz" in text and "-1.640" in text
@@ -138,13 +127,16 @@ def test_the_page_of_json_keys_has_every_command_and_no_key_that_the_source_does
 # --- simulate, compensate, demo, bench ---
 
 
-def test_simulate_prints_steps_time_force_area_and_scores(tmp_path):
+def test_simulate_prints_steps_time_force_area_and_scores_and_paths_from_here(tmp_path, monkeypatch):
     result = answered("simulate", "paper.yaml", *settings("path.length_mm=14.4"), "--out", tmp_path)
     assert result["steps"] == 432 * 24 and len(result["mean_force_n"]) == 3
     assert result["real_time_factor"] == pytest.approx(0.216 / result["wall_s"])
     assert result["low_frequency_hz"] == pytest.approx(6.70, rel=0.01)
     assert result["removed_area_mm2"] == pytest.approx(20 * 4.4 + np.pi * 100 / 2, rel=0.02)
     assert all(Path(name).is_relative_to(tmp_path) and Path(name).stat().st_size for name in result["files"])
+    monkeypatch.chdir(tmp_path)
+    paths = (tmp_path / "out" / "linear", "/elsewhere/out", "out")
+    assert [shown_path(path) for path in paths] == ["out/linear", "/elsewhere/out", "out"]
 
 
 def test_the_demo_prints_five_passes_and_writes_report_and_series(demo):
@@ -189,23 +181,21 @@ def test_bench_times_a_step_and_a_posture(monkeypatch, tmp_path):
 # --- Completion by the shell: commands, and the options of the command that was typed ---
 
 
-@pytest.mark.parametrize(
-    ("line", "among", "not_among"),
-    [
-        ("kr270_milling rep", {"replay", "report"}, {"demo"}),
-        ("kr270_milling compensate paper.yaml --method ", {"linear", "spline"}, {"--out"}),
-    ],
-)
-def test_a_line_is_completed(tmp_path, line, among, not_among):
+def test_a_line_is_completed_and_the_version_is_that_of_the_package(tmp_path):
+    file, program = tmp_path / "file", [sys.executable, "-m", "kr270_milling"]
+    assert subprocess.check_output([*program, "-V"], text=True) == f"kr270_milling {__version__}\n"
     pytest.importorskip("argcomplete", reason="needs the package argcomplete")
-    answer = tmp_path / "answer"
-    asked = {
-        "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "COMP_LINE": line,
-        "COMP_POINT": str(len(line)), "_ARGCOMPLETE_COMP_WORDBREAKS": " \t\n", "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
-    }  # fmt: skip
-    subprocess.run([sys.executable, "-m", "kr270_milling.cli"], env={**os.environ, **asked}, timeout=120, check=False)
-    words = {word.strip() for word in answer.read_text().split("\n")}
-    assert among <= words and not words & not_among
+    for line, among, other in (
+        ("kr270_milling rep", {"replay", "report"}, "demo"),
+        ("kr270_milling compensate paper.yaml --method ", {"linear", "spline"}, "--out"),
+    ):
+        asked = {
+            "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(file), "COMP_LINE": line,
+            "COMP_POINT": str(len(line)), "_ARGCOMPLETE_COMP_WORDBREAKS": " \t\n", "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
+        }  # fmt: skip
+        subprocess.run(program, env={**os.environ, **asked}, timeout=120, check=False)
+        words = {word.strip() for word in file.read_text().split("\n")}
+        assert among <= words and other not in words
 
 
 # --- progress and tables ---
@@ -305,12 +295,6 @@ def test_no_name_and_no_number_of_a_table_is_squeezed(monkeypatch, width):
     shown = sys.stdout.getvalue()
     assert all(word in shown for word in ("a_long_name_of_a_pass", "12.34", "x" * 60, "largest deviation [um]"))
     assert ("│" in shown) == (width == "200") and "…" not in shown
-
-
-def test_paths_are_shown_from_the_working_directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    paths = (tmp_path / "out" / "linear", "/elsewhere/out", "out")
-    assert [shown_path(path) for path in paths] == ["out/linear", "/elsewhere/out", "out"]
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,10 @@ from hostile import answered, ask, contents, refused, settings
 from krl_robot import Robot
 from small_part import GCODE, assignments
 
+from kr270_milling.base.errors import InputError
 from kr270_milling.cell import jobs
 from kr270_milling.cli import _parser, main
+from kr270_milling.decide.programs import krl
 
 
 @pytest.fixture
@@ -103,30 +105,26 @@ def test_repeating_lists_the_errors_of_its_passes(quick, tmp_path):
     assert len(errors) > 2 and min(errors) < 0.5 * errors[0]
 
 
+FAR = "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X12 F4000\nG1 Y2500\nM30\n"
+
+
 @pytest.mark.parametrize(
-    ("gcode", "line", "what"),  # every refused word: test/path
+    ("gcode", "sentences", "what"),  # every refused word: test/path
     [
-        (
-            "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X12 F4000\nG1 Y2500\nM30\n",
-            4,
-            r"point \d+ of the path: the wrist centre",
-        ),
-        ("DEF PART( )\nPTP HOME\nEND\n", 1, "DEF"),
+        (FAR, 1, r"line 4: point \d+ of the path: the wrist"),
+        ("DEF PART( )\nPTP HOME\nEND\n", 2, "line 1: .*DEF"),
     ],
 )
-def test_unusable_input_is_one_sentence_with_its_line_and_leaves_nothing(tmp_path, gcode, line, what):
+def test_unusable_input_is_one_sentence_with_its_line_and_leaves_nothing(tmp_path, gcode, sentences, what):
     answer = ask(*command(tmp_path, gcode=gcode))
-    sentences = answer.err.splitlines()  # one for each kind of word that cannot be run
-    assert answer.code == 2 and answer.out == "" and len(sentences) == (2 if what == "DEF" else 1)
-    assert all(sentence.startswith("kr270_milling: ") for sentence in sentences)
-    assert re.search(rf"part\.nc, line {line}: .*{what}", answer.err), answer.err
+    shown = answer.err.splitlines()  # one for each kind of word that cannot be run
+    assert answer.code == 2 and answer.out == "" and len(shown) == sentences
+    assert all(sentence.startswith("kr270_milling: ") for sentence in shown)
+    assert re.search(rf"part\.nc, {what}", answer.err), answer.err
     assert list(contents(tmp_path)) == ["part.nc"]
 
 
 def test_a_failure_while_writing_leaves_the_directory_as_it_was(tmp_path, monkeypatch):
-    from kr270_milling.base.errors import InputError
-    from kr270_milling.decide.programs import krl
-
     def fails(*_):
         raise InputError("program", "cannot be written")
 

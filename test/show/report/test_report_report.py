@@ -1,15 +1,20 @@
-"""report: the page as a whole, for short passes of the paper's cell and of others."""
+"""The report: the page as a whole, for short passes of the paper's cell and of others, and its series."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from budget import budget
 from cuttings import SET_ALUMINIUM
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from milled_part import POCKET, RIGID, small_cell
 
 from kr270_milling.base.column import TextTable
@@ -18,9 +23,15 @@ from kr270_milling.base.record import find_file, flatten
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decide.findings import Finding, Place
+from kr270_milling.decide.part import assess_all
+from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.assumptions import assumptions, model_frequencies
+from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, stations, thinned_spectrum
+from kr270_milling.show.report.linked import MOST_CELLS, linked, part_surface
 from kr270_milling.show.report.page.page import plotly_script
+from kr270_milling.show.report.series import COLUMNS, deviation_of, file_names, write_series
+from kr270_milling.show.report.straight_cut import machined_profile, micro_step_forces
 from kr270_milling.show.report.tables import fixed_text
 
 WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")
@@ -63,7 +74,11 @@ def part_page(milled, tmp_path_factory):
     return written(tmp_path_factory.mktemp("part"), *milled)
 
 
-def test_the_page_is_well_formed_small_complete_and_needs_nothing_from_elsewhere(straight, paper_page):
+def test_the_page_is_well_formed_small_complete_and_needs_nothing_from_elsewhere(straight, paper_page, part_page):
+    for text in (paper_page, part_page):  # no path of this machine, one kind of minus sign
+        texts = Page(text).texts
+        assert not re.search("/elsewhere|some one|/tmp", "".join(texts))
+        assert not [t for t in texts if re.search(r"(^|[ \[(])-\d", t)]
     page = Page(paper_page)
     assert not page.open and set(flatten(straight[0])) <= set(page.texts)  # the whole configuration
     assert len(paper_page.encode()) < MOST
@@ -79,13 +94,6 @@ def test_the_page_is_well_formed_small_complete_and_needs_nothing_from_elsewhere
     assert set(re.findall(r'KR\.by\("(\w+)"\)', page.scripts[-1])) <= {*ids, "source"}
 
 
-def test_no_path_of_this_machine_and_one_kind_of_minus_sign_in_the_texts(paper_page, part_page):
-    for text in (paper_page, part_page):
-        page = Page(text)
-        assert not re.search("/elsewhere|some one|/tmp", "".join(page.texts))
-        assert not [t for t in page.texts if re.search(r"(^|[ \[(])-\d", t)]
-
-
 def test_the_papers_column_and_figures_are_there_only_for_the_paper(tmp_path, straight, paper_page):
     for number in ("58.10", "63.20", "0.14", "4.70", "6.70"):
         assert f'<td class="paper">{number}</td>' in paper_page
@@ -93,12 +101,13 @@ def test_the_papers_column_and_figures_are_there_only_for_the_paper(tmp_path, st
         assert f"(paper: Fig. {figure}" in paper_page
     other = written(tmp_path, *straight)
     assert 'class="paper"' not in other and "paper: Fig." not in other and "Table 2" not in other
+    with pytest.raises(InputError):
+        write_report(tmp_path, straight[0], [], **WORDS)
 
 
 def shown_decision(level: str, sentence: str, method: str, verdict: str) -> SimpleNamespace:
-    return SimpleNamespace(
-        level=level, sentence=sentence, method_text=method, notes=(sentence,), verdict=SimpleNamespace(text=verdict)
-    )
+    said = SimpleNamespace(text=verdict)
+    return SimpleNamespace(level=level, sentence=sentence, method_text=method, notes=(sentence,), verdict=said)
 
 
 def test_texts_from_files_are_escaped(tmp_path, straight):
@@ -112,7 +121,7 @@ def test_texts_from_files_are_escaped(tmp_path, straight):
     page = Page(written(tmp_path, cell.replace(arm=cell.arm.replace(name=bad)), hostile, paper=True, **words))
     assert sum(tag == "script" for tag, _ in page.tags) == 3 and not page.open
     assert page.texts.count(bad) >= 6  # title twice, command, date, tiles
-    assert json.loads(page.scripts[0])["robot"]["name"] == bad
+    assert json.loads(page.scripts[0])["robot"]["name"] == bad and not set("<>&") & set(page.scripts[0])
 
 
 def test_the_decision_leads_the_page(tmp_path, straight):
@@ -136,28 +145,17 @@ def test_the_decision_leads_the_page(tmp_path, straight):
     assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
 
 
-def test_a_report_without_a_pass_is_refused(tmp_path, straight):
-    with pytest.raises(InputError):
-        write_report(tmp_path, straight[0], [], **WORDS)
-
-
 @pytest.mark.parametrize(
     "changes",
     [
         ["path.length_mm=0.1"],  # three exchange periods, never engaged
         ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
         ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
-        [
-            "tool.teeth=3",
-            "tool.rotation=counterclockwise",
-            *SET_ALUMINIUM,
-            "dynamics.mass_model=consistent",
-            "path.length_mm=11.0",
-        ],
+        ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "dynamics.mass_model=consistent"],
     ],
 )
 def test_passes_of_other_cells_are_reported_without_complaint(tmp_path, changes):
-    other = read_cell(find_file("paper.yaml"), ["stock.grid_step_um=50.0", *changes])
+    other = read_cell(find_file("paper.yaml"), ["path.length_mm=11", "stock.grid_step_um=50.0", *changes])
     data = json.loads(Page(written(tmp_path, other, [simulate(other)])).scripts[0])
     profile = [chart for chart in data["charts"] if chart["name"] == "machined_profile"]
     walls = [panel["title"] for chart in profile for panel in chart["panels"]]
@@ -172,8 +170,11 @@ def test_a_part_shows_its_features_its_source_and_its_tolerance_also_without_any
     assert data["tolerance_um"] == pytest.approx([30.0, 30.0])
     assert data["linked"]["source"][2]["text"] == "G0 X-28 Y8 Z2"
     assert data["linked"]["source_name"] == "path.nc"
-    rigid = small_cell(tmp_path, POCKET, RIGID)
-    assert 'id="map_after"' in written(tmp_path, rigid, [simulate(rigid)])
+    evil = "(</title></svg><script>evil</script>)"
+    rigid = small_cell(tmp_path, POCKET.replace("(ring)", evil), RIGID)
+    text = written(tmp_path, rigid, [simulate(rigid)])
+    assert 'id="map_after"' in text and evil not in text
+    assert evil in [line["text"] for line in json.loads(Page(text).scripts[0])["linked"]["source"]]
 
 
 def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(straight):
@@ -196,3 +197,164 @@ def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(straight)
 
 def test_a_rounded_zero_has_no_sign_and_a_missing_number_is_a_dash():
     assert [fixed_text(value, 2) for value in (-0.001, -0.09, np.nan)] == ["0.00", "\u22120.09", "–"]
+
+
+# --- series: CSV files, and names that stay inside the directory ---
+
+
+def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its_joints(tmp_path, straight):
+    def close(table, expected):  # a number of thirteen digits is wrong by half of the last one at most
+        np.testing.assert_allclose(table, expected, rtol=5e-13, atol=0)
+
+    cell, passes = straight
+    paths = write_series(tmp_path, cell, passes)
+    assert [p.name for p in paths[:3]] == ["original.csv", "linear.csv", "spline.csv"]
+    for path, one in zip(paths[:3], passes, strict=True):
+        assert path.read_text().splitlines()[0] == ",".join(COLUMNS)
+        table = dict(zip(COLUMNS, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+        r = one.result
+        np.testing.assert_allclose(table["time_s"], r.time_ns * 1e-9, rtol=1e-15)
+        for k, axis in enumerate("xyz"):
+            for kind in ("target", "reference", "tool", "actual"):
+                close(table[f"{kind}_{axis}_mm"], 1e3 * getattr(r, kind)[:, k])
+            close(table[f"deflection_{axis}_um"], 1e6 * r.deflection[:, k])
+            close(table[f"deflection_r{axis}_deg"], np.degrees(r.deflection[:, 3 + k]))
+            close(table[f"force_{axis}_n"], r.wrench[:, k])
+            close(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
+        close(table["path_deviation_um"], 1e6 * deviation_of(r, cell.target()))
+        close(table["pose_correction_um"], 1e6 * r.correction)
+    trajectory, joints = read_csv(paths[5])
+    np.testing.assert_array_equal(trajectory.position, passes[2].reference.position)
+    np.testing.assert_array_equal(trajectory.velocity, passes[2].reference.velocity)
+    np.testing.assert_allclose(joints, cell.joints(passes[2].reference), atol=1e-12)
+
+
+def test_file_names_are_plain_inside_the_directory_and_different_even_without_regard_to_case(tmp_path, straight):
+    cell, (first, *_) = straight
+    write_series(tmp_path / "out", cell, [dataclasses.replace(first, name="../../etc/x")])
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    names = file_names(["a b", "a/b", "A_B", "", "..", "../../etc/x", "x" * 300, "Ω"])
+    assert len({n.lower() for n in names}) == len(names)
+    assert all(n.strip("_") and re.fullmatch(r"[A-Za-z0-9_-]{1,64}", n) for n in names)
+
+
+# --- report.charts and report.straight_cut: micro-step forces, spectra, walls ---
+
+
+def test_micro_step_forces_average_to_the_wrench_of_each_exchange_period():
+    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=6.0", "stock.grid_step_um=20.0"])
+    result = simulate(cell).result
+    force = micro_step_forces(cell.cut(), result.tool, cell.clock.micro_steps)
+    means = force.reshape(-1, cell.clock.micro_steps, 3).mean(axis=1)
+    assert np.abs(result.wrench[1:, 1]).max() > 10.0
+    np.testing.assert_allclose(means, result.wrench[1:, :3], atol=1e-9)
+
+
+def test_an_amplitude_is_read_from_the_spectrum():
+    time = np.arange(4800) / 4800
+    values = 3.0 + 2.0 * np.sin(2 * np.pi * 100 * time) + 0.5 * np.cos(2 * np.pi * 533 * time)
+    frequency, amplitude = amplitude_spectrum(values, 1 / 4800)
+    assert amplitude[frequency == 100.0] == pytest.approx(2.0, rel=1e-9)
+    assert amplitude[frequency == 533.0] == pytest.approx(0.5, rel=1e-9)
+    assert amplitude[np.abs(frequency - 1000) < 100].max() < 1e-9
+
+
+def test_thinning_a_spectrum_loses_no_peak():
+    rng = np.random.default_rng(1)
+    frequency = np.arange(1, 40_001) * 0.1
+    amplitude = rng.random(40_000)
+    amplitude[5332] = 10.0
+    thin_f, thin_a = thinned_spectrum(frequency, amplitude, 2000.0, 300)
+    assert thin_f.size <= 300
+    assert thin_f[np.argmax(thin_a)] == frequency[5332]
+    assert np.all(np.diff(thin_f) > 0)
+
+
+def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to(straight):
+    """Positive is to the left of the feed, on the left wall (cut too deep) as on the right one (material left)."""
+    cell, (ran, *_) = straight
+    chart = machined_profile(assess_all(cell, [ran]))[0]
+    assert [panel.title for panel in chart.panels] == ["left wall", "right wall"]
+    for panel in chart.panels:
+        (shown,) = panel.curves
+        at = cell.target().sample(ran.result.time_ns)[:, 0] * 1e3
+        pushed = np.interp(shown.x, at, (ran.result.actual - ran.result.target)[:, 1] * 1e6)
+        np.testing.assert_allclose(shown.y[5:-5], pushed[5:-5], atol=1.0)  # a cusp, and the nearest passage of a tooth
+
+
+# --- report.charts and report.linked: thinned to what can be seen, no maximum lost ---
+
+
+@settings(max_examples=budget(30))
+@given(st.integers(1, 6000), st.integers(2, 60), st.integers(0, 2**32 - 1))
+def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, seed):
+    y = np.random.default_rng(seed).normal(size=size)
+    rows = envelope_index(y, buckets)
+    assert rows[0] == 0 and rows[-1] == size - 1 and np.all(np.diff(rows) > 0)
+    assert rows.size <= max(2 * buckets + 2, 1)
+    edges = np.linspace(0, size, buckets + 1).astype(int)
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        if a < b:
+            inside = y[rows[(rows >= a) & (rows < b)]]
+            assert inside.max() == y[a:b].max() and inside.min() == y[a:b].min()
+
+
+def test_stations_serve_several_series_and_are_few():
+    time = np.linspace(0, 30, 120_000)
+    rng = np.random.default_rng(3)
+    series = [np.sin(time * k) + 0.1 * rng.normal(size=time.size) for k in range(1, 7)]
+    chosen = stations(series, 2000)
+    assert chosen.size <= 2000 * 1.4
+    for y in series:
+        assert np.abs(y[chosen]).max() == np.abs(y).max()
+    assert np.diff(chosen).max() <= 3 * time.size // 2000 + 1
+
+
+@pytest.fixture(scope="module")
+def case(milled):
+    cell, passes = milled
+    parts = assess_all(cell, passes)
+    return cell, passes, parts, linked(cell, passes, parts)
+
+
+def test_the_largest_deviation_of_each_pass_is_a_station_as_in_the_table(case):
+    *_, parts, outcome = case
+    for one, part in zip(outcome.passes, parts, strict=True):
+        counted = np.abs(one.side[outcome.scored == 1]).max()
+        assert counted == pytest.approx(part.whole.max_normal * 1e6, rel=1e-12)
+
+
+def test_line_point_and_feature_of_a_station_are_those_of_its_time(case):
+    cell, _, _, outcome = case
+    toolpath, target = cell.timed_path.toolpath, cell.target()
+    source = Path(cell.path.file).read_text().splitlines()
+    assert [line.text for line in outcome.source] == source
+    for k in range(0, outcome.time.size, 97):
+        stamp = round(outcome.time[k] * 1e9)
+        block = int(cell.timed_path.block_at(np.array([stamp]))[0])
+        assert source[outcome.line[k] - 1].startswith("G") and outcome.line[k] == toolpath.line[block]
+        assert outcome.features[outcome.feature[k]] == toolpath.features[toolpath.feature[block]]
+        knot = outcome.point[k] - 1
+        assert target.time_ns[knot] >= stamp and (knot == 0 or target.time_ns[knot - 1] < stamp)
+        place = [outcome.x[k], outcome.y[k], outcome.z[k]]
+        np.testing.assert_allclose(place, 1e3 * target.sample(stamp), atol=1e-9)
+
+
+def test_a_pass_that_was_cut_off_is_unknown_beyond_its_end(case):
+    cell, passes, *_ = case
+    whole = passes[1].result
+    half = len(whole.time_ns) // 2
+    fields = {name: value[:half] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
+    short = dataclasses.replace(passes[1], result=dataclasses.replace(whole, **fields))
+    outcome = linked(cell, [passes[0], short], assess_all(cell, [passes[0], short]))
+    late = outcome.time > short.result.time[-1]
+    assert late.any() and np.isnan(outcome.passes[1].side[late]).all() and np.isfinite(outcome.passes[0].side).all()
+
+
+def test_the_surface_keeps_the_largest_errors_of_floors_and_walls(case):
+    parts = case[2]
+    surface = part_surface(parts)
+    assert max(surface.z.shape) <= MOST_CELLS and surface.z.shape == (surface.y.size, surface.x.size)
+    for one, part in zip(surface.passes, parts, strict=True):
+        assert np.nanmax(np.abs(one.floor)) == pytest.approx(part.whole.max_floor * 1e6)
+        assert np.abs(one.wall).max() == pytest.approx(part.whole.max_wall * 1e6)

@@ -6,7 +6,6 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, fields
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,12 +50,9 @@ def test_a_field_is_a_key_of_json_and_a_column_of_the_terminal():
     assert columns_of(Row, unit="um")[0][0] == "max"
 
 
-@pytest.mark.parametrize("record", [FeatureRow, Scores])
-def test_every_number_of_a_result_has_a_column(record):
-    assert {c.name for c in columns(record)} == {field.name for field in fields(record)} - {"name"}
-
-
-def test_the_table_of_the_scores_has_every_titled_column(straight):
+def test_every_number_of_a_result_has_a_column_and_the_table_of_the_scores_every_titled_one(straight):
+    for record in (FeatureRow, Scores):
+        assert {c.name for c in columns(record)} == {field.name for field in fields(record)} - {"name"}
     headings = line_scores(straight[1], paper=True).columns
     titled = [micro(c.heading()) for c in columns(Scores) if c.title]
     assert [heading for heading in headings if heading not in ("pass", "paper")] == titled
@@ -99,15 +95,7 @@ def test_every_link_that_one_sees_has_solids_and_none_is_a_mesh(text):
     assert {m.get("name") for v in root.iter("visual") for m in v.findall("material")} <= known
 
 
-def test_the_tool_ends_in_the_tip(cell, text):
-    (tool,) = (link for link in links_of(text) if link.name == "tcp")
-    vertices = np.vstack([mesh.vertex for mesh in tool.meshes])
-    assert vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # z points from the flange to the tip
-    at_tip = vertices[np.abs(vertices[:, 2]) < 1e-9]
-    assert np.hypot(*at_tip[:, :2].T).max() == pytest.approx(cell.tool.radius, abs=1e-9)
-
-
-def test_meshes_are_closed_and_point_outwards(text):
+def test_meshes_are_closed_and_point_outwards_and_the_tool_ends_in_the_tip(cell, text):
     for link in links_of(text):
         for mesh in link.meshes:
             corners = mesh.vertex[mesh.triangle]
@@ -115,6 +103,11 @@ def test_meshes_are_closed_and_point_outwards(text):
             assert volume > 0.0
             edges = np.concatenate([mesh.triangle[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
             assert {tuple(e) for e in edges} == {tuple(e[::-1]) for e in edges}
+    (tool,) = (link for link in links_of(text) if link.name == "tcp")
+    vertices = np.vstack([mesh.vertex for mesh in tool.meshes])
+    assert vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # z points from the flange to the tip
+    at_tip = vertices[np.abs(vertices[:, 2]) < 1e-9]
+    assert np.hypot(*at_tip[:, :2].T).max() == pytest.approx(cell.tool.radius, abs=1e-9)
 
 
 def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
@@ -127,12 +120,8 @@ def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
 
 
 # --- The layout files in config: every panel that is placed is described, every path exists in its message ---
-CONFIG = Path(__file__).resolve().parents[3] / "config"
-KNOWN = (
-    {f"/{name}": kind for name, kind in TYPES.items()}
-    | OUTPUTS
-    | {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
-)
+KNOWN = {f"/{name}": kind for name, kind in TYPES.items()} | OUTPUTS
+KNOWN |= {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
 #: the names that Lichtblick's code gives to the settings of its panels (RendererConfig, PlotConfig, ...)
 PANELS = {
     "3D": {"cameraState", "followMode", "followTf", "scene", "transforms", "topics", "layers", "publish", "imageMode"},
@@ -167,7 +156,7 @@ def placed(node) -> list[str]:
 
 
 def test_the_layout_of_the_3d_viewers_places_what_it_describes_and_plots_numbers():
-    layout = json.loads((CONFIG / "viewer_layout.json").read_text())
+    layout = json.loads(find_file("viewer_layout.json").read_text())
     assert {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"} == set(layout)
     assert sorted(placed(layout["layout"])) == sorted(layout["configById"])
     for name, panel in layout["configById"].items():
@@ -182,7 +171,7 @@ def test_the_layout_of_the_3d_viewers_places_what_it_describes_and_plots_numbers
 
 
 def test_every_curve_of_plotjuggler_is_a_number_of_its_message():
-    root = ET.parse(CONFIG / "plotjuggler_layout.xml").getroot()
+    root = ET.parse(find_file("plotjuggler_layout.xml")).getroot()
     assert root.tag == "root" and root.find("tabbed_widget/Tab/Container/DockSplitter") is not None
     for splitter in root.iter("DockSplitter"):
         assert int(splitter.get("count")) == len(list(splitter)) == len(splitter.get("sizes").split(";"))

@@ -1,0 +1,261 @@
+"""The commands about cells and recordings, as a user calls them: init, keys, info, export, recover, replay, report."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pass_recording as made
+import pytest
+import yaml
+from hostile import answered, ask, contents, refused
+
+from kr270_milling.base.record import flatten
+from kr270_milling.base.samples import WrenchSample
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.keys import keys_of
+from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.show.commands.recordings import unique_names
+
+PROGRAMS = Path(__file__).parents[2] / "path" / "programs"
+TEST_PIECE = Path(__file__).parents[3] / "config" / "test_piece.nc"
+#: a shallow slot beside which the tool comes down
+SLOT = "(T1 D=10 - flat end mill, 4 flutes)\nG21 G90 G54\nS6000 M3\nG0 X-20 Y0 Z5\nZ-0.5\nG1 X-2 F1200\nG0 Z5\nM30\n"
+
+
+def cell_of(tmp_path, *words):
+    answer = ask("init", *map(str, words))
+    assert answer.code == 0 and answer.err == ""
+    (tmp_path / "my.yaml").write_text(answer.out)
+    return read_cell(tmp_path / "my.yaml")
+
+
+@pytest.mark.parametrize(("name", "robot"), [
+    ("fusion_haas.nc", "kr270_2"), ("fusion_grbl.nc", "kr270_r2700_ultra"), ("freecad_linuxcnc.ngc", "kr270_2"),
+    ("mastercam_fanuc.nc", "kr270_r2700_ultra"), ("linuxcnc.ngc", "kr270_2"), ("sinumerik.mpf", "kr270_r2700_ultra"),
+    ("haas.nc", "kr270_r2700_ultra"),
+])  # fmt: skip
+def test_a_cell_for_each_dialect_reaches_the_whole_pocket(tmp_path, name, robot):
+    tool = ["--tool", "T1"] if name == "haas.nc" else []
+    cell = cell_of(tmp_path, "--gcode", PROGRAMS / name, "--robot", robot, *tool)
+    assert cell.tool.spindle_speed * 30 / np.pi == pytest.approx(5000)
+    assert cell.tool.diameter == pytest.approx(0.010)
+    np.testing.assert_allclose(1e3 * cell.stock.min, [-24, -20, -6], atol=1e-9)
+    np.testing.assert_allclose(1e3 * cell.stock.max, [24, 20, 0], atol=1e-9)
+    assert len(cell.target()) > 1000  # on the joints of the arm
+    np.testing.assert_allclose(1e3 * cell.workpiece.xyz, [1500, 0, 800])
+
+
+def test_the_stock_leaves_room_where_the_tool_comes_down_rapidly(tmp_path):
+    (tmp_path / "slot.nc").write_text(SLOT)
+    cell = cell_of(tmp_path, "--gcode", tmp_path / "slot.nc")
+    assert cell.stock.min[0] >= -20e-3 + cell.tool.radius and cell.stock.max[0] >= 0.0
+    piece = cell_of(tmp_path, "--gcode", TEST_PIECE)
+    path = piece.timed_path.toolpath
+    down = path.position[path.rapid & (path.position[:, 2] < 0.0)][:, :2]
+    beside = np.maximum(np.maximum(piece.stock.min[:2] - down, down - piece.stock.max[:2]), 0.0)
+    assert np.hypot(*beside.T).min() > piece.tool.radius
+
+
+def test_a_program_that_takes_an_hour_is_modelled_at_as_many_postures_as_a_cell_may_have(tmp_path):
+    (tmp_path / "slow.nc").write_text(SLOT.replace("F1200", "F1"))  # 18 mm at 1 mm/min
+    cell = cell_of(tmp_path, "--gcode", tmp_path / "slow.nc")
+    assert cell.target().duration_ns > 1000e9 and cell.dynamics.posture_spacing > 5e-3
+    assert len(cell._postures(cell.target())[1]) < 50_000  # more than 100,000 are refused
+
+
+def test_a_written_cell_moves_with_the_program_beside_it_and_an_error_leaves_no_file(tmp_path):
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "air.nc").write_text("G21 S6000 M3\nG0 X0 Y0 Z5\nX10 F600\nM30\n")
+    (tmp_path / "part" / "slot.nc").write_text(SLOT)
+    cell = tmp_path / "my.yaml"
+    words = ("init", "--out", str(cell), "--gcode")
+    assert "has no cutting move" in refused(*words, str(tmp_path / "part" / "air.nc")) and not cell.exists()
+    assert "lines marked yours are guesses" in ask(*words, str(tmp_path / "part" / "slot.nc")).out
+    moved = tmp_path.rename(tmp_path.with_name("moved")) / "my.yaml"
+    drafted = yaml.safe_load(moved.read_text())["/**"]["ros__parameters"]
+    assert drafted["path"]["file"] == "part/slot.nc" and drafted["program"]["name"] == "SLOT"
+    assert "fixtures_mm" in drafted["workpiece"] and read_cell(moved).path.file.endswith("/moved/part/slot.nc")
+    defaults = {row["key"].partition(".")[2]: row["default"] for row in keys_of("uncertainty")}
+    assert drafted["uncertainty"].items() <= defaults.items()
+    assert "exists already" in refused("init", "--out", str(moved))
+
+
+def test_a_cell_without_a_program_is_a_straight_cut_and_one_of_several_tools_has_tools(tmp_path):
+    cell = cell_of(tmp_path)
+    assert cell.path.length == pytest.approx(0.040) and not cell.path.file
+    cell = yaml.safe_load(answered("init", "--gcode", PROGRAMS / "haas.nc")["cell"])["/**"]["ros__parameters"]
+    assert "tool" not in cell and [one["diameter_mm"] for one in cell["tools"].values()] == [10.0, 6.0]
+    sentence = refused("init", "--gcode", str(PROGRAMS / "haas.nc"), "--tool", "T9")
+    assert "does not cut with T9; it does with T1" in sentence
+
+
+def test_json_has_the_cell_with_marked_guesses_and_the_words_of_the_program():
+    answer = answered("init", "--gcode", PROGRAMS / "sinumerik.mpf")
+    assert yaml.safe_load(answer["cell"])["/**"]["ros__parameters"]["tool"]["diameter_mm"] == 10.0
+    for text in ("teeth: 4                           # yours:", "# yours: the arm", "# [source: the program's S]"):
+        assert text in answer["cell"]
+    assert answer["program"]["work_offset"] == "G54"
+
+
+# --- keys ---
+
+
+def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
+    rows = {row["key"]: row for row in keys_of()}
+    shipped = set(flatten(read_cell(TEST_PIECE.with_suffix(".yaml"))))
+    assert shipped < set(rows) and all(key.startswith("cutting.fractional") for key in set(rows) - shipped)
+    assert len(rows) == len(keys_of())
+    for key, row in rows.items():
+        assert row["text"] and key.endswith(row["unit"]), key
+
+
+def test_keys_of_a_section_have_bounds_and_defaults_in_their_unit():
+    rows = {row["key"]: row for row in answered("keys", "timing")["keys"]}
+    step = rows["timing.controller_step_ms"]
+    assert (step["unit"], step["low"], step["high"], step["default"], step["required"]) == ("ms", 1, 1000, 50, False)
+    table = ask("keys", "cutting.linear_edge").out
+    assert "cutting.linear_edge.tangential_cutting_n_per_mm2" in table and "K_tc" in table
+    assert "known are arm" in refused("keys", "tols")
+
+
+# --- recordings ---
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    pytest.importorskip("geometry_msgs")
+    return str(made.write(tmp_path_factory.mktemp("files") / "r", made.one_pass()))
+
+
+def test_a_cut_off_recording_is_counted_exported_and_recovered(whole, tmp_path):
+    data, file, saved = Path(whole, "r.mcap").read_bytes(), tmp_path / "cut.mcap", tmp_path / "saved"
+    file.write_bytes(data[: len(data) * 2 // 3])
+    result = answered("info", whole)
+    assert result["cut_off"] is False and result["messages"] == len(made.one_pass())
+    assert answered("info", file)["cut_off"] is True and "cut off" in ask("info", str(file)).out
+    words = ("export", str(file), "--csv", str(tmp_path / "t"), "--topics", "/wrench")
+    assert answered(*words)["files"] == [str(tmp_path / "t" / "wrench.csv")] and "was cut off" in ask(*words).out
+    assert "give --csv DIR or --parquet DIR" in refused("export", str(file))
+    result = answered("recover", file, "--out", saved)
+    assert not result["whole"] and result["messages"] > 100 and answered("info", saved)["cut_off"] is False
+    assert answered("replay", saved, "--recompute")["verdict"] == "identical"
+
+
+def test_recompute_ends_with_0_when_identical_and_1_when_not_or_when_it_cannot_continue(whole, tmp_path):
+    def recomputed(index, change) -> str:
+        return str(made.write(tmp_path / str(index), made.changed(made.one_pass(), "wrench", index, change)))
+
+    answer = ask("replay", whole, "--recompute")
+    assert answer.code == 0 and "identical: " in answer.out
+    other = recomputed(60, lambda data: data[:40] + bytes([data[40] ^ 1]) + data[41:])
+    difference = "first difference: /wrench, message 60 at 0.030000 s: wrench.force.y"
+    assert difference in ask("replay", other, "--recompute").out
+    result = answered("replay", other, "--recompute", code=1)["first_difference"]
+    assert (result["topic"], result["index"], result["stamp_ns"]) == ("/wrench", 60, 30_000_000)
+    answer = ask("replay", recomputed(40, lambda data: None), "--recompute")
+    assert answer.code == 1 and "cannot continue at 0.020000 s" in answer.out
+
+
+def test_replay_compensates_to_the_trajectory_that_was_published(whole, tmp_path):
+    words = ("replay", whole, "--compensate", "--out", str(tmp_path / "t"))
+    result = answered(*words)["robots"][0]
+    reference, joints = read_csv(result["csv"])
+    published = [m.data for m in made.one_pass() if m.topic == "reference_trajectory"][1]
+    assert result["identical_to_published"] is True and joints.shape == (len(reference), 6)
+    assert to_bytes(reference)[12:] == published[12:]
+    assert "identical to what the node published" in ask(*words).out
+
+
+# --- The command report: which recordings it takes and where it writes ---
+
+
+def test_the_report_of_a_directory_goes_into_it_whether_it_holds_files_or_directories(whole, tmp_path):
+    for place in ("files/a.mcap", "files/b.mcap", "directories/a/a.mcap", "one/r.mcap"):
+        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(Path(whole, "r.mcap"), tmp_path / place)
+    for place in ("files", "directories", "one/r.mcap"):
+        assert ask("report", str(tmp_path / place)).code == 0
+    pages = [name for name in contents(tmp_path) if name.endswith("report.html")]
+    assert pages == [f"{place}/report/report.html" for place in ("directories", "files", "one")]
+    of_the_run = tmp_path / "directories" / "report.html"
+    of_the_run.write_text("of the run")
+    assert ask("report", str(tmp_path / "directories")).code == 0
+    assert "of the run" not in of_the_run.read_text()[:100]
+    for place, names in (("files", ("a.mcap", "b.mcap")), ("directories", ("a",))):
+        listed = ", ".join(str(tmp_path / place / name) for name in names)
+        assert refused("replay", str(tmp_path / place), "--recompute").endswith(f"name one of those in it: {listed}")
+
+
+@made.needs_messages
+def test_of_two_robots_in_a_recording_one_is_named(tmp_path):
+    recording = str(made.write(tmp_path / "r", made.one_pass(), namespaces=("/left", "/right")))
+    assert "name a namespace" in refused("report", recording)
+    answer = ask("report", recording, "--namespace", "left")
+    assert answer.code == 0 and (tmp_path / "r" / "report" / "report.html").is_file()
+
+
+def test_copies_are_skipped_with_a_sentence_and_the_page_has_the_command(whole, tmp_path):
+    for name in ("one", "one_recovered"):
+        shutil.copytree(whole, tmp_path / "r" / name)
+    answer = ask("report", str(tmp_path / "r"), str(tmp_path / "r" / "one" / "r.mcap"))
+    assert answer.code == 0 and "skipped, a copy of another pass" in answer.out
+    page = (tmp_path / "r" / "report" / "report.html").read_text()
+    assert "kr270_milling report r r.mcap" in page and str(tmp_path) not in page
+
+
+def test_passes_of_two_paths_are_not_compared(whole, tmp_path):
+    target = made.cell_of().target()
+    shifted = target.with_position(target.position + [0.0, 5e-4, 0.0])
+    other = made.write(tmp_path / "b", made.target_of_user(shifted))
+    assert "is a pass of another path than" in refused("report", whole, str(other))
+
+
+def test_names_that_are_alike_get_their_directories():
+    paths = [Path("run_1/original.mcap"), Path("run_2/original.mcap"), Path("run_2/spline.mcap")]
+    assert unique_names(paths) == ["run_1/original", "run_2/original", "spline"]
+
+
+# --- a graph whose topics were remapped ---
+
+
+@pytest.fixture(scope="module")
+def remapped(tmp_path_factory):
+    """A pass of a robot in /left whose wrench was on force/measured; another sensor was on wrench."""
+    pytest.importorskip("geometry_msgs")
+    names, directory = {"wrench": "force/measured"}, tmp_path_factory.mktemp("remapped") / "r"
+    with BagWriter(directory, attachments={"cell.yaml": made.cell_text()}) as writer:
+        for name, kind in made.TYPES.items():
+            profiles = [made.LATCHED] if name in made.LATCHED_TOPICS else [{}]
+            writer.add_topic(f"/left/{names.get(name, name)}", kind, profiles)
+        writer.add_topic("/left/wrench", made.WRENCH)
+        for k, message in enumerate(made.one_pass()):
+            writer.write(f"/left/{names.get(message.topic, message.topic)}", message.data, 10**9 + k)
+        writer.write("/left/wrench", to_bytes(WrenchSample(0, "workpiece", np.ones(6))), 10**9)
+    return str(directory)
+
+
+def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_path):
+    rule = ("--remap", "wrench:=force/measured")
+    result = answered("replay", remapped, "--recompute", *rule)
+    assert result["verdict"] == "identical" and result["channels"]["/left/wrench"]["compared"] == made.STEPS
+    assert answered("replay", remapped, "--compensate", "--out", tmp_path, *rule)["robots"]
+    (ran,) = answered("report", remapped, "--out", tmp_path, *rule)["passes"]
+    assert ran["complete"] and not ran["messages_lost"]
+    (tmp_path / "cell.yaml").write_text(made.cell_text())
+    assert "force x" in ask("compare", remapped, str(tmp_path / "cell.yaml"), *rule).out
+
+
+@pytest.mark.parametrize(
+    ("rule", "sentence"),
+    [
+        ("wrnch:=force", "'wrnch' is not one of target_trajectory, robot_description, tool_pose, wrench, "),
+        ("wrench=force", "'wrench=force' is not NAME:=RECORDED"),
+        ("wrench:=force/other", "has no topic force/other"),
+    ],
+)
+def test_a_wrong_remapping_is_one_sentence(remapped, rule, sentence):
+    assert sentence in refused("replay", remapped, "--recompute", "--remap", rule)
