@@ -101,7 +101,8 @@ class Segments:
         through the samples.
         """
         if time_ns.size < 2 * self.middle_ns.size:
-            return CubicSpline(time_ns * 1e-9, values)(self.middle_ns * 1e-9)
+            time, middles = time_ns * 1e-9, self.middle_ns * 1e-9
+            return np.stack([CubicSpline(time, v)(middles) for v in values.T], axis=-1)  # one at a time: memory
         mean = self.mean(time_ns, values).reshape(-1, values.shape[1])
         off = (time_ns - self.middle_ns.ravel()[self.part_of(time_ns)])[:, None] * 1e-9
         first, second = self.mean(time_ns, np.hstack([off, off**2 / 2.0])).reshape(-1, 2).T
