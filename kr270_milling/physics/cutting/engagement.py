@@ -463,16 +463,17 @@ def _lower_blocks(s, p, i, low, high, level, sparse, about_i, about_j):
                         log_rest[np.uint64(logged)] = rests[place]
                         logged += 1
             levels, lowered, untouched = np.uint32(0), np.uint16(0), np.uint16(0)
-            for n in range(BLOCK):  # vector instructions: no branch, sums as narrow as they may be
+            for n in range(BLOCK):  # vector instructions: no branch, numbers as narrow as they may be
                 place, lane = first + np.uint64(n), np.uint16(n)
                 mean = pool[place]
                 goal = deep if lane < count else np.uint16(0)
                 left = np.uint16(max(mean, goal) - mean)
+                cut = min(left, np.uint16(1))
                 levels = np.uint32(levels + np.uint32(left))
-                lowered = np.uint16(lowered + np.uint16(left > 0))
+                lowered = np.uint16(lowered + cut)
                 untouched = np.uint16(untouched + np.uint16(left == deep))
                 pool[place] = np.uint16(mean + left)
-                rests[place] = deep if left > 0 else rests[place]
+                rests[place] = max(rests[place], np.uint16(cut * deep))
             middle = min(max(begin + BLOCK // 2 - about_j, 0), 2 * p.reach)
             k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(middle)])
             sunk[k, 0] += levels
