@@ -34,6 +34,7 @@ from kr270_milling.physics.robot.sensor import ForceSensor
 __all__ = ["Cell", "read_cell", "read_cells", "with_program"]
 
 SAME_PLACE = 1e-3  #: [mm], [deg]
+LONG_PASS = 500_000  #: exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
 MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
 RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: a slot then has 97 % of its force
 LONG_CUTTING = 60.0  #: [s]; programs that cut longer are not swept tooth by tooth where cutting.detail is auto
@@ -193,6 +194,11 @@ class Cell(Record):
         knots = -(-steps // between)
         check_postures(knots + 1, self.dynamics.posture_spacing)
         return between, self.clock.stamp(np.arange(knots + 1) * between)
+
+    @property
+    def long_pass(self) -> bool:
+        """Whether the series of a pass along the target fill so much memory that few of them are stored."""
+        return self.clock.steps(self.target().duration_ns) > LONG_PASS
 
     @property
     def low_frequency(self) -> float:

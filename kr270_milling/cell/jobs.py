@@ -230,15 +230,18 @@ def compensated(
     """
     passes: dict[int, ScoredPass] = {}
     by = by or compensator(cell, cell.target(), method)
+    large = plant is None and cell.long_pass  # its series fill 200 MB an hour: the pass of the result is run again
     name = method_of(method).name
 
     def run(reference: Trajectory) -> PassRecord:
-        for key in passes.keys() - {id(by.best)}:  # the series of a long pass are large
+        for key in passes.keys() - {id(by.best)}:
             del passes[key]
         record = saved.next(reference) if saved else None
         if record is None:
-            passes[id(reference)] = simulate(cell, reference, name, progress, plant)
-            record = record_of(cell, passes[id(reference)])
+            ran = simulate(cell, reference, name, progress, plant)
+            record = record_of(cell, ran)
+            if not large:
+                passes[id(reference)] = ran
             if saved:
                 saved.save(reference, record)
         elif plant is not None:

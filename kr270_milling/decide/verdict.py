@@ -39,7 +39,6 @@ TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are m
 NO_METHOD = "none"  #: run the path as it was programmed
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
-LONG_PASS = 500_000  #: exchange periods; of a longer pass a plant needs 0.5 GB an hour, so that plants run one by one
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +190,11 @@ def cores() -> int:
 
 
 def plants_at_once(cell: Cell) -> int:
-    """Number of plants that run at the same time: as many as there are cores, one where a pass is long."""
-    return 1 if cell.clock.steps(cell.target().duration_ns) > LONG_PASS else cores()
+    """Number of plants that run at the same time: as many as there are cores, one where a pass is long.
+
+    A plant needs 0.5 GB an hour.
+    """
+    return 1 if cell.long_pass else cores()
 
 
 def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
@@ -255,8 +257,9 @@ def monte_carlo(
         return None
     estimate(count, each * work(count) / work(1))
     pool = ThreadPoolExecutor(threads)
+    alone = threads == 1  # then in this thread, which uses the memory again that earlier passes gave back
     try:
-        for row in pool.map(run, range(1, count)):
+        for row in map(run, range(1, count)) if alone else pool.map(run, range(1, count)):
             progress(work(len(drawn)), work(count))
             drawn.append(row)
             if len(drawn) >= FEWEST and time.perf_counter() - start > budget:
@@ -327,10 +330,12 @@ def _errors(
     plant: Cell, model: ArmModel, target: Trajectory, reference: Trajectory, number: int, gauge: Gauge
 ) -> tuple[float, float]:
     """The error [m] of a pass, by its number, and its share of the tolerance; NaN where the plant is unstable."""
-    course = imperfect_course(plant, reference, number, target)
-    silent = plant.programmed.drilling_at
-    cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
-    ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
+    cut = plant.cut()
+    ran = run_pass(
+        imperfect_arm(plant, reference, model), cut, plant.clock, target,
+        imperfect_course(plant, reference, number, target), plant.exchange.iterations,
+        silent=plant.programmed.drilling_at,
+    )  # fmt: skip
     if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
         return math.nan, math.nan
     heights = None if gauge.ideal is None else cut.map_heights()[2]

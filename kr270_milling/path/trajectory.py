@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 import math
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,6 +24,7 @@ __all__ = ["TOOL_DOWN", "Trajectory", "TrajectoryError", "fingerprint", "offsets
 
 #: tcp in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
+BLOCK = 65_536  #: times that are sampled at once
 AT_REST = 1e-6  #: [m/s] a slower tool is at rest: 12 nm in a tick of 12 ms are below the resolution of any axis
 
 
@@ -89,6 +91,8 @@ class Trajectory:
 
     def sample(self, time_ns) -> np.ndarray:
         """Return the position [m], (..., 3), at times [ns] of any shape."""
+        if np.ndim(time_ns) == 1 and len(time_ns) > BLOCK:
+            return _by_blocks(self.sample, time_ns)
         k, u, step = self.locate(time_ns)
         start, move = self.position[k], self.position[k + 1] - self.position[k]
         if self.velocity is None:
@@ -101,6 +105,8 @@ class Trajectory:
 
         side: at a corner, "right" is the velocity of the later segment, "left" of the earlier one.
         """
+        if np.ndim(time_ns) == 1 and len(time_ns) > BLOCK:
+            return _by_blocks(lambda part: self.sample_velocity(part, side), time_ns)
         k, u, step = self.locate(time_ns, side)
         move = self.position[k + 1] - self.position[k]
         moving = self.moving(time_ns)[..., None]
@@ -175,6 +181,11 @@ class Trajectory:
         path = np.append(time_ns[:-1] * 1e-9 * feed_rate, length)
         unit = direction / np.linalg.norm(direction)
         return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, quaternion, None, frame)
+
+
+def _by_blocks(sample: Callable[[np.ndarray], np.ndarray], time_ns: np.ndarray) -> np.ndarray:
+    """Samples at many times (n,), without intermediate results of that length."""
+    return np.concatenate([sample(time_ns[k : k + BLOCK]) for k in range(0, len(time_ns), BLOCK)])
 
 
 def slerp(first: np.ndarray, second: np.ndarray, u: np.ndarray) -> np.ndarray:

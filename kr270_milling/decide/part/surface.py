@@ -29,7 +29,7 @@ __all__ = ["Floors", "IdealPart", "IdealWalls", "Marks", "Surface", "Walls", "id
 SLOPE = 0.02  #: a steeper floor is a wall
 DEEPEST = 20e-6  #: [m]; marks this much deeper than their neighbours still are weighed against them
 NEIGHBOURS = 48  #: at most; a tool that rests marks one place with every tooth
-CHUNK = 20_000
+CHUNK = 5_000  #: marks at once, with the neighbours of each 25 kB
 CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
 PARALLEL = 0.98  #: cosine between normals of one wall
 
