@@ -126,7 +126,7 @@ def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tup
 
 
 def _handle_interrupts(own_process: bool = False) -> None:
-    """Let Ctrl-C and SIGTERM wait for the end of a compilation or an import, some seconds; a second one does not wait.
+    """Let Ctrl-C and SIGTERM wait for the end of a compilation, an import or a finalizer; a second one does not wait.
 
     SIGTERM ends the command as an error does, so that no unfinished file stays. Handlers of a caller stay unchanged;
     own_process: there is no caller, and the handler of the start (``__main__``) is replaced.
@@ -139,7 +139,7 @@ def _handle_interrupts(own_process: bool = False) -> None:
     def end(number, frame):
         received.extend([number] * (number != signal.SIGALRM))
         compiler = sys.modules.get("numba.core.compiler_lock")
-        busy = _is_importing(frame) or (compiler is not None and compiler.global_compiler_lock.is_locked())
+        busy = _cannot_end(frame) or (compiler is not None and compiler.global_compiler_lock.is_locked())
         if busy and len(received) < 2:
             signal.signal(signal.SIGALRM, end)
             signal.setitimer(signal.ITIMER_REAL, 0.02)  # look again
@@ -165,9 +165,10 @@ def _complete() -> None:
         argcomplete.autocomplete(_parser(words))
 
 
-def _is_importing(frame) -> bool:
+def _cannot_end(frame) -> bool:
+    """Whether an import or a finalizer runs. Python prints an exception in a finalizer and continues."""
     while frame is not None:
-        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>" or frame.f_code.co_name == "__del__":
             return True
         frame = frame.f_back
     return False

@@ -309,6 +309,26 @@ with lock:
 """
 
 
+FINALIZING = """
+import os, signal
+from kr270_milling.cli import _handle_interrupts
+_handle_interrupts()
+
+class File:
+    def __del__(self):
+        os.kill(os.getpid(), signal.{number})
+        sum(range(10**6))
+        print("still here")
+
+try:
+    File()
+    while True:
+        signal.pause()
+except {error}:
+    print("now")
+"""
+
+
 STARTING = """
 import os, signal, sys
 
@@ -323,7 +343,7 @@ run_program()
 """
 
 
-def test_a_signal_waits_for_a_compilation_unless_it_comes_twice_but_not_for_imports():
+def test_a_signal_waits_for_a_compilation_unless_it_comes_twice_and_a_finalizer_but_not_for_imports():
     def ran(code: str) -> subprocess.CompletedProcess:
         command = [sys.executable, "-c", code]
         return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=30)
@@ -331,5 +351,7 @@ def test_a_signal_waits_for_a_compilation_unless_it_comes_twice_but_not_for_impo
     for number, error in (("SIGINT", "KeyboardInterrupt"), ("SIGTERM", "SystemExit")):
         done = ran(COMPILING.format(number=number, error=error))
         assert done.stdout.split("\n") == ["still here", "now", "at once when sent again", ""], done.stderr
+        done = ran(FINALIZING.format(number=number, error=error))
+        assert (done.stdout, done.stderr) == ("still here\nnow\n", "")
     done = ran(STARTING)
     assert (done.returncode, done.stderr) == (130, "kr270_milling: interrupted\n")
