@@ -12,11 +12,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
 import contextlib
 import io
 import json
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import settings
 from json_keys import every_answer_is_in_the_table
@@ -38,21 +41,29 @@ def pytest_configure(config):
     if config.getoption("--book"):
         config.option.markexpr = "book"
     if config.getoption("numprocesses", None):
-        compile_pass()
+        compile_cuts()
 
 
-def compile_pass() -> None:
-    """Compile the pass before workers start: processes that store compiled code at the same time can damage it."""
+def compile_cuts() -> None:
+    """Compile both models of the cut before workers start, each of which would compile them again."""
+    code = "import conftest; conftest.compile_cut('engagement')"
+    other = subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent)
+    compile_cut("teeth")
+    assert other.wait() == 0
+
+
+def compile_cut(detail: str) -> None:
+    """Compile the pass, the cut along a path and a single step."""
     from small_part import GCODE, small_part
 
-    from kr270_milling.base.parameter_file import find_file
-    from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.jobs import compensated, simulate
 
-    cell = read_cell(find_file("paper.yaml"), SHORT)
-    compensated(cell, simulate(cell), "mirror")
     with tempfile.TemporaryDirectory() as directory:
-        simulate(small_part(Path(directory), GCODE, "cutting.detail=engagement"))
+        cell = small_part(Path(directory), GCODE, f"cutting.detail={detail}")
+        compensated(cell, simulate(cell), "mirror")
+        places = np.zeros((2, 3))
+        cell.cut().along(places, np.array([0, 1]))
+        cell.cut().sweep(*places, 0, 1)
 
 
 @pytest.hookimpl(trylast=True)
