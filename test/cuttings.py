@@ -41,7 +41,7 @@ def slot_chip(tool: Tool, feed_per_tooth: float, phi: np.ndarray) -> np.ndarray:
     radius, pitch = tool.radius, 2 * np.pi / tool.teeth
     drift = feed_per_tooth / pitch  # of the centre [m/rad]
     phi = (np.asarray(phi, float) + np.pi) % (2 * np.pi) - np.pi
-    psi = phi.copy()  # where the tooth ahead stood when it passed this direction
+    psi = phi.copy()  # where the tooth ahead was when it passed this direction
     # its centre lay ``way`` behind; the sine rule in the triangle of both centres and the point
     for _ in range(15):  # each round leaves some f / R of the error
         way = drift * (pitch + phi - psi)

@@ -44,7 +44,7 @@ WARM = 200  # trips before the clock runs
 
 
 class Unrecorded(Graph):
-    """A graph whose passes nobody records."""
+    """A graph without a recorder."""
 
     def begin_recording(self, name: str) -> None: ...
 

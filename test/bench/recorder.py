@@ -1,6 +1,6 @@
 """How fast the recorder and its writer are, beside mcap's own writer: ``python -m bench.recorder``, in ``test``.
 
-``python recorder.py RATE COUNT SIZE`` publishes messages of one size. RATE 0: as fast as they are taken. SIZE 0: poses.
+``python recorder.py RATE COUNT SIZE`` publishes messages of one size. RATE 0: as fast as possible. SIZE 0: poses.
 """
 
 from __future__ import annotations

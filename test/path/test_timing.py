@@ -136,7 +136,7 @@ def fine(timed) -> np.ndarray:
     ("G1 X1\n", 0.001, 4 * np.sqrt(SHORT_PEAK / 20), SHORT_PEAK),
 ])  # fmt: skip
 def test_a_line_takes_length_by_feed_and_its_ramps(read, text, step, duration, peak):
-    """L / v and two ramps; L / v + v / a + a / j where the acceleration is held; a line that never reaches its feed."""
+    """L / v and two ramps; L / v + v / a + a / j at constant acceleration; a line that never reaches its feed."""
     timed = time_path(read(text), Timing(controller_step=step))
     assert timed.trajectory.duration_ns == math.ceil(duration / step) * round(step * 1e9)  # whole steps
     assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(peak, rel=0.01)

@@ -140,7 +140,7 @@ def test_a_stop_is_one_for_correction_program_and_check_whatever_rounding_left_o
     assert np.flatnonzero(resting_segments(run)).tolist() == [5]
     shift = np.outer(np.linspace(0.0, 50e-6, 12), [0.0, 1.0, 0.0])
     revised, _ = corrected(run, shift, True)
-    assert np.ptp(revised.position[5:7], axis=0).max() == 0.0  # the correction is held
+    assert np.ptp(revised.position[5:7], axis=0).max() == 0.0  # the correction is constant
     points = point_numbers(Program(point_spacing=0.6e-3), run, revised)
     assert STOP in points or STOP + 1 in points  # though it is nearer to the point before than others may be
     assert rounded_off(speed) == []  # the robot stops: nothing is rounded off

@@ -92,7 +92,7 @@ def test_a_method_revises_after_every_pass_and_repeating_ends_at_a_reference_no_
 
 
 def test_learning_ends_where_revisions_harm_or_bring_less_than_a_percent_or_the_noise_or_are_as_many_as_allowed():
-    # an arm that gives way three times as much to a correction
+    # an arm that deflects three times as much to a correction
     found = compensator("learned")
     assert found.improve(pass_along(TARGET, -3.0), lambda r: pass_along(r, -3.0)) is TARGET
     assert found.finished and found.errors[1] > found.errors[0]
@@ -297,7 +297,7 @@ QUICK = ["--set", "path.length_mm=30", "--set", "stock.grid_step_um=40", "--set"
 @pytest.mark.parametrize("words", [line.split()[1:] for line in COMMANDS if line.startswith("kr270_milling")])
 def test_the_commands_of_the_page_run_and_help(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
+    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has separate tests
     for line in COMMANDS:
         if line.startswith("cat "):
             pages.run_here(line)

@@ -31,7 +31,7 @@ def line(step_ns=50_000_000, duration_ns=1_200_000_000):
 
 
 def ran(reference, displacement):
-    """The pass of an arm that gives way by displacement(t) (n, 3) whatever the reference does."""
+    """The pass of an arm that deflects by displacement(t) (n, 3) whatever the reference does."""
     stamps = np.arange(0, reference.duration_ns + 1, 500_000)
     return PassRecord(stamps, reference.sample(stamps) + displacement(stamps * 1e-9))
 
@@ -107,7 +107,7 @@ def test_interpolation_order(method, expected, low, high):
 
 
 def test_knots_without_samples_stay_bounded_and_a_pass_that_shows_nothing_is_refused():
-    # a pass that was heard of only up to its middle
+    # a pass that was received only up to its middle
     target = line()
     half = ran(target, ringing)
     half = PassRecord(half.time_ns[:1200], half.position[:1200])
