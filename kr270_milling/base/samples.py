@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 __all__ = [
-    "ClockSample", "CompensatorState", "JointProgram", "JointSample", "LearnedPass", "PoseSample", "StockMap", "Text",
-    "TwistSample", "WrenchSample",
+    "ClockSample", "CompensatorState", "JointProgram", "JointSample", "LearnedRecording", "PoseSample", "StockMap",
+    "Text", "TwistSample", "WrenchSample",
 ]  # fmt: skip
 
 
@@ -110,7 +110,7 @@ class StockMap(Sample):
     cells: np.ndarray = _values(-1, -1, kind=np.int8)  #: percent, (nx, ny)
 
 
-class LearnedPass(NamedTuple):
+class LearnedRecording(NamedTuple):
     """A pass from which the compensator computed a reference trajectory."""
 
     recording: str  #: file of the pass with its directory, such as original/original.mcap; empty: not recorded
@@ -129,4 +129,4 @@ class CompensatorState(Sample):
     finished: bool  #: the method will not improve the reference any more
     target: str  #: fingerprint of the target trajectory
     reference: str  #: fingerprint of the reference trajectory
-    learned: tuple[LearnedPass, ...]  #: the passes that the reference was computed from, in their order
+    learned: tuple[LearnedRecording, ...]  #: the passes that the reference was computed from, in their order

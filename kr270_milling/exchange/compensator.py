@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from kr270_milling.base.errors import MessageError
-from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedPass, PoseSample, WrenchSample
+from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedRecording, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator
 from kr270_milling.exchange.inbox import PassInbox
@@ -45,8 +45,8 @@ class CompensatorProtocol:
         self._announced = announced
         self._frames = WrenchFrames(cell)
         self._free_ns = 0  # stamp after the end of the last pass
-        self._learned: tuple[LearnedPass, ...] = ()  # the passes that the reference follows from
-        self._first: tuple[LearnedPass, ...] = ()  # the pass along the target
+        self._learned: tuple[LearnedRecording, ...] = ()  # the passes that the reference follows from
+        self._first: tuple[LearnedRecording, ...] = ()  # the pass along the target
 
     @property
     def active(self) -> Compensator:
@@ -141,7 +141,7 @@ class CompensatorProtocol:
             self._first = (learned,)
         return outputs
 
-    def _continue(self, made: Compensator, learned: tuple[LearnedPass, ...]) -> list[Output]:
+    def _continue(self, made: Compensator, learned: tuple[LearnedRecording, ...]) -> list[Output]:
         """Return the outputs of a new state; an error comes before anything has changed."""
         commanded_joints(self.cell, made.reference)  # raises where no arm can run the reference
         self.compensator, self._learned = made, learned

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.frames import TOOL, WORKPIECE
-from kr270_milling.base.samples import LearnedPass, PoseSample, WrenchSample
+from kr270_milling.base.samples import LearnedRecording, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import pass_record
 from kr270_milling.exchange.inputs import WrenchFrames, in_workpiece_axes
@@ -17,7 +17,7 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.exchange import Clock
 
-__all__ = ["PassInbox", "ReceivedPass"]
+__all__ = ["PassInbox", "ReceivedPass", "interpolated"]
 
 GAP_NS = 100_000_000  # longest time between two messages of a pass without a report
 
@@ -46,18 +46,16 @@ class ReceivedPass:
         """Return the pass with its first ``count`` wrenches only."""
         return ReceivedPass(self.pose_ns, self.position, self.wrench_ns[:count], self.wrench[:count])
 
-    def as_learned(self, recording: str) -> LearnedPass:
+    def as_learned(self, recording: str) -> LearnedRecording:
         """Return what the compensator publishes of a pass; recording: its file."""
-        return LearnedPass(recording, self.fingerprint, self.pose_ns.size, self.wrench_ns.size)
+        return LearnedRecording(recording, self.fingerprint, self.pose_ns.size, self.wrench_ns.size)
 
     def record(self, cell: Cell, plant: Cell | None, number: int) -> PassRecord:
         """Return the record for a revision: wrenches interpolated to the stamps of the poses, 0 where none came.
 
         plant: the simulated plant; the noise of its tracker in pass ``number`` is added to the poses.
         """
-        wrench = np.zeros((self.pose_ns.size, 6))
-        if self.wrench_ns.size:
-            wrench = np.column_stack([np.interp(self.pose_ns, self.wrench_ns, axis) for axis in self.wrench.T])
+        wrench = interpolated(self.pose_ns, self.wrench_ns, self.wrench)
         tracker = None if plant is None else plant.imperfections
         return pass_record(cell, self.pose_ns, self.position, wrench, tracker, number)
 
@@ -252,6 +250,13 @@ class PassInbox:
             offset = self._frames.offset(self._standing, next(iter(self._poses.values())).quaternion)
             wrench[rows] = self._frames.at_tip(frame, wrench[rows], turns, offset)
         return wrench
+
+
+def interpolated(stamps: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the values (n, columns) at the stamps (n,), linear between the known ones; 0 where none is known."""
+    if not known.size:
+        return np.zeros((stamps.size, values.shape[1]))
+    return np.column_stack([np.interp(stamps, known, column) for column in values.T])
 
 
 def _missing(stamps: np.ndarray) -> int:

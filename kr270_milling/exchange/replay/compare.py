@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.recordings.bag.stamps import GapCounter, Passes
+from kr270_milling.recordings.bag.stamps import GapCounter, PassCounter
 from kr270_milling.recordings.messages.codec import deserialise, to_bytes, type_of
 
 __all__ = ["Channel", "Difference", "difference"]
@@ -74,8 +74,8 @@ class Channel:
         self._holes = GapCounter(starts)  # from the recorded stamps alone
         self._recorded: deque[Recorded] = deque()
         self._expected: deque[Expected] = deque()
-        self._recorded_passes = Passes(starts)
-        self._expected_passes = Passes(starts)
+        self._recorded_passes = PassCounter(starts)
+        self._expected_passes = PassCounter(starts)
         self._index = -1
         self._last = b""  # recorded
         self._last_expected: Expected | None = None

@@ -15,7 +15,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.compensator import end_of
-from kr270_milling.exchange.inbox import PassInbox
+from kr270_milling.exchange.inbox import PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_wrench
 from kr270_milling.exchange.replay.inputs import INPUTS
 from kr270_milling.path.progress import PathProgress
@@ -24,52 +24,41 @@ from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import wrench_from_bytes
 
-__all__ = ["DrivenPass", "driven_passes", "rsi_pass"]
+__all__ = ["driven_passes", "driven_steps", "rsi_pass"]
 
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
 NEAR_END = 1e-4  # [m] from the end of the path, where an RSI session is complete
 TOPICS = ("reference_trajectory", "tool_pose", "wrench")
 
 
-class DrivenPass(NamedTuple):
-    """Poses and wrenches of one pass, at times counted from its start."""
+class DrivenSteps(NamedTuple):
+    """Tool centre and wrench of a driven pass in each exchange from its first pose to its last."""
 
-    reference: Trajectory
-    time_ns: np.ndarray  #: (n,), increasing
-    position: np.ndarray  #: tool centre [m], (n, 3)
-    wrench_ns: np.ndarray  #: (m,), ascending
-    wrench: np.ndarray  #: [N, N m], (m, 6)
-    complete: bool  #: to the end of the reference, without a gap
-
-    @property
-    def lost(self) -> int:
-        """Number of poses that are missing, by the median of the times between two poses."""
-        steps = np.diff(self.time_ns)
-        return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
-
-    def sampled(self, clock: Clock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the exchanges (k,) from the first pose to the last, and tool centre and wrench in each.
-
-        The deviation from the reference, which changes slowly, is interpolated.
-        """
-        steps = np.arange(clock.steps(self.reference.duration_ns) + 1)
-        stamps = clock.stamp(steps)
-        inside = self.complete | ((stamps >= self.time_ns[0]) & (stamps <= self.time_ns[-1]))
-        steps, stamps = steps[inside], stamps[inside]
-        off = self.position - self.reference.sample(self.time_ns)
-        tool = self.reference.sample(stamps) + _interpolated(stamps, self.time_ns, off)
-        wrench = (
-            _interpolated(stamps, self.wrench_ns, self.wrench) if self.wrench_ns.size else np.zeros((steps.size, 6))
-        )
-        return steps, tool, wrench
+    step: np.ndarray  #: number of the exchange, (k,), ascending
+    tool: np.ndarray  #: [m], (k, 3)
+    wrench: np.ndarray  #: [N, N m], (k, 6); 0 where none was recorded
 
 
-def _interpolated(at: np.ndarray, time_ns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.interp(at, time_ns, column) for column in rows.T])
+def driven_steps(clock: Clock, reference: Trajectory, received: ReceivedPass, complete: bool) -> DrivenSteps:
+    """Return the exchanges of a pass; complete: all exchanges of the reference.
+
+    The deviation from the reference, which changes slowly, is interpolated.
+    """
+    steps = np.arange(clock.steps(reference.duration_ns) + 1)
+    stamps = clock.stamp(steps)
+    inside = complete | ((stamps >= received.pose_ns[0]) & (stamps <= received.pose_ns[-1]))
+    steps, stamps = steps[inside], stamps[inside]
+    off = received.position - reference.sample(received.pose_ns)
+    tool = reference.sample(stamps) + interpolated(stamps, received.pose_ns, off)
+    return DrivenSteps(steps, tool, interpolated(stamps, received.wrench_ns, received.wrench))
 
 
-def driven_passes(recording: Recording, cell: Cell, topics: Mapping[str, str]) -> Iterator[DrivenPass]:
-    """Yield the passes of a robot with another clock, in the order of the file; topics: our names -> recorded ones.
+def driven_passes(
+    recording: Recording, cell: Cell, topics: Mapping[str, str]
+) -> Iterator[tuple[Trajectory, ReceivedPass, bool]]:
+    """Yield reference, messages and completeness of each pass of a robot with another clock, in the order of the file.
+
+    topics: our names -> recorded ones. A complete pass has no gap and runs to the end of its reference.
 
     Raises RecordingError where the poses of a pass do not follow its reference.
     """
@@ -100,13 +89,13 @@ def driven_passes(recording: Recording, cell: Cell, topics: Mapping[str, str]) -
             raise RecordingError(recording.path, str(error)) from error
         if got.pose_ns.size > 1:
             whole = inbox.at_end and int(np.diff(got.pose_ns).max()) <= LONGEST_GAP
-            yield DrivenPass(reference, got.pose_ns, got.position, got.wrench_ns, got.wrench, whole)
+            yield reference, got, whole
 
 
 def rsi_pass(
     recording: Recording, cell: Cell, programmed: Trajectory, reference: Trajectory, place: np.ndarray
-) -> DrivenPass:
-    """Return the pass of an RSI session along the target of the cell.
+) -> tuple[Trajectory, ReceivedPass, bool]:
+    """Return reference, poses and completeness of an RSI session along the target of the cell.
 
     programmed: what the robot program runs; it differs from the target by the sag of the arm, which the poses (n, 3)
     [m] therefore do not contain. reference: programmed plus correction. Raises RecordingError where the session never
@@ -132,4 +121,4 @@ def rsi_pass(
     along = Trajectory(programmed.time_ns, target.sample(programmed.time_ns) + shift, target.quaternion[0])
     complete = path.length - path.progress <= NEAR_END
     none = np.zeros(0, np.int64)
-    return DrivenPass(along, time, target.sample(time) + off, none, np.zeros((0, 6)), complete)
+    return along, ReceivedPass(time, target.sample(time) + off, none, np.zeros((0, 6))), complete

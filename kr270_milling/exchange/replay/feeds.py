@@ -12,7 +12,7 @@ from kr270_milling.exchange.inputs import Output
 from kr270_milling.exchange.replay.compare import Channel
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.recordings.bag.stamps import Passes
+from kr270_milling.recordings.bag.stamps import PassCounter
 
 __all__ = ["MOST_AHEAD", "CutFeed", "RobotFeed"]
 
@@ -31,7 +31,7 @@ class InputFeed:
         self.cell = cell
         self._channels = channels
         self._stop = stop
-        self._passes = Passes(starts)
+        self._passes = PassCounter(starts)
         self._lack: tuple[int, str] | None = None  # the stamp [ns] and the reason of a stop
 
     def _publish(self, outputs: Iterable[Output]) -> None:

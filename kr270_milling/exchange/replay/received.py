@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.samples import LearnedPass, PoseSample, WrenchSample
+from kr270_milling.base.samples import LearnedRecording, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.inbox import PassInbox, ReceivedPass
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
@@ -81,7 +81,7 @@ class EarlierRecordings:
         self._end_ns = end_ns
         self._read: dict[Path, tuple[Cell | None, list[ReceivedPass]]] = {}  # file -> plant, passes
 
-    def find(self, stated: LearnedPass) -> tuple[ReceivedPass, Cell | None, int]:
+    def find(self, stated: LearnedRecording) -> tuple[ReceivedPass, Cell | None, int]:
         """Return a pass, the plant that ran it and its number in its file; raises NotRecorded."""
         name = stated.recording
         file = self._file(name)

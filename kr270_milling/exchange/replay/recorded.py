@@ -18,7 +18,7 @@ from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
-from kr270_milling.exchange.replay.driven import driven_passes, rsi_pass
+from kr270_milling.exchange.replay.driven import driven_passes, driven_steps, rsi_pass
 from kr270_milling.exchange.replay.inputs import TYPES
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -173,17 +173,17 @@ def _driven(
         driven = iter([rsi_pass(recording, cell, programmed, reference, content.series["tool_pose"].values[:, :3])])
     else:
         driven = driven_passes(recording, cell, content.topics)
-    for one in driven:
-        _check_duration(recording, cell, one.reference)
-        target = default if content.rsi else content.target_of(one.reference, default)
-        steps, tool, wrench = one.sampled(cell.clock)
-        off = tool - one.reference.sample(cell.clock.stamp(steps))
+    for reference, received, whole in driven:
+        _check_duration(recording, cell, reference)
+        target = default if content.rsi else content.target_of(reference, default)
+        steps, tool, wrench = driven_steps(cell.clock, reference, received, whole)
+        off = tool - reference.sample(cell.clock.stamp(steps))
         rows = {"tool_pose": tool, "deflection": np.hstack([off, np.zeros_like(off)]), "wrench": wrench}
-        result = _result(cells, target, one.reference, steps, rows, float("nan"))
-        ran = ScoredPass(name, one.reference, result, scored(cell, result, plant.low_frequency, target))
-        complete = one.complete and not recording.cut_off
+        result = _result(cells, target, reference, steps, rows, float("nan"))
+        ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
+        lost, complete = received.missing, whole and not recording.cut_off
         stamps = "place" if content.rsi else "driver's"
-        yield RecordedPass(ran, cell, target, one.lost, one.lost, complete, program, stamps)
+        yield RecordedPass(ran, cell, target, lost, lost, complete, program, stamps)
 
 
 def _check_duration(recording: Recording, cell: Cell, reference: Trajectory) -> int:

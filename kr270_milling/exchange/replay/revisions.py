@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.samples import CompensatorState, LearnedPass, PoseSample, WrenchSample
+from kr270_milling.base.samples import CompensatorState, LearnedRecording, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
 from kr270_milling.exchange.compensator import end_of
@@ -71,7 +71,7 @@ class CompensatorFeed:
         self._states: list[tuple[bytes, CompensatorState]] = []
         self._references: list[bytes] = []
         self._claimed: set[int] = set()  # passes of this file that a state names
-        self._records: dict[str, tuple[LearnedPass, PassRecord]] = {}  # by the stated fingerprint
+        self._records: dict[str, tuple[LearnedRecording, PassRecord]] = {}  # by the stated fingerprint
         self._made: dict[tuple, Compensator] = {}
 
     def target(self, target: Trajectory) -> None:
@@ -176,7 +176,7 @@ class CompensatorFeed:
             made = self._made[key]
         return made
 
-    def _learned(self, stated: LearnedPass, index: int | None) -> tuple[LearnedPass, PassRecord]:
+    def _learned(self, stated: LearnedRecording, index: int | None) -> tuple[LearnedRecording, PassRecord]:
         """Return a pass as this recording or an earlier one has it.
 
         index: of the first state that names the pass; None where that state is not in this recording.
@@ -187,7 +187,7 @@ class CompensatorFeed:
             self._records[stated.fingerprint] = received.as_learned(stated.recording), record
         return self._records[stated.fingerprint]
 
-    def _received(self, stated: LearnedPass, index: int | None) -> tuple[ReceivedPass, Cell | None, int]:
+    def _received(self, stated: LearnedRecording, index: int | None) -> tuple[ReceivedPass, Cell | None, int]:
         path = self._place[0]
         if index is None and stated.recording != f"{path.parent.name}/{path.name}":
             earlier = self._earlier.setdefault(self._end_ns, EarlierRecordings(self._end_ns, *self._place))

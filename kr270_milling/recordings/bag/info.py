@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from kr270_milling.base.errors import one_line
 from kr270_milling.recordings.bag.playback import is_latched
 from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
-from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, Passes, PassStarts
+from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, PassCounter, PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import starts_with_stamp
 
@@ -49,7 +49,7 @@ class _TopicCount:
         self._stamped = about.schema_encoding == "ros2msg" and about.type not in SHARED
         self._stamped = self._stamped and starts_with_stamp(about.schema)
         self.gaps = GapCounter(starts, is_latched(about))
-        self._passes = Passes(starts)
+        self._passes = PassCounter(starts)
         self._size = 0
         self._before = self._first = self._last = 0  # [ns], duration of earlier passes, log times of the current pass
         self._empty = True

@@ -8,7 +8,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.recordings.bag.bagmeta import all_latched, read_qos
 from kr270_milling.recordings.bag.play_options import MOST, PlayOptions
 from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
-from kr270_milling.recordings.bag.stamps import SHARED, Passes
+from kr270_milling.recordings.bag.stamps import SHARED, PassCounter
 
 __all__ = ["PlayClock", "is_latched", "opening", "passage", "span", "timeline"]
 
@@ -19,7 +19,7 @@ def timeline(recording: Recording) -> Iterator[RawMessage]:
     These times never decrease. A pass begins with the first topic whose time returns to 0; its times follow those of
     the pass before. Raises RecordingError.
     """
-    counters = {name: Passes() for name, about in recording.topics().items() if about.type not in SHARED}
+    counters = {name: PassCounter() for name, about in recording.topics().items() if about.type not in SHARED}
     latest, shift, passes = 0, 0, 0
     for message in recording.messages():
         counter = counters.get(message.topic)

@@ -6,7 +6,7 @@ import bisect
 from collections.abc import Sequence
 from typing import NamedTuple
 
-__all__ = ["SHARED", "GapCounter", "LogTimes", "PassStarts", "Passes"]
+__all__ = ["SHARED", "GapCounter", "LogTimes", "PassCounter", "PassStarts"]
 
 LEARN = 20  # differences from which a period is learned
 #: types of topics with many publishers: their stamps are several series and do not mark a pass
@@ -34,7 +34,7 @@ class PassStarts:
             bisect.insort(starts, stamp)
 
 
-class Passes:
+class PassCounter:
     """Counts the passes in a series of stamps [ns]: a pass begins at a start, or when the stamp returns to 0."""
 
     def __init__(self, starts: Sequence[int] = ()):
@@ -88,7 +88,7 @@ class GapCounter:
         self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None  #: of the series
         self.latest: int | None = None  #: of any message
-        self.passes = Passes(starts)
+        self.passes = PassCounter(starts)
         self._differences: list[int] = []  # until the period is known
         self._gap: Gap | None = None
         self._other: int | None = None  # from this stamp on, messages are of another publisher

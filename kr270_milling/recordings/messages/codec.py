@@ -18,7 +18,7 @@ from kr270_milling.base.samples import (
     CompensatorState,
     JointProgram,
     JointSample,
-    LearnedPass,
+    LearnedRecording,
     PoseSample,
     StockMap,
     Text,
@@ -206,12 +206,12 @@ def _state(record: CompensatorState) -> dict:
 
 def _read_state(msg) -> CompensatorState:
     values = {pair.key: pair.value for pair in msg.values}
-    learned: list[LearnedPass] = []
+    learned: list[LearnedRecording] = []
     try:
         while (begin := f"learned_{len(learned) + 1}.") + "fingerprint" in values:
             recording, digest = values[begin + "recording"], values[begin + "fingerprint"]
             counts = int(values[begin + "poses"]), int(values[begin + "wrenches"])
-            learned.append(LearnedPass(recording, digest, *counts))
+            learned.append(LearnedRecording(recording, digest, *counts))
         method, passes, finished, target, reference = (values[key] for key in STATE_KEYS)
         return CompensatorState(
             msg.name, method, int(passes), finished == "True", target, reference, tuple(learned)

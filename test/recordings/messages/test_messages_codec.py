@@ -26,7 +26,10 @@ ROWS[1:, 2] = ROWS[2, 3] = np.nan  # a point with positions only, and a point wi
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 STAMP = 3_000_000_001
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
-LEARNED = (samples.LearnedPass("original/original.mcap", "ab" * 32, 121, 120), samples.LearnedPass("", "cd" * 32, 3, 0))
+LEARNED = (
+    samples.LearnedRecording("original/original.mcap", "ab" * 32, 121, 120),
+    samples.LearnedRecording("", "cd" * 32, 3, 0),
+)
 RECORDS = [
     PoseSample(STAMP, "workpiece", RANDOM[:3], RANDOM[3:7]),
     WrenchSample(STAMP, "tcp", RANDOM[:6]),
