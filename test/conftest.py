@@ -25,6 +25,8 @@ from hypothesis import settings
 from json_keys import every_answer_is_in_the_table
 from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
 
+from kr270_milling.cell.cell import Cell
+
 LIMIT = 60.0  # [s] for what does not happen, on a busy machine too
 #: a pass of 120 exchanges: air, the first touch and some teeth in the stock
 SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]", "publish.every=1")
@@ -45,25 +47,34 @@ def pytest_configure(config):
 
 
 def compile_cuts() -> None:
-    """Compile both models of the cut before workers start, each of which would compile them again."""
-    code = "import conftest; conftest.compile_cut('engagement')"
+    """Compile what most tests need before workers start, each of which would compile it again."""
+    code = "import conftest; conftest.compile_models()"
     other = subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent)
     compile_cut("teeth")
     assert other.wait() == 0
 
 
-def compile_cut(detail: str) -> None:
-    """Compile the pass, the cut along a path and a single step."""
+def compile_models() -> None:
+    """Compile the mean-force model, the learning, the check and the stability."""
+    from kr270_milling.decide.compensation import compensate
+
+    compensate(compile_cut("engagement"), "learned")
+
+
+def compile_cut(detail: str) -> Cell:
+    """Compile the pass, the cut along a path and a single step; returns the cell."""
     from small_part import GCODE, small_part
 
-    from kr270_milling.cell.jobs import compensated, simulate
+    from kr270_milling.cell.jobs import simulate
 
     with tempfile.TemporaryDirectory() as directory:
         cell = small_part(Path(directory), GCODE, f"cutting.detail={detail}")
-        compensated(cell, simulate(cell), "mirror")
-        places = np.zeros((2, 3))
-        cell.cut().along(places, np.array([0, 1]))
-        cell.cut().sweep(*places, 0, 1)
+        cell.target()
+    simulate(cell)
+    places = np.zeros((2, 3))
+    cell.cut().along(places, np.array([0, 1]))
+    cell.cut().sweep(*places, 0, 1)
+    return cell
 
 
 @pytest.hookimpl(trylast=True)
