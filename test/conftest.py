@@ -27,6 +27,8 @@ from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
 
 from kr270_milling.cell.cell import Cell
 
+#: every process that a test starts runs this checkout, not an installed package
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
 LIMIT = 60.0  # [s] for what does not happen, on a busy machine too
 #: a pass of 120 exchanges: air, the first touch and some teeth in the stock
 SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]", "publish.every=1")
@@ -122,11 +124,10 @@ def domain(request):
 
 @pytest.fixture
 def ros_environment(domain, monkeypatch):
-    """For processes that a test starts: this checkout, its domain, the discovery that is shipped."""
+    """For processes that a test starts: the domain, the discovery that is shipped."""
     for name in DISCOVERY:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])))
     return dict(os.environ)
 
 
