@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.path.trajectory import Trajectory
@@ -112,6 +111,8 @@ class Imperfections(Record):
 
 def _second_order(rows: np.ndarray, w: float, step: float) -> np.ndarray:
     """Rows (n, 3) through w^2 / (s^2 + 2 zeta w s + w^2), linear between samples ``step`` [s] apart, from rest."""
+    from scipy import signal  # takes longer to import than all else that a command needs
+
     plant = signal.TransferFunction([w * w], [1.0, 2.0 * SERVO_DAMPING * w, w * w])
     discrete = signal.cont2discrete((plant.num, plant.den), step, "foh")
     start = signal.lfilter_zi(discrete[0].ravel(), discrete[1])[:, None] * rows[0]
