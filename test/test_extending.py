@@ -187,7 +187,7 @@ def test_commands_take_law_method_robot_reader_and_column_and_the_verdict_scatte
     assert "law: kienzle" in text and "force_coefficients" in text
     assert answers["my robot"]["compliance"] != answers["shipped robot"]["compliance"]
     assert "line 2" in answers["bad.xyz"]
-    assert all(row["mean_size_mm"] > 0 for row in answers["half"]["passes"])
+    assert all(row["mean_size_um"] > 0 for row in answers["half"]["passes"])
     assert re.search(r"\bpass\b.*\bstatic\b.*\bmax\b.*\bmean size\b", answers["spline"])
 
 

@@ -10,7 +10,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from kr270_milling.base.errors import ConfigError
 
-__all__ = ["load_as", "registered"]
+__all__ = ["load_as", "refused", "registered"]
 
 
 def registered(group: str, known: Container[str]) -> list[EntryPoint]:
@@ -18,7 +18,7 @@ def registered(group: str, known: Container[str]) -> list[EntryPoint]:
     points = sorted(entry_points(group=f"kr270_milling.{group}"), key=lambda point: point.name)
     for before, point in zip([None, *points], points, strict=False):
         if point.name in known or (before is not None and before.name == point.name):
-            raise _error(point, "this name is taken; choose another one")
+            raise refused(point, "this name is taken; choose another one")
     return points
 
 
@@ -27,12 +27,13 @@ def load_as(point: EntryPoint, valid: Callable[[object], bool], kind: str):
     try:
         loaded = point.load()
     except (ImportError, AttributeError, SyntaxError) as error:
-        raise _error(point, f"cannot be imported ({type(error).__name__}: {error})") from None
+        raise refused(point, f"cannot be imported ({type(error).__name__}: {error})") from None
     if not valid(loaded):
-        raise _error(point, f"{point.value} is no {kind}")
+        raise refused(point, f"{point.value} is no {kind}")
     return loaded
 
 
-def _error(point: EntryPoint, reason: str) -> ConfigError:
+def refused(point: EntryPoint, reason: str) -> ConfigError:
+    """The error for an entry point that cannot be used."""
     package = point.dist.name if point.dist else "an installed package"
     return ConfigError(f"package {package}", f"entry point {point.name} of {point.group}", None, reason)

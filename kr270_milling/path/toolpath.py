@@ -184,7 +184,7 @@ class PathBuilder:
         return {name: blocks[:, column] for name, column in COLUMNS.items()}
 
     def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:
-        """Return the path; raise InputError for a path without a move."""
+        """Return the path; raise InputError for a path that cannot be run."""
         columns = self.columns()
         position, away = columns["position"], np.isinf(columns["position"][:, 2])
         if away.any():
@@ -200,7 +200,11 @@ class PathBuilder:
         index[cut] = np.arange(1, len(cut) + 1)
         names = list(self.features)
         columns["feature"] = index[feature]
-        return Toolpath(**columns, features=("", *(names[k] for k in cut)), program=program)
+        try:
+            return Toolpath(**columns, features=("", *(names[k] for k in cut)), program=program)
+        except ToolpathError as error:
+            at = None if error.index is None else int(line[error.index])
+            raise InputError(self.source, error.reason, at) from None
 
 
 def cut_features(columns: dict[str, np.ndarray]) -> list[int]:

@@ -69,7 +69,14 @@ class PathReader:
         return "topic" in self.options
 
     def read(self, path, **options) -> Toolpath | TimedPath:
-        return getattr(importlib.import_module(self.module), self.function)(path, **options)
+        try:
+            function = getattr(importlib.import_module(self.module), self.function)
+        except (ImportError, AttributeError, SyntaxError) as error:
+            raise InputError(path, f"its reader {self.module}:{self.function} cannot be imported ({error})") from None
+        try:
+            return function(path, **options)
+        except UnicodeDecodeError:
+            raise InputError(path, "is not UTF-8 text") from None
 
 
 GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed"))
@@ -83,7 +90,7 @@ READERS: dict[str, PathReader] = {
     ".csv": POINTS,
     ".mcap": RECORDING,
 }
-READERS |= {point.name: PathReader(point.module, point.attr) for point in registered("readers", READERS)}
+READERS |= {point.name.lower(): PathReader(point.module, point.attr) for point in registered("readers", READERS)}
 
 
 def reader_of(path) -> PathReader:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kr270_milling.base.extensions import load_as, registered
+from kr270_milling.base.extensions import load_as, refused, registered
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 
 __all__ = ["BEST", "LEARNED", "METHODS", "method_of"]
@@ -79,7 +79,11 @@ def _is_method(kind) -> bool:
     return isinstance(kind, type) and hasattr(kind, "revise")
 
 
-METHODS |= {p.name: load_as(p, _is_method, "class with the function revise")() for p in registered("methods", METHODS)}
+for point in registered("methods", METHODS):
+    registered_method = load_as(point, _is_method, "class with the function revise")()
+    if registered_method.name != point.name:
+        raise refused(point, f"the method is named {registered_method.name}; give both the same name")
+    METHODS[point.name] = registered_method
 
 
 def method_of(method: str | Method) -> Method:

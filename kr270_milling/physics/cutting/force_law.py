@@ -91,6 +91,19 @@ class ForceLaw(Record):
         return self.replace(**{name: factor * getattr(self, name) for name in forces})
 
     @classmethod
+    def fault(cls) -> str:
+        """What the attributes of the class contradict, in one sentence; empty where they fit."""
+        names = [spec.name for spec in specs(cls)]
+        unknown = [name for name in (*cls.scattered, *cls.axial_names) if name not in names]
+        if unknown:
+            return f"scattered and axial_names have {unknown[0]}, which is no coefficient"
+        searched = len(names) - len(cls.axial_names)
+        linear = cls.design.__qualname__ != ForceLaw.design.__qualname__
+        if not linear and not len(cls.start) == len(cls.searched) == searched:
+            return f"start and searched must have {searched} entries, one for each coefficient that is not axial"
+        return ""
+
+    @classmethod
     def address(cls) -> int:
         """Where the compiled ``force`` is in the memory of this process; see ``_call_law``."""
         return _compiled(cls.force).address

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.extensions import load_as, registered
 from kr270_milling.base.record import Record, parameter, specs
 from kr270_milling.physics.cutting.force_law import ForceLaw
@@ -25,6 +25,10 @@ def _is_law(kind) -> bool:
 
 
 LAWS |= {point.name: load_as(point, _is_law, "subclass of ForceLaw") for point in registered("force_laws", LAWS)}
+
+for name, law in LAWS.items():
+    if law.fault():
+        raise ConfigError(f"force law {name}", "", None, law.fault())
 
 
 def _with_laws(record: type) -> type:

@@ -213,6 +213,7 @@ def _tool(args):
     import numpy as np
 
     from kr270_milling.base.record import build
+    from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.sections import Workpiece
     from kr270_milling.physics.cutting.tool import Tool
 
@@ -222,7 +223,8 @@ def _tool(args):
         file = find_file(args.cell)
         whole = read_tree(file)
         tree = whole.get("tool", {})
-        down = build(Workpiece, whole.get("workpiece", {}), file, "workpiece.").pose.rotation.T @ down
+        workpiece = build(Workpiece, whole.get("workpiece", {}), file, "workpiece.")
+        down = (read_cell(file).workpiece if workpiece.at_start_joints else workpiece).pose.rotation.T @ down
     given = {"teeth": args.teeth, "diameter_mm": args.diameter_mm, "rotation": args.rotation,
              "spindle_speed_rpm": args.spindle_speed_rpm}  # fmt: skip
     tree = tree | {key: value for key, value in given.items() if value is not None}

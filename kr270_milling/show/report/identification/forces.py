@@ -85,16 +85,17 @@ def _sentences(edge: LawFit, *others: LawFit) -> list[str]:
         sentences.append("K_ac and K_ae: fz_n was not measured")
     elif edge.axial != TOWARD_PART:
         sentences.append("the axial force pushes the tool into its holder: its sign in the YAML file is minus")
-    for name, value, width in zip(NAMES, edge.values / SCALE, edge.half_widths / SCALE, strict=True):
+    for key, value, width in zip(NAMES, edge.values / SCALE, edge.half_widths / SCALE, strict=True):
+        name = key.split("_n_")[0] + (" of the linear-edge law" if others else "")
         if width > abs(value):
-            sentences.append(f"{name.split('_n_')[0]}: the interval includes zero, cut at more feeds or deeper")
+            sentences.append(f"{name}: the interval includes zero, cut at more feeds or deeper")
         elif value < 0.0:
-            sentences.append(f"{name.split('_n_')[0]} is negative: look at the signs and at the sense of rotation")
+            sentences.append(f"{name} is negative: look at the signs and at the sense of rotation")
     if others:
         best = min(others, key=lambda other: other.lateral_rms)
         better = best if best.lateral_rms < BETTER * edge.lateral_rms else edge
         residuals = ", ".join(f"{fit.lateral_rms:.3g} N ({fit.law.replace('_', ' ')})" for fit in (edge, *others))
-        sentences.append(f"residual {residuals}: use the {better.law.replace('_', '-')} law")
+        sentences.append(f"residual of F_x and F_y {residuals}: use the {better.law.replace('_', '-')} law")
     return sentences
 
 
