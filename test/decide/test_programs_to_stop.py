@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from cuttings import SET_ALUMINIUM
 from small_part import small_part
 
 from kr270_milling.base.errors import MillingError
@@ -30,16 +31,9 @@ APT = "UNITS/MM\nCUTTER/{}\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/-14,0,2\nRAPID\nGOT
       "GOTO/26,0,-0.5\nRAPID\nGOTO/26,0,5\nFINI\n"  # fmt: skip
 CSV = "x_mm,y_mm,z_mm,feed_mm_per_min\n-14,0,-0.5,4000\n26,0,-0.5,4000\n"
 COARSE = ("stock.grid_step_um=200", "timing.rapid_feed_m_per_min=6")
-LINEAR = ("cutting.law=linear_edge", "cutting.linear_edge.tangential_cutting_n_per_mm2={}",
-          "cutting.linear_edge.tangential_edge_n_per_mm=17.9", "cutting.linear_edge.radial_cutting_n_per_mm2=180.96",
-          "cutting.linear_edge.radial_edge_n_per_mm=20.42")  # fmt: skip
-#: a tool mode whose limit depth in the slot is 0.15 mm (soft) and 1.5 mm (ten times stiffer)
+#: a narrow cut with a tool mode
+NARROW = SLOT.replace("Y0", "Y-23.95")
 MODE = "tool.modes=[{{direction: [0.0, 1.0, 0.0], frequency_hz: 980.0, damping_ratio: 0.025, mass_kg: {}}}]"
-#: a light mode at the tooth frequency of a slow spindle, far above its limit depth
-CHATTERS = ("dynamics.modes=[{frequency_hz: 60, damping_ratio: 0.02, shape: [0.0, 0.2, 0.0, 0.0, 0.0, 0.0]}]",
-            "dynamics.reference_inertia=false", "stock.grid_step_um=20", "path.length_mm=20",
-            "tool.spindle_speed_rpm=800", "path.feed_rate_m_per_min=0.4", "exchange.period_ms=0.625",
-            "path.depth_of_cut_mm=9")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -64,7 +58,7 @@ def comment(text: str) -> str:
 
 
 def law(k_tc: float) -> tuple[str, ...]:
-    return tuple(text.format(k_tc) for text in LINEAR)
+    return *SET_ALUMINIUM, f"cutting.linear_edge.tangential_cutting_n_per_mm2={k_tc}"
 
 
 def warning(name: str, program: str, settings: tuple[str, ...], finding: str, **more) -> Case:
@@ -72,13 +66,10 @@ def warning(name: str, program: str, settings: tuple[str, ...], finding: str, **
 
 
 CASES = (
-    Case("rapid move through the middle of a slot", SLOT.replace("X26 F4000", "X12 F4000\nG0 X20\nG1 X26"),
-         (), "rapid in material", lines=(5,)),
     Case("rapid move in a drilled hole, below its bottom", HOLES.replace("G0 Z20", "G0 Z-3.5\nG0 Z20"),
          (), "rapid in material"),
     Case("a spindle of 300 kg", SLOT, ("mount.mass_kg=300",), "payload"),
     Case("a program for a cutter of 10 mm", comment("D=10 flat end mill"), (), "tool diameter", lines=(3,)),
-    Case("a program for a cutter of 1 inch", comment("1 inch end mill"), (), "tool diameter"),
     Case("a ball-end mill by its comment", comment("D=20 ball end mill"), (), "tool shape", lines=(3,)),
     Case("a ball-end mill by its corner", comment("D=20. CR=10. - ZMIN=-0.5"), (), "tool shape"),
     Case("a bull-nose mill", comment("D=20. CR=2. - ZMIN=-0.5 - bullnose end mill"), (), "tool shape"),
@@ -92,15 +83,10 @@ CASES = (
          SLOT.replace("G0 Z5", "G0 Z5\n(far slot)\nG0 X-60 Y80\nG1 Z-0.5 F500\nX60\nG0 Z5"),
          (), "outside the stock"),
     Case("a path beside the stock", "", ("path.start_mm=[-1000,0]",), "stock missed", value=0.0),
-    Case("below the bottom of the stock", SLOT, ("stock.min_mm=[0,-14,-0.3]",), "below the stock",
-         lines=(3, 4), value=0.2, limit=0.0),
-    Case("a hole through the bottom of the stock", HOLES.replace("Z-3", "Z-11"), (), "below the stock"),
     Case("inches for millimetres", SLOT.replace("G21", "G20"), (), "below the stock",
          lines=(3, 4), value=0.5 * 25.4 - 10),
     Case("through a fixture", SLOT, ("workpiece.fixtures_mm=[30,-5,-10,60,5,-0.2]",), "in the fixture",
          lines=(4,), value=0.3, words="fixture 1"),
-    Case("rapid move into a fixture", SLOT, ("workpiece.fixtures_mm=[-30,-5,-10,-10,5,1]",), "in the fixture",
-         lines=(3, 4), value=1.5),
     Case("deeper than the flutes", SLOT, ("tool.flute_length_mm=0.4",), "depth of cut",
          lines=(4,), value=0.5, limit=0.4),
     Case("a plunge with a cutter that cannot", DOWN, ("tool.centre_cutting=false",), "plunge",
@@ -109,14 +95,8 @@ CASES = (
          value=4000 / 8000 / 4, limit=0.1),
     Case("faster than the cutter takes", SLOT, ("tool.max_cutting_speed_m_per_min=400",), "cutting speed",
          value=math.pi * 0.02 * 8000, limit=400),
-    Case("more torque than the spindle gives", SLOT, ("limits.spindle_torque_n_m=0.5",), "spindle torque",
-         lines=(4,), limit=0.5),
-    Case("more power than the spindle gives", SLOT, ("limits.spindle_power_kw=0.1",), "spindle power"),
-    Case("a slot above the limit depth of the tool", SLOT, (MODE.format(0.037),), "chatter"),
-    Case("a narrow cut above the limit depth of the tool",
-         SLOT.replace("Z-0.5", "Z-8").replace("Y0", "Y-23.95"), (MODE.format(0.01), "stock.grid_step_um=20"),
-         "chatter"),
-    Case("vibration that grows in the pass", "", CHATTERS, "growing vibration", limit=0.02),
+    Case("a narrow cut above the limit depth of the tool", NARROW.replace("Z-0.5", "Z-8"),
+         (MODE.format(0.01), "stock.grid_step_um=20"), "chatter"),
     Case("deflection beyond the linear model", SLOT,
          ("cutting.fractional.stiffness_n_per_m=5e10", "dynamics.gravity=false"), "deflection", limit=50.0),
     Case("out of reach", SLOT.replace("X26", "X26\nG1 Y2500"), (), "reach", lines=(5, 6),
@@ -128,8 +108,6 @@ CASES = (
     Case("an arm that hangs down", SLOT, ("arm.joint_compliance_urad_per_n_m=[900,900,900,900,900,900]",),
          "joint deflection", words="joint 2"),
     Case("another spindle speed than the cell's", SLOT.replace("S8000", "S9000"), (), "refused"),
-    Case("another sense of rotation", SLOT.replace("M3", "M4"), (), "refused"),
-    Case("a cut while the spindle is off", SLOT.replace("G1 X26 F4000", "G1 X10 F4000\nM5\nX26"), (), "refused"),
     Case("a wrong datum", SLOT.replace("Y0", "Y500"), (), "refused"),
 
     warning("a reground cutter", comment("D=20 flat end mill"), ("tool.diameter_mm=19.8",), "tool diameter"),
@@ -153,15 +131,10 @@ CASES = (
     warning("radians for degrees", SLOT, ("start_joints_deg=[1.5708,-0.8727,2.0944,3.1416,0.4363,3.1416]",),
             "posture", words="radians"),
 
-    Case("a slot", SLOT),
     Case("the paper's straight cut", ""),
     Case("beside the stock, below its bottom", EDGE),
-    Case("back at rapid through its own slot", SLOT.replace("G0 Z5", "G0 X-14\nG0 Z5")),
-    Case("a face in two lanes", START + "G0 Z-0.5\nG1 X54 F4000\nG0 Y15\nG1 X-14\nG0 Z5\nM30\n"),
-    Case("the same wall twice", START + "G0 Z-0.5\nG1 X54 F4000\nX-14\nG0 Z5\nM30\n"),
     Case("a plunge of a cutter that can", DOWN),
     Case("two holes", HOLES),
-    Case("two holes by pecks", HOLES.replace("G81", "G83").replace("R1", "R1 Q1")),
     Case("a slot and a hole", SLOT.replace("G0 Z5", "G0 Z5\nG81 X20 Y25 Z-2 R1 F400\nG80")),
     Case("a ramp", "G21 G90 S8000 M3\nG0 X5 Y0 Z2\nG1 Z0.2 F2000\nG1 X25 Z-0.8\nG1 X5\nG0 Z5\nM30\n",
          ("tool.centre_cutting=false",)),
@@ -176,9 +149,7 @@ CASES = (
     Case("a flat mill of APT", APT.format("20,0"), suffix=".apt"),
     Case("a table of points", CSV, suffix=".csv"),
     Case("a published force coefficient", SLOT, law(600.46)),
-    Case("a slot below the limit depth of the tool", SLOT, (MODE.format(3.7),)),
-    Case("a narrow cut below the limit depth of the tool",
-         SLOT.replace("Y0", "Y-23.95"), (MODE.format(3.7), "stock.grid_step_um=20")),
+    Case("a narrow cut below the limit depth of the tool", NARROW, (MODE.format(3.7), "stock.grid_step_um=20")),
     Case("inches", SLOT.replace("G21", "G20").replace("X-14", "X-0.55").replace("X26 F4000", "X1 F157")
          .replace("Z-0.5", "Z-0.02").replace("Z5", "Z0.2").replace("Z2", "Z0.08")),
     Case("flutes, chip and speed just within the cutter's data", SLOT,
@@ -267,8 +238,6 @@ def dangerous(diameter: float) -> list[Row]:
     ]
     chords = [f"G0 X{x:.6f}" for x in np.linspace(0.0, r, 101)[1:]]
     rows = [
-        Row("slot", program_of(f"G0 X{-11 * r} Y0 Z5", "G0 Z-1", f"G1 X{-2 * r} F1200", f"G0 X{2 * r}", "G0 Z5"),
-            2.0 * r * 4.0 * r, (6,), 1.0),
         Row("slot in short chords", program_of(*below, *chords, "G0 Z5"), 2.0 * r * r, (), 1.0),
         Row("corner", program_of(*below, f"G0 X{3 * r}", f"G0 Y{2 * r}", "G0 Z5"),
             2.0 * r * 5.0 * r - r**2 + pi * r**2 / 4.0, (5, 6), 1.0),
@@ -291,7 +260,6 @@ def sound(diameter: float) -> list[Row]:
     r = diameter / 2.0
     slot = (f"G0 X{-11 * r} Y0 Z5", "G0 Z-1", f"G1 X{2 * r} F1200")
     rows = [
-        Row("back through the slot", program_of(*slot, f"G0 X{-11 * r}", "G0 Z5")),
         Row("along a wall",
             program_of(*slot, f"G1 X{11 * r}", f"G1 Y{r}", f"G1 X{-11 * r}", f"G0 X{11 * r}", "G0 Z5")),
         Row("along a diagonal wall",
@@ -361,7 +329,7 @@ def test_the_answer_does_not_depend_on_the_stiffness_of_the_arm(tmp_path, factor
         assert [(f.severity, f.where.line) for f in stops] == [("stop", 5)] * bool(answer)
 
 
-@pytest.mark.parametrize("row", [dangerous(6.0)[3], dangerous(50.0)[8], *sound(20.0)[:2]], ids=lambda row: row.name)
+@pytest.mark.parametrize("row", [dangerous(6.0)[2], dangerous(50.0)[7], *sound(20.0)[:2]], ids=lambda row: row.name)
 def test_the_answer_holds_for_the_corrected_path_of_a_method(tmp_path, row):
     grid = f"stock.grid_step_um={20 * row.diameter_mm:g}"
     cell = row.cell(tmp_path, grid, "exchange.micro_step_deg=4", "exchange.period_ms=2")

@@ -137,8 +137,9 @@ def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_a_short_pass
     cell = cell_of(1e-3, SOFT)
     (lobe,) = lobes(cell, [cell.tool.spindle_speed])
     for share, word in ((0.5, "repeats"), (2.0, "grows")):
-        cell = cell_of(share * lobe.depth_limit, SOFT)
-        assert residue_of(cell, simulate(cell).result).word == word
+        checked = check(cell_of(share * lobe.depth_limit, SOFT))
+        limits = [f.limit for f in checked.findings if (f.what, f.severity) == ("growing vibration", "stop")]
+        assert checked.residue.word == word and limits == [0.02] * (word == "grows")
     cell = read_cell(find_file("paper.yaml"))
     whole = simulate(cell).result
     assert residue_of(cell, whole).word == "repeats"
