@@ -197,13 +197,11 @@ def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, cell):
     assert code == 1 and "goes 8 mm through material, 0.5 mm deep at point" in text and "(line 7)" in text
     assert "removed by rapid moves: 80" in text and "read over: 2 M8, 1 G43 H1" in text
     answer = answered(*words, code=1)
-    assert not answer["may_be_run"] and answer["stops"] == sum(f["severity"] == "stop" for f in answer["findings"])
-    assert {row["word"]: row["count"] for row in answer["read_over"]} == {"M8": 2, "G43 H1": 1}
+    assert (answer["may_be_run"], answer["stops"]) == (False, 1)
+    assert answer["read_over"] == [{"word": "M8", "count": 2}, {"word": "G43 H1", "count": 1}]
     (move,) = answer["rapid_moves"]
-    assert move["where"]["line"] == 7 and move["value"] == pytest.approx(0.5) and move["severity"] == "stop"
-    assert move["unit"] == "mm" and move["advice"] and move["count"] == 1
+    assert (move["where"]["line"], move["unit"], move["severity"]) == (7, "mm", "stop")
     assert move["amounts"] == pytest.approx({"length_mm": 8.0, "volume_mm3": 80.0}, rel=0.02)
-    assert answer["removed_by_rapid_moves_mm3"] == pytest.approx(80.0, rel=0.02)
     assignments(tmp_path)
     code, text, _ = ask(*words)
     assert code == 0 and "may be run, after a test in T1" in text

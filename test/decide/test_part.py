@@ -330,15 +330,18 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
 
 
 # --- The STL file ---
-@pytest.fixture(scope="module")
-def cut(cell):
-    return machined(cell, planned(cell)[1])
-
-
-def test_a_binary_stl_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(cut, tmp_path):
-    path = tmp_path / "part.stl"
-    written = write_stl(path, cut)
+def test_the_stl_of_a_pass_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(
+    cell, ran, tmp_path, monkeypatch
+):
+    path, cut = tmp_path / "part.stl", machined(cell, ran.result.tool)
+    write_stl(path, cut, cut.map_heights())
+    swept = path.read_bytes()
+    monkeypatch.setattr("kr270_milling.decide.part.workpiece.machined", None)  # the map of the pass is fine enough
+    written = write_part(path, cell, ran.result)
     data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
+    assert data == swept
+    monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
+    assert 10_000 < write_stl(path, cut) <= 20_000  # a large part is coarser
     (count,) = struct.unpack_from("<I", data, 80)
     assert count == written and len(data) == 84 + 50 * count and not data.startswith(b"solid")
     rows = np.array([struct.unpack_from("<12f", data, 84 + 50 * k) for k in range(count)])
@@ -362,18 +365,3 @@ def test_a_binary_stl_is_closed_with_normals_outward_and_the_volume_of_the_stock
     assert chips > 200
     np.testing.assert_allclose(corners.reshape(-1, 3).min(0), cut.stock.min * 1e3, atol=1e-5)
     np.testing.assert_allclose(corners.reshape(-1, 3).max(0), cut.stock.max * 1e3, atol=1e-5)
-
-
-def test_the_part_of_a_pass_is_that_of_its_own_map_and_of_another_sweep(tmp_path, monkeypatch):
-    cell = small_cell(tmp_path, POCKET, "stock.grid_step_um=100")
-    result = simulate(cell).result
-    again = machined(cell, result.tool)
-    write_stl(tmp_path / "swept.stl", again, again.map_heights())
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.machined", None)  # nothing is swept
-    write_part(tmp_path / "part.stl", cell, result)
-    assert (tmp_path / "part.stl").read_bytes() == (tmp_path / "swept.stl").read_bytes()
-
-
-def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, tmp_path, monkeypatch):
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
-    assert 10_000 < write_stl(tmp_path / "part.stl", cut) <= 20_000

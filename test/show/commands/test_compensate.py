@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
-import json
 import re
 import signal
 import subprocess
@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile import answered, ask, contents, refused, settings
+from hostile import answered, ask, contents, printed, refused, settings
 from krl_robot import Robot
 from small_part import GCODE, assignments
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell import jobs
-from kr270_milling.cli import _parser, main
+from kr270_milling.cli import main
 from kr270_milling.decide.programs import krl
 
 
@@ -146,43 +146,33 @@ SHORT = settings(
 
 @pytest.fixture
 def judged(quick, tmp_path, capsys):
-    """The command on a short cut: what it prints as JSON and as text, and what it says beside it."""
-
-    def run(*words: str) -> tuple[dict, str, str]:
-        words = ["compensate", "paper.yaml", "--out", str(tmp_path / "o"), *SHORT, *words]
-        args = _parser(words).parse_args(words)
-        answer = args.run(args)
-        assert answer.print(as_json=True) == 0
-        as_json, errors = capsys.readouterr()
-        assert answer.print(as_json=False) == 0
-        return json.loads(as_json), capsys.readouterr().out, errors
-
-    return run
+    """The command on a short cut."""
+    return functools.partial(printed, capsys, "compensate", "paper.yaml", "--out", str(tmp_path / "o"), *SHORT)
 
 
 def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(judged, monkeypatch):
     monkeypatch.setattr("kr270_milling.show.commands.compensate.PLANTS", 2)
-    result, text, _ = judged("--method", "spline", "--seed", "7")
+    _, text, result, _ = judged("--method", "spline", "--seed", "7")
     assert "2 simulated robots, seed 7: largest path deviation [um]" in text and "verdict: compensation helps" in text
     verdict = result["verdict"]
     assert verdict["verdict"] == "helps" and verdict["samples"] == 2 and verdict["seed"] == 7
     assert len(verdict["compensated_um"]) == 3 and "inverse" in verdict["methods_um"]
     assert result["recommended_method"] == verdict["recommended_method"]
-    result, *_ = judged("--quick", "--method", "spline")
+    _, _, result, _ = judged("--quick", "--method", "spline")
     assert result["verdict"]["samples"] == 8 and set(result["verdict"]["methods_um"]) == {"none", "spline"}
     assert result["recommended_method"] is None  # nothing was compared
-    result, text, errors = judged("--no-verdict")
+    code, text, result, warnings = judged("--no-verdict")
     assert result["verdict"] is None and result["recommended_method"] is None
-    assert text.startswith("decision: caution: ") and "would take too long" not in errors
+    assert code == 0 and text.startswith("decision: caution: ") and "would take too long" not in warnings
 
 
 def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence_but_a_typed_number_runs(judged, monkeypatch):
     monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_VERDICT", 1e-3)
     monkeypatch.setattr("kr270_milling.decide.verdict.FEWEST", 1)
     monkeypatch.setattr("time.perf_counter", itertools.count(0.0, 100.0).__next__)  # 100 s from look to look
-    result, text, _ = judged("--method", "spline")
+    _, text, result, _ = judged("--method", "spline")
     assert result["verdict"] is None and "--verdict runs them" in text
-    result, *_ = judged("--method", "spline", "--verdict", "2")
+    _, _, result, _ = judged("--method", "spline", "--verdict", "2")
     assert result["verdict"]["samples"] == 2 and result["verdict"]["note"] == ""
 
 
