@@ -62,21 +62,18 @@ def test_help_comes_within_200_ms_without_libraries_and_shows_every_command_with
         assert _parser(example.split()).parse_args(example.split()).command == name
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ("simulat paper.yaml", "there is no command 'simulat'; did you mean simulate?"),
-        ("identify complianc", "did you mean compliance? (kr270_milling identify --help)"),
-        ("check paper.yaml --refrence=x", "there is no option --refrence; did you mean --reference?"),
-        ("compensate paper.yaml --method liner", "'liner' is not one of best, linear,"),
-        ("compensate paper.yaml --seed 0", "--seed: '0' is not a whole number from 1 to 999999"),
-        ("check", "needs CELL.yaml (kr270_milling check --help)"),
-        ("check paper.yaml other.yaml", "'other.yaml' is one argument too many"),
-        ("map paper.yaml --y -2:2:5", "'-2:2:5' is not LOW:HIGH/COUNT from -100000 to 100000: write -2:2/5"),
-        ("stability paper.yaml --speeds 1:9", "'1:9' is not LOW:HIGH/COUNT from 1 to 200000 ("),
-        ("check nowhere.yaml", "nowhere.yaml: is no such file"),
-    ],
-)
+@pytest.mark.parametrize(("words", "sentence"), [
+    ("simulat paper.yaml", "there is no command 'simulat'; did you mean simulate?"),
+    ("identify complianc", "did you mean compliance? (kr270_milling identify --help)"),
+    ("check paper.yaml --refrence=x", "there is no option --refrence; did you mean --reference?"),
+    ("compensate paper.yaml --method liner", "'liner' is not one of best, linear,"),
+    ("compensate paper.yaml --seed 0", "--seed: '0' is not a whole number from 1 to 999999"),
+    ("check", "needs CELL.yaml (kr270_milling check --help)"),
+    ("check paper.yaml other.yaml", "'other.yaml' is one argument too many"),
+    ("map paper.yaml --y -2:2:5", "'-2:2:5' is not LOW:HIGH/COUNT from -100000 to 100000: write -2:2/5"),
+    ("stability paper.yaml --speeds 1:9", "'1:9' is not LOW:HIGH/COUNT from 1 to 200000 ("),
+    ("check nowhere.yaml", "nowhere.yaml: is no such file"),
+])  # fmt: skip
 def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(words, sentence):
     words = words.split()
     assert sentence in refused(*words)
@@ -84,19 +81,16 @@ def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(wor
     assert set(refusal) == {"error", "exit_code"} and refusal["exit_code"] == 2 and sentence in refusal["error"]
 
 
-@pytest.mark.parametrize(
-    ("module", "extra", "words"),
-    [
-        ("pyarrow", "studies", "map paper.yaml --out out"),
-        ("distributed", "studies", "sweep paper.yaml --vary tool.teeth=2,4 --out out"),
-        ("pyarrow", "studies", "export nowhere --csv out --parquet out"),
-        ("pyuff", "uff", "identify damping nowhere.uff"),
-        ("rclpy", "ros", "run paper.yaml --out out"),
-        ("rclpy", "ros", "watch"),
-        ("rclpy", "ros", "replay nowhere"),
-        ("rclpy", "ros", "the node recorder"),
-    ],
-)
+@pytest.mark.parametrize(("module", "extra", "words"), [
+    ("pyarrow", "studies", "map paper.yaml --out out"),
+    ("distributed", "studies", "sweep paper.yaml --vary tool.teeth=2,4 --out out"),
+    ("pyarrow", "studies", "export nowhere --csv out --parquet out"),
+    ("pyuff", "uff", "identify damping nowhere.uff"),
+    ("rclpy", "ros", "run paper.yaml --out out"),
+    ("rclpy", "ros", "watch"),
+    ("rclpy", "ros", "replay nowhere"),
+    ("rclpy", "ros", "the node recorder"),
+])  # fmt: skip
 def test_a_missing_extra_is_named_before_anything_is_computed(capsys, monkeypatch, tmp_path, module, extra, words):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == module else find(name, *more))

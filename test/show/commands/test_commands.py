@@ -249,13 +249,10 @@ def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_p
     assert "force x" in ask("compare", remapped, str(tmp_path / "cell.yaml"), *rule).out
 
 
-@pytest.mark.parametrize(
-    ("rule", "sentence"),
-    [
-        ("wrnch:=force", "'wrnch' is not one of target_trajectory, robot_description, tool_pose, wrench, "),
-        ("wrench=force", "'wrench=force' is not NAME:=RECORDED"),
-        ("wrench:=force/other", "has no topic force/other"),
-    ],
-)
+@pytest.mark.parametrize(("rule", "sentence"), [
+    ("wrnch:=force", "'wrnch' is not one of target_trajectory, robot_description, tool_pose, wrench, "),
+    ("wrench=force", "'wrench=force' is not NAME:=RECORDED"),
+    ("wrench:=force/other", "has no topic force/other"),
+])  # fmt: skip
 def test_a_wrong_remapping_is_one_sentence(remapped, rule, sentence):
     assert sentence in refused("replay", remapped, "--recompute", "--remap", rule)

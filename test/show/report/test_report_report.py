@@ -145,15 +145,12 @@ def test_the_decision_leads_the_page(tmp_path, straight):
     assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        ["path.length_mm=0.1"],  # three exchange periods, never engaged
-        ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
-        ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
-        ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "dynamics.mass_model=consistent"],
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    ["path.length_mm=0.1"],  # three exchange periods, never engaged
+    ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
+    ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
+    ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "dynamics.mass_model=consistent"],
+])  # fmt: skip
 def test_passes_of_other_cells_are_reported_without_complaint(tmp_path, changes):
     other = read_cell(find_file("paper.yaml"), ["path.length_mm=11", "stock.grid_step_um=50.0", *changes])
     data = json.loads(Page(written(tmp_path, other, [simulate(other)])).scripts[0])
