@@ -102,8 +102,6 @@ def test_json_has_the_cell_with_marked_guesses_and_the_words_of_the_program():
 
 
 # --- keys ---
-
-
 def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
     rows = {row["key"]: row for row in keys_of()}
     shipped = set(flatten(read_cell(TEST_PIECE.with_suffix(".yaml"))))
@@ -115,16 +113,12 @@ def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
 
 def test_keys_of_a_section_have_bounds_and_defaults_in_their_unit():
     rows = {row["key"]: row for row in answered("keys", "timing")["keys"]}
-    step = rows["timing.controller_step_ms"]
-    assert (step["unit"], step["low"], step["high"], step["default"], step["required"]) == ("ms", 1, 1000, 50, False)
-    table = ask("keys", "cutting.linear_edge").out
-    assert "cutting.linear_edge.tangential_cutting_n_per_mm2" in table and "K_tc" in table
+    expected = {"unit": "ms", "low": 1, "high": 1000, "default": 50, "required": False}
+    assert expected.items() <= rows["timing.controller_step_ms"].items()
     assert "known are arm" in refused("keys", "tols")
 
 
 # --- recordings ---
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     pytest.importorskip("geometry_msgs")
@@ -171,8 +165,6 @@ def test_replay_compensates_to_the_trajectory_that_was_published(whole, tmp_path
 
 
 # --- The command report: which recordings it takes and where it writes ---
-
-
 def test_the_report_of_a_directory_goes_into_it_whether_it_holds_files_or_directories(whole, tmp_path):
     for place in ("files/a.mcap", "files/b.mcap", "directories/a/a.mcap", "one/r.mcap"):
         (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
@@ -220,8 +212,6 @@ def test_names_that_are_alike_get_their_directories():
 
 
 # --- a graph whose topics were remapped ---
-
-
 @pytest.fixture(scope="module")
 def remapped(tmp_path_factory):
     """A pass of a robot in /left whose wrench was on force/measured; another sensor was on wrench."""

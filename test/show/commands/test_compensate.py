@@ -136,8 +136,6 @@ def test_a_failure_while_writing_leaves_the_directory_as_it_was(tmp_path, monkey
 
 
 # --- The verdict as a part of ``compensate``: on by default, quick, long or left out ---
-
-
 SHORT = settings(
     "path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]", "uncertainty.reference_inertia=0",
     "uncertainty.repeatability_um=0",
@@ -177,8 +175,6 @@ def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence_but_a_typed_
 
 
 # --- An interrupted compensation leaves no half-written program and continues from its last finished pass ---
-
-
 def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(quick, tmp_path, monkeypatch):
     whole, out = tmp_path / "whole", tmp_path / "out"
     passes, run_pass = [], jobs.run_pass
@@ -207,8 +203,6 @@ def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(quick, tmp_pa
 
 
 # --- from a CAM's file to the controller in two commands ---
-
-
 PROGRAM = Path(__file__).parents[2] / "path" / "programs" / "haas.nc"
 #: coarse, so that a pocket takes seconds
 COARSE = settings(
@@ -218,16 +212,12 @@ COARSE = settings(
 )  # fmt: skip
 
 
-def test_a_pocket_ends_in_a_program_a_report_and_a_decision(tmp_path):
+def test_a_pocket_ends_in_a_decision_and_a_program(tmp_path):
     (tmp_path / "my.yaml").write_text(ask("init", "--gcode", str(PROGRAM), "--tool", "T1").out)
     words = ("--method", "mirror", "--no-verdict", "--out", tmp_path / "part", *COARSE)
     result = answered("compensate", tmp_path / "my.yaml", *words)
     assert result["may_be_run"] is True and result["decision"] == "caution" and result["method"] == "mirror"
-    for version in ("as_programmed", "compensated"):
-        assert {"passes_tolerance", "wall_um", "floor_um"} <= set(result[version])
     assert result["compensated"]["wall_um"] < result["as_programmed"]["wall_um"]
-    page = Path(result["report"]).read_text()
-    assert '<span class="label">decision</span><strong>caution</strong>' in page
     folder = Path(result["programs"]["krl_spline"][0]).parent
     for kind, within in (("ORG", 1e-3), ("CMP", 0.1)):  # [mm]
         robot = Robot(folder, f"HAAS_{kind}")
@@ -235,7 +225,4 @@ def test_a_pocket_ends_in_a_program_a_report_and_a_decision(tmp_path):
         deep = place[place[:, 2] < -0.9]
         assert place[:, 2].min() == pytest.approx(-1.0, abs=within)
         np.testing.assert_allclose([*deep[:, :2].min(0), *deep[:, :2].max(0)], [-14, -10, 14, 10], atol=within)
-        moves = [line for line in robot.steps if line.startswith(("PTP", "LIN", "SPL ", "$OUT"))]
-        assert moves[:4] == ["PTP XHOME", "$OUT[1]=TRUE", "PTP XAPPROACH", "LIN XP1"]
-        assert moves[-3:] == ["LIN XRETRACT", "$OUT[1]=FALSE", "PTP XHOME"]
-        assert robot.approach[2] >= 50.0 and not any("-0.0000" in line for line in robot.steps)
+        assert {"$OUT[1]=TRUE", "$OUT[1]=FALSE"} <= set(robot.steps) and robot.approach[2] >= 50.0

@@ -197,8 +197,6 @@ def test_a_rounded_zero_has_no_sign_and_a_missing_number_is_a_dash():
 
 
 # --- series: CSV files, and names that stay inside the directory ---
-
-
 def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its_joints(tmp_path, straight):
     def close(table, expected):  # a number of thirteen digits is wrong by half of the last one at most
         np.testing.assert_allclose(table, expected, rtol=5e-13, atol=0)
@@ -236,8 +234,6 @@ def test_file_names_are_plain_inside_the_directory_and_different_even_without_re
 
 
 # --- report.charts and report.straight_cut: micro-step forces, spectra, walls ---
-
-
 def test_micro_step_forces_average_to_the_wrench_of_each_exchange_period():
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=6.0", "stock.grid_step_um=20.0"])
     result = simulate(cell).result
@@ -280,8 +276,6 @@ def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to(straight):
 
 
 # --- report.charts and report.linked: thinned to what can be seen, no maximum lost ---
-
-
 @settings(max_examples=budget(30))
 @given(st.integers(1, 6000), st.integers(2, 60), st.integers(0, 2**32 - 1))
 def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, seed):

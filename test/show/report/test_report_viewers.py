@@ -60,8 +60,6 @@ def test_every_number_of_a_result_has_a_column_and_the_table_of_the_scores_every
 
 
 # --- robot.urdf, its solids, and report.robot_model: the robot that viewers and the page show ---
-
-
 @pytest.fixture(scope="module", params=["paper.yaml", "test_piece.yaml"])
 def cell(request):
     return read_cell(find_file(request.param))
