@@ -8,11 +8,8 @@ from hostile import answered, ask, settings
 from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decide.check import check
-from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.findings import violations
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
@@ -183,11 +180,6 @@ def test_many_findings_of_one_kind_are_gathered_under_the_worst(tmp_path):
     checked = check(small_part(tmp_path, GCODE.replace("G1 Y10\n", zigzag + "G1 X12 Y10\n")))
     reverses = [line for line in checked.lines() if "reverses" in line]
     assert len(reverses) <= 6 and any("more of the kind" in line for line in reverses)  # one line an axis at most
-
-
-def test_the_shipped_program_has_no_rapid_moves_in_material():
-    cell = read_cell(find_file("test_piece.yaml"))
-    assert not rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact))
 
 
 def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, cell):

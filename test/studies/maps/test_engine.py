@@ -35,7 +35,7 @@ def until(true, what: str) -> None:
 
 
 class Cluster:
-    """``dask scheduler`` and ``dask worker`` as anybody starts them."""
+    """``dask scheduler`` and ``dask worker``, started as a user does."""
 
     def __init__(self, place: Path):
         self.place, self.workers, self.file = place, [], place / "scheduler.json"
@@ -78,7 +78,7 @@ def cluster(tmp_path_factory):
 
 
 def rows_of(seconds: float = 0.0):
-    """Rows of chunks, after some time; workers get a function in a function as it is, and need no file of it."""
+    """Rows of chunks, after some time; workers receive the inner function with its code, and need no file."""
 
     def rows(number: int) -> bytes:
         time.sleep(seconds)
@@ -106,27 +106,17 @@ def test_a_short_study_needs_no_cluster_a_long_one_soon_has_one_and_a_folder_is_
     assert len(list((tmp_path / "long").glob("rows-*"))) == 2
 
 
-def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
-    """What is submitted and not yet written is what the driver and the workers hold: the bound of their memory."""
-    study, out, most = Study(tmp_path / "study", {}), set(), []
-    submit, whole = distributed.Client.submit, Study.chunk
+def test_no_more_chunks_are_under_way_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
+    """A chunk that is submitted and not yet written takes memory of the driver and of the workers."""
+    written, under_way, submit = [0], [], distributed.Client.submit
 
-    def counted(client, function, *args, key, **more):
-        if key[-1].isdigit():
-            out.add(int(key.rpartition("-")[2]))
-            most.append(len(out))
-        return submit(client, function, *args, key=key, **more)
-
-    def written(self, number):
-        out.discard(number)
-        return whole(self, number)
+    def counted(*args, **more):
+        under_way.append(len(under_way) + 1 - written[-1])
+        return submit(*args, **more)
 
     monkeypatch.setattr(distributed.Client, "submit", counted)
-    missing = study.missing(100)
-    monkeypatch.setattr(Study, "missing", lambda self, count: missing)
-    monkeypatch.setattr(Study, "chunk", written)
-    run_chunks(study, 100, rows_of(), cluster.address)
-    assert len(most) == 100 and max(most) <= 2 * AHEAD
+    run_chunks(Study(tmp_path, {}), 100, rows_of(), cluster.address, lambda done, total: written.append(done))
+    assert len(under_way) == 100 and max(under_way) <= 2 * AHEAD
 
 
 def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
