@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import answered, ask, contents, printed, refused, settings
-from krl_robot import Robot
 from small_part import GCODE, assignments
 
 from kr270_milling.base.errors import InputError
@@ -200,29 +199,3 @@ def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(quick, tmp_pa
     unfinished.mkdir()
     (unfinished / "pass_1.bin").write_bytes(b"half")
     assert "pass_1.bin: is no finished pass; run without --resume" in refused(*words)
-
-
-# --- from a CAM's file to the controller in two commands ---
-PROGRAM = Path(__file__).parents[2] / "path" / "programs" / "haas.nc"
-#: coarse, so that a pocket takes seconds
-COARSE = settings(
-    "stock.grid_step_um=100", "stock.floor_tolerance_um=10", "exchange.micro_step_deg=6", "exchange.period_ms=2",
-    "timing.controller_step_ms=50", "dynamics.reference_inertia=false", "dynamics.posture_spacing_mm=20",
-    'program.spindle_on=["$OUT[1]=TRUE"]', 'program.spindle_off=["$OUT[1]=FALSE"]',
-)  # fmt: skip
-
-
-def test_a_pocket_ends_in_a_decision_and_a_program(tmp_path):
-    (tmp_path / "my.yaml").write_text(ask("init", "--gcode", str(PROGRAM), "--tool", "T1").out)
-    words = ("--method", "mirror", "--no-verdict", "--out", tmp_path / "part", *COARSE)
-    result = answered("compensate", tmp_path / "my.yaml", *words)
-    assert result["may_be_run"] is True and result["decision"] == "caution" and result["method"] == "mirror"
-    assert result["compensated"]["wall_um"] < result["as_programmed"]["wall_um"]
-    folder = Path(result["programs"]["krl_spline"][0]).parent
-    for kind, within in (("ORG", 1e-3), ("CMP", 0.1)):  # [mm]
-        robot = Robot(folder, f"HAAS_{kind}")
-        place = robot.column("XYZ")  # 28 by 20 mm of tool centre path with corners of 2 mm, 1 mm deep
-        deep = place[place[:, 2] < -0.9]
-        assert place[:, 2].min() == pytest.approx(-1.0, abs=within)
-        np.testing.assert_allclose([*deep[:, :2].min(0), *deep[:, :2].max(0)], [-14, -10, 14, 10], atol=within)
-        assert {"$OUT[1]=TRUE", "$OUT[1]=FALSE"} <= set(robot.steps) and robot.approach[2] >= 50.0
