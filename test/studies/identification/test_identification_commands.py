@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import dataclasses
-import io
-import json
 import math
 import re
 
@@ -250,13 +247,11 @@ PAGE = pages.ROOT / "kr270_milling/studies/identification/README.md"
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory) -> dict:
-    """Every command of the page in its order, in one directory; JSON of each, and what the page shows otherwise."""
+    """Every command of the page in its order, in one directory: its result, and the lines that differ on the page."""
     place, outcome, results, show = tmp_path_factory.mktemp("page"), {}, [], Answer.print
 
-    def both(answer: Answer, as_json: bool) -> int:
-        with contextlib.redirect_stdout(io.StringIO()) as text:
-            show(answer, True)
-        results.append(json.loads(text.getvalue()))
+    def recorded(answer: Answer, as_json: bool) -> int:
+        results.append(answer.result)
         return show(answer, as_json)
 
     def run(line: str) -> str:
@@ -267,7 +262,7 @@ def ran(tmp_path_factory) -> dict:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        patch.setattr(Answer, "print", both)
+        patch.setattr(Answer, "print", recorded)
         blocks = list(pages.run_page(PAGE, run))
     wrong = [line for block, printed in blocks for shown in block.shown for line in pages.differences(shown, printed)]
     return {"place": place, "wrong": wrong, **outcome}
