@@ -136,16 +136,13 @@ def times(names, factor: float, row: int | None = None):
 
 
 def swapped(one: str, other: str):
+    """Two columns, or two words of all columns."""
+    names = {one: other, other: one}
+
     def change(rows) -> None:
-        for values in rows:
-            values[one], values[other] = values[other], values[one]
+        rows[:] = [{names.get(key, key): names.get(v, v) for key, v in values.items()} for values in rows]
 
     return change
-
-
-def other_mode(rows) -> None:
-    for values in rows:
-        values["mode"] = {"up": "down", "down": "up"}.get(values["mode"], values["mode"])
 
 
 TABLE = {
@@ -160,7 +157,7 @@ TABLE = {
     "one large value ten times too large": (LOAD, times(["dz_mm"], 10.0, 4), 1, "test 5 contradicts the others"),
     "forces in kN": (CUT, times(FORCES, 1e-3), 0, "forces in kN in the columns of N?"),
     "feed per revolution": (CUT, times(["feed_per_tooth_mm"], 4.0), 0, "is feed_per_tooth_mm the feed per revolution?"),
-    "up and down swapped": (CUT, other_mode, 1, "up and down milling are swapped?"),
+    "up and down swapped": (CUT, swapped("up", "down"), 1, "up and down milling are swapped?"),
     "one force ten times too large": (CUT, times(["fy_n"], 10.0, 3), 1, "cut 4 contradicts the others"),
     "one force three times too large": (CUT, times(["fy_n"], 3.0, 9), 0, "cut 10 contradicts the others"),
     "no force": (CUT, times(FORCES, 0.0), 1, "negative or zero, which no cut has"),
