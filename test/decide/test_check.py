@@ -190,6 +190,7 @@ def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, cell):
     assert "removed by rapid moves: 80" in text and "read over: 2 M8, 1 G43 H1" in text
     answer = answered(*words, code=1)
     assert (answer["may_be_run"], answer["stops"]) == (False, 1)
+    assert answer["removed_by_rapid_moves_mm3"] == pytest.approx(80.0, rel=0.02)
     assert answer["read_over"] == [{"word": "M8", "count": 2}, {"word": "G43 H1", "count": 1}]
     (move,) = answer["rapid_moves"]
     assert (move["where"]["line"], move["unit"], move["severity"]) == (7, "mm", "stop")

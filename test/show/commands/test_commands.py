@@ -115,7 +115,7 @@ def test_keys_of_a_section_have_bounds_and_defaults_in_their_unit():
     rows = {row["key"]: row for row in answered("keys", "timing")["keys"]}
     expected = {"unit": "ms", "low": 1, "high": 1000, "default": 50, "required": False}
     assert expected.items() <= rows["timing.controller_step_ms"].items()
-    assert "known are arm" in refused("keys", "tols")
+    assert "K_tc" in ask("keys", "cutting.linear_edge").out and "known are arm" in refused("keys", "tols")
 
 
 # --- recordings ---
