@@ -140,19 +140,12 @@ def test_tools_that_do_not_fit_are_refused(tmp_path, tools, more, message):
         tool_cells(tmp_path, SLOTS, tools, *filter(None, [more]))
 
 
-def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path):
+def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path, drafted):
     twice = SLOTS.replace(END, operation("T1", *ALONG)) + END
     with pytest.raises(ConfigError, match=r"tools\.T1: cuts again in line 20, after T2"):
         tool_cells(tmp_path, twice, {"T1": LARGE, "T2": SMALL})
-    path = tmp_path / "cell.yaml"
-    (tmp_path / "part.nc").write_text(SLOTS)
-    path.write_text(
-        "/**:\n  ros__parameters:\n    includes: [test_piece.yaml]\n    path: {file: part.nc}\n"
-        "    tools: {T1: {diameter_mm: 10.0}, T2: {diameter_mm: 6.0}}\n"
-    )
-    assert len(read_cells(path, QUICK)) == 2
-    with pytest.raises(ConfigError, match=r"has 2 tools, .* --set path\.tool=T1"):
-        read_cell(path, QUICK)
+    with pytest.raises(ConfigError, match=r"has 3 tools, .* --set path\.tool=T1"):
+        read_cell(drafted, STOCK)
 
 
 @pytest.fixture(scope="module")
