@@ -356,8 +356,11 @@ def test_a_force_alone_or_a_place_alone_is_compared_and_another_pass_is_refused(
         compared(ComparedSeries(VectorSeries(model.time, noise), None), model)
 
 
-def test_the_line_of_a_known_series_has_its_gain_its_offset_and_their_uncertainty():
+def test_lag_and_line_of_a_known_series():
     rng = np.random.default_rng(1)
+    a = np.cumsum(rng.normal(size=(500, 2)), axis=0)
+    assert comparison.best_lag(3.0 * a[40:], a[:400], same_size=False)[0] == -40
+    assert comparison.best_lag(a[:300], a[25:], same_size=True)[0] == 25
     x = rng.normal(size=4000)
     line = comparison.line_through(1.3 * x + 2.0 + 0.1 * rng.normal(size=4000), x, 4000)
     assert line.gain == pytest.approx(1.3, abs=4 * line.gain_sigma) and line.offset == pytest.approx(2.0, abs=0.01)
