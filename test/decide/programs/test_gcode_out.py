@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import refused, settings
-from small_part import small_part
+from small_part import small_part, swayed
 
 from kr270_milling.decide.programs.gcode import write_gcode
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.gcode.rewriter import read_source
-from kr270_milling.path.controller_motion import controller_motion
-from kr270_milling.path.trajectory import Trajectory
 
 #: of six posts; linuxcnc.ngc has incremental moves, which are refused
 POSTS = sorted(path for path in (Path(__file__).parents[2] / "path" / "programs").iterdir() if path.stem != "linuxcnc")
@@ -53,13 +51,6 @@ ROUNDED = {"G21": 0.05e-6, "G20": 0.127e-6}  #: [m], half of the last digit
 def part(unit: str) -> str:
     scale = {"G21": 1.0, "G20": 1 / 25.4}[unit]
     return re.sub(r"\{(-?[\d.]+)\}", lambda match: f"{float(match[1]) * scale:.6f}", PART.replace("{unit}", unit))
-
-
-def swayed(target: Trajectory, size: float) -> Trajectory:
-    """The target with a smooth correction, at rest where the target is."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])[:, None]
-    shift = size * np.sin(way / [0.011, 0.007, 0.013] + [1.0, 2.0, 3.0])
-    return controller_motion(target.with_position(target.position + shift, target.velocity), target)
 
 
 def rows_of(path) -> list[np.ndarray]:

@@ -15,7 +15,7 @@ from hostile import contents
 from krl_robot import NUMBER, Robot
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
-from small_part import GCODE, small_part
+from small_part import GCODE, small_part, swayed
 from splines import spline
 
 from kr270_milling.base.errors import InputError, ParameterError
@@ -252,13 +252,6 @@ def assert_flange(robot: Robot, arm, joints: np.ndarray) -> None:
         assert np.degrees(turned.magnitude()) < 1e-3
 
 
-def wavy(target: Trajectory, size: float = 50e-6) -> Trajectory:
-    """A correction in all three components, at rest where the target rests."""
-    still = np.zeros(len(target), bool) if target.velocity is None else ~target.velocity.any(axis=1)
-    shift = size * np.sin(np.outer(target.time, [20.0, 30.0, 40.0])) * ~still[:, None]
-    return target.with_position(target.position + shift, target.velocity)
-
-
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
     return small_part(tmp_path_factory.mktemp("part"), GCODE, "program.tolerance_um=0")
@@ -267,8 +260,8 @@ def cell(tmp_path_factory):
 @pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
 def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, motion):
     target = cell.target()
-    write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE, motions=(motion,))
-    for kind, name, run in (("ORG", "original", target), ("CMP", "wavy", wavy(target))):
+    write_programs(tmp_path, cell, target, swayed(target), method="swayed", date=DATE, motions=(motion,))
+    for kind, name, run in (("ORG", "original", target), ("CMP", "swayed", swayed(target))):
         read = Robot(next(tmp_path.glob(f"krl_{motion.lower()}_*")), f"MILLING_{kind}")
         file = next(tmp_path.glob(f"joints_{name}_*.csv"))
         assert file.read_text().partition("\n")[0] == "time_s," + ",".join(f"joint_{j}_deg" for j in range(1, 7))
@@ -284,7 +277,7 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
 
 def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of_the_controllers_flange(tmp_path):
     """A part straight ahead: A1, A4 and A6 start at exactly 0, and rounding would decide what T says of them."""
-    cell = read_cell(find_file("test_piece.yaml"))
+    cell = read_cell(find_file("test_piece.yaml"), ['program.spindle_on=["$OUT[1]=TRUE"]'])
     time_ns, quaternion = np.arange(3) * 12_000_000, cell.target().quaternion[0]
     line = Trajectory(time_ns, np.outer(np.arange(3), [1e-3, 0.0, 0.0]), quaternion)
     for sign in (1.0, -1.0):
@@ -300,6 +293,7 @@ def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of
             assert robot.turn == sum(1 << axis for axis in range(6) if joints[axis] < 0)
             # 130 mm out of the flange and 60 mm below it: out of the flange is the controller's z, up is its minus x
             assert any("$LOAD={M 45.000,CM {X 60.000,Y 0.000,Z 130.000" in step for step in robot.steps)
+            assert "$OUT[1]=TRUE" in robot.steps
 
 
 def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, tmp_path):
@@ -315,7 +309,7 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
 def test_same_input_and_date_give_the_same_files_and_any_change_another_hash(cell, tmp_path):
     target = cell.target()
     for folder in ("a", "b"):
-        write_programs(tmp_path / folder, cell, target, wavy(target), method="wavy", date=DATE, source="ab" * 32)
+        write_programs(tmp_path / folder, cell, target, swayed(target), method="swayed", date=DATE, source="ab" * 32)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
     moved = target.with_position(target.position + [1e-12, 0, 0])
     assert trajectory_hash(moved) != trajectory_hash(target)
