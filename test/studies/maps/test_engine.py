@@ -36,7 +36,7 @@ def until(true, what: str) -> None:
 @pytest.fixture(scope="module")
 def cluster():
     """The address of a scheduler with two workers."""
-    timeouts = {"distributed.comm.timeouts.connect": "3s"}  # the result of a killed worker is requested until then
+    timeouts = {"distributed.comm.timeouts.connect": "3s"}  # of requests for the result of a killed worker
     with dask.config.set(timeouts), distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as made:
         yield made.scheduler_address
 
