@@ -28,9 +28,9 @@ def profile(cut) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x of each column that was cut (m,), its lowest and its highest cleared y (m,) [m]."""
     x, y, z = cut.heights()
     cleared = z < cut.stock.max[2]
-    found = cleared.any(axis=1)
-    first, last = cleared[found].argmax(axis=1), cleared[found, ::-1].argmax(axis=1)
-    return x[found], y[first], y[::-1][last]
+    columns = cleared.any(axis=1)
+    first, last = cleared[columns].argmax(axis=1), cleared[columns, ::-1].argmax(axis=1)
+    return x[columns], y[first], y[::-1][last]
 
 
 DEPTH = 1e-3  # [m] of the slots here

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import pytest
 
-from kr270_milling.cli import main
+from kr270_milling.cli import _parser, main
 
 POSTURE = "--joints-deg=90,-50,120,180,25,180"
 #: a pass of 120 exchanges
@@ -49,6 +49,16 @@ def answered(*words: str, code: int = 0) -> dict:
     answer = ask(*map(str, words), "--json")
     assert answer.code == code, answer
     return parsed(answer)
+
+
+def printed(capsys, *words: str) -> tuple[int, str, dict, str]:
+    """Run a command once; return its exit code, what it prints for a reader, its JSON, and its warnings."""
+    args = _parser([words[0]]).parse_args(words)
+    answer = args.run(args)
+    code = answer.print(as_json=True)
+    text, warnings = capsys.readouterr()
+    assert answer.print(as_json=False) == code
+    return code, capsys.readouterr().out, json.loads(text), warnings
 
 
 def parsed(answer: Answer) -> dict:

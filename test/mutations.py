@@ -19,16 +19,11 @@ LOADS, BALANCE = "physics/robot/loads.py", "physics/robot/elastostatics.py"
 MASS, SWEEP = "physics/robot/mass.py", "physics/cutting/sweep.py"
 FRACTIONAL, EDGE = "physics/cutting/fractional.py", "physics/cutting/linear_edge.py"
 LOAD = "physics/cutting/load.py"
-MOTION, MIRROR, REVISION = (
-    "physics/motion/dynamics.py",
-    "physics/compensation/mirror.py",
-    "physics/compensation/revision.py",
-)
-MEASURED = "physics/motion/arm_model.py"
+MOTION, MEASURED = "physics/motion/dynamics.py", "physics/motion/arm_model.py"
+MIRROR, REVISION = "physics/compensation/mirror.py", "physics/compensation/revision.py"
 RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lifted.py"
 LEARNING = "physics/compensation/learning.py"
-IMPERFECTIONS = "physics/motion/imperfections.py"
-BACKLASH = "physics/motion/backlash.py"
+IMPERFECTIONS, BACKLASH = "physics/motion/imperfections.py", "physics/motion/backlash.py"
 TESTS = {
     LOADS: ["statics"],
     BALANCE: ["statics"],

@@ -8,7 +8,9 @@ import numpy as np
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.path.controller_motion import controller_motion
 from kr270_milling.path.timing import TimedPath
+from kr270_milling.path.trajectory import Trajectory
 
 GCODE = """\
 G21 G90 S8000 M3
@@ -39,6 +41,13 @@ def assignments(directory, gcode: str | bytes = GCODE, *more: str) -> list[str]:
     path = Path(directory, "part.nc")
     path.write_bytes(gcode if isinstance(gcode, bytes) else gcode.encode())
     return [f"path.file={path}", *SET, *more]
+
+
+def swayed(target: Trajectory, size: float = 50e-6) -> Trajectory:
+    """The target with a smooth correction of a size [m], at rest where the target rests."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])[:, None]
+    shift = size * np.sin(way / [0.011, 0.007, 0.013] + [1.0, 2.0, 3.0])
+    return controller_motion(target.with_position(target.position + shift, target.velocity), target)
 
 
 def path_error(timed: TimedPath, time_ns) -> np.ndarray:

@@ -216,14 +216,11 @@ def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(
     assert {".src", ".html"} <= {file.suffix for file in (installed / "out").rglob("*")}
 
 
-@pytest.mark.parametrize(
-    ("line", "sentence"),
-    [
-        ("[kr270_milling.force_laws]\nlinear_edge = json:loads", "this name is taken"),
-        ("[kr270_milling.force_laws]\nmine = no_such_module:Law", "cannot be imported (ModuleNotFoundError"),
-        ("[kr270_milling.methods]\nmine = json:loads", "json:loads is no class with the function revise"),
-    ],
-)
+@pytest.mark.parametrize(("line", "sentence"), [
+    ("[kr270_milling.force_laws]\nlinear_edge = json:loads", "this name is taken"),
+    ("[kr270_milling.force_laws]\nmine = no_such_module:Law", "cannot be imported (ModuleNotFoundError"),
+    ("[kr270_milling.methods]\nmine = json:loads", "json:loads is no class with the function revise"),
+])  # fmt: skip
 def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, line, sentence):
     (tmp_path / "mine-1.0.dist-info").mkdir()
     (tmp_path / "mine-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")

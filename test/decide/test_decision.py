@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hostile import settings
+from hostile import printed, settings
 from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import ConfigError
@@ -16,7 +15,6 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.sections import Tolerances
-from kr270_milling.cli import _parser
 from kr270_milling.decide import compensation
 from kr270_milling.decide.compensation import VerdictOrder
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
@@ -70,31 +68,27 @@ def decision(error: float = 5 * UM, tolerance: float = 100 * UM, **more) -> Deci
     return Decision(judgement(120 * UM, tolerance), judgement(error, tolerance), "inverse", **more)
 
 
-def test_nine_of_ten_plants_are_enough_for_a_yes_and_fewer_are_a_caution_with_the_way_out():
-    enough, fewer = (decision(verdict=plants(*[50] * 9, *more)) for more in ([300], [118] * 19))
-    assert (enough.level, fewer.level, enough.exit_code, fewer.exit_code) == (YES, CAUTION, 0, 0) and fewer.may_be_run
-    meets = "largest wall or floor error meets 100 um on the model (5 um) and in 9 of"
-    assert enough.sentence == f"{meets} 10 simulated robots (median 50 um)"
-    advice = "reduce the uncertainty: identify compliances"
-    assert fewer.sentence == f"{meets} 28 simulated robots (median 118 um); {advice}"
-    assert decision(verdict=plants(*[50] * 8, np.nan, np.nan)).level == CAUTION  # a plant that failed
+MEETS = "largest wall or floor error meets 100 um on the model (5 um)"
 
 
-def test_a_stop_or_a_model_that_misses_is_a_no_whatever_the_plants():
-    missed = decision(130 * UM, verdict=plants(*[50] * 10))
-    assert missed.level == NO and missed.exit_code == 1 and missed.may_be_run
-    assert "misses 100 um on the model (130 um at pocket)" in missed.sentence
-    stopped = decision(stops=("axis 5 leaves its range", "another"), verdict=plants(*[50] * 10))
-    assert stopped.level == NO and stopped.exit_code == 1 and not stopped.may_be_run
-    assert stopped.sentence.startswith("the path must not be run: axis 5 leaves its range, and 1 more")
+@pytest.mark.parametrize(("result", "level", "sentence"), [
+    (decision(verdict=plants(*[50] * 9, 300)), YES, f"{MEETS} and in 9 of 10 simulated robots (median 50 um)"),
+    (decision(verdict=plants(*[50] * 9, *[118] * 19)), CAUTION,
+     f"{MEETS} and in 9 of 28 simulated robots (median 118 um); reduce the uncertainty: identify compliances"),
+    (decision(verdict=plants(*[50] * 8, np.nan, np.nan)), CAUTION, f"{MEETS} and in 8 of 10"),  # two plants failed
+    (decision(130 * UM, verdict=plants(*[50] * 10)), NO, "misses 100 um on the model (130 um at pocket)"),
+    (decision(stops=("axis 5 leaves its range", "another"), verdict=plants(*[50] * 10)), NO,
+     "the path must not be run: axis 5 leaves its range, and 1 more"),
+    (decision(), CAUTION, "no verdict of simulated robots"),
+    (decision(tolerance=0.0, verdict=plants(50, 60, tolerance=0.0)), CAUTION,
+     "is 5 um on the model, median 55 um in 2 simulated robots; no tolerance is given: set part.tolerance_um"),
+])  # fmt: skip
+def test_stop_model_and_nine_of_ten_plants_decide_and_the_sentence_has_the_reason(result, level, sentence):
+    assert (result.level, result.exit_code) == (level, level == NO) and sentence in result.sentence
+    assert result.may_be_run == ("must not be run" not in sentence)
 
 
-def test_what_is_missing_is_named_and_a_method_is_recommended_only_where_methods_were_compared():
-    assert "no verdict of simulated robots" in decision().sentence and decision().level == CAUTION
-    open_ended = decision(tolerance=0.0, verdict=plants(50, 60, tolerance=0.0))
-    assert open_ended.level == CAUTION and "set part.tolerance_um" in open_ended.sentence
-    assert "is 5 um on the model, median 55 um in 2 simulated robots" in open_ended.sentence
-
+def test_a_method_is_recommended_only_where_methods_were_compared():
     assert decision(verdict=plants(50)).recommended_method is None
     assert decision().method_text == "method: inverse, as set"
     compared = decision(comparison=MethodComparison("inverse", "inverse, because", {}))
@@ -104,14 +98,10 @@ def test_what_is_missing_is_named_and_a_method_is_recommended_only_where_methods
 def run(directory, capsys, *words: str):
     """Run ``compensate`` once: its exit code, what it prints for a reader, its JSON, its programs and their headers."""
     sets = settings(*assignments(directory, GCODE, *MOVING))
-    words = ["compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words]
-    answer = (args := _parser(["compensate"]).parse_args(words)).run(args)
-    code = answer.print(as_json=False)
-    text = capsys.readouterr().out
-    assert answer.print(as_json=True) == code
+    code, text, result, _ = printed(capsys, "compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words)
     programs = list((directory / "out").rglob("*.src"))
     headers = [" ".join(re.findall(r"^; (.*)$", path.read_text(), re.MULTILINE)) for path in programs]
-    return code, text, json.loads(capsys.readouterr().out), programs, headers
+    return code, text, result, programs, headers
 
 
 def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):

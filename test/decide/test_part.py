@@ -209,10 +209,11 @@ def planned(cell):
     return course(cell, stamps), cell.target().sample(stamps)
 
 
-def errors(cell, shift):
-    """Surface errors where the tool is shifted by (n + 1, 3) or (3,) [m]."""
+def errors(cell, shift, feature: str = ""):
+    """Surface errors where the tool is shifted by (3,) [m], everywhere or in one feature."""
     path, target = planned(cell)
-    return surface(cell, path, target, target + shift)
+    shifted = path.feature == path.features.index(feature) if feature else np.full(len(target), True)
+    return surface(cell, path, target, target + shifted[:, None] * shift)
 
 
 @pytest.fixture(scope="module")
@@ -264,24 +265,17 @@ def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
 
 def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
     rough = HEAD + "(rough)\nG0 X-28 Y2.6 Z-1\nG1 X28 F3000\nG0 Z2\n(finish)\nG0 X-28 Y2 Z2\nG0 Z-1\nG1 X28\nG0 Z2\n"
-    cell = small_cell(tmp_path, rough)
-    path, target = planned(cell)
-    roughing = path.feature == path.features.index("rough")
-    result = surface(cell, path, target, target + np.where(roughing, 50 * UM, 0.0)[:, None] * [0, -1, 0]).walls
+    result = errors(small_cell(tmp_path, rough), [0, -50 * UM, 0], "rough").walls
     below = result.normal[:, 1] > 0  # the side where the finishing pass took more
-    assert set(result.feature[below]) == {path.features.index("finish")}
+    assert set(result.feature[below]) == {2}  # unnamed, rough, finish
     np.testing.assert_allclose(result.error[below], 0.0, atol=1e-12)
     np.testing.assert_allclose(result.error[~below], 50 * UM, atol=1e-10)  # the far wall stays as it was roughed
 
 
 def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put_material_back(tmp_path):
     two = HEAD + "(upper)\nG0 X-28 Y0 Z-1\nG1 X28 F3000\nG0 Z2\n(lower)\nG0 X-28 Z2\nG0 Z-2\nG1 X28\nG0 Z2\n"
-    cell = small_cell(tmp_path, two)
-    path, target = planned(cell)
-    lower = path.feature == path.features.index("lower")
-    shift = np.where(lower, 20 * UM, 0.0)[:, None] * [0, 1, 0]
-    result = surface(cell, path, target, target + shift).walls
-    left, upper = result.normal[:, 1] < 0, result.feature == path.features.index("upper")
+    result = errors(small_cell(tmp_path, two), [0, 20 * UM, 0], "lower").walls
+    left, upper = result.normal[:, 1] < 0, result.feature == 1  # unnamed, upper, lower
     cusp = (0.25 * MM) ** 2 / (8 * RADIUS)  # the teeth of the lower pass need not meet the marks of the upper one
     cases = ((left & upper, -20, cusp), (left & ~upper, -20, 0), (~left & upper, 0, 0), (~left & ~upper, 20, 0))
     for chosen, expected, tolerance in cases:
@@ -330,15 +324,18 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
 
 
 # --- The STL file ---
-@pytest.fixture(scope="module")
-def cut(cell):
-    return machined(cell, planned(cell)[1])
-
-
-def test_a_binary_stl_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(cut, tmp_path):
-    path = tmp_path / "part.stl"
-    written = write_stl(path, cut)
+def test_the_stl_of_a_pass_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(
+    cell, ran, tmp_path, monkeypatch
+):
+    path, cut = tmp_path / "part.stl", machined(cell, ran.result.tool)
+    write_stl(path, cut, cut.map_heights())
+    swept = path.read_bytes()
+    monkeypatch.setattr("kr270_milling.decide.part.workpiece.machined", None)  # the map of the pass is fine enough
+    written = write_part(path, cell, ran.result)
     data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
+    assert data == swept
+    monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
+    assert 10_000 < write_stl(path, cut) <= 20_000  # a large part is coarser
     (count,) = struct.unpack_from("<I", data, 80)
     assert count == written and len(data) == 84 + 50 * count and not data.startswith(b"solid")
     rows = np.array([struct.unpack_from("<12f", data, 84 + 50 * k) for k in range(count)])
@@ -362,18 +359,3 @@ def test_a_binary_stl_is_closed_with_normals_outward_and_the_volume_of_the_stock
     assert chips > 200
     np.testing.assert_allclose(corners.reshape(-1, 3).min(0), cut.stock.min * 1e3, atol=1e-5)
     np.testing.assert_allclose(corners.reshape(-1, 3).max(0), cut.stock.max * 1e3, atol=1e-5)
-
-
-def test_the_part_of_a_pass_is_that_of_its_own_map_and_of_another_sweep(tmp_path, monkeypatch):
-    cell = small_cell(tmp_path, POCKET, "stock.grid_step_um=100")
-    result = simulate(cell).result
-    again = machined(cell, result.tool)
-    write_stl(tmp_path / "swept.stl", again, again.map_heights())
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.machined", None)  # nothing is swept
-    write_part(tmp_path / "part.stl", cell, result)
-    assert (tmp_path / "part.stl").read_bytes() == (tmp_path / "swept.stl").read_bytes()
-
-
-def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, tmp_path, monkeypatch):
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
-    assert 10_000 < write_stl(tmp_path / "part.stl", cut) <= 20_000

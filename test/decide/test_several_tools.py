@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import answered, ask, settings
+from milled_part import RIGID
 
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
@@ -25,7 +26,6 @@ QUICK = (
     *STOCK, "stock.grid_step_um=50", "exchange.period_ms=0.5", "exchange.micro_step_deg=3", "tool.spindle_speed_rpm=0",
     "dynamics.follow_pose=false", "stock.floor_tolerance_um=0.2",
 )  # fmt: skip
-RIGID = "arm.joint_compliance_urad_per_n_m=[1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9]"
 
 
 def tool_cells(folder, program: str, tools: dict[str, dict], *more: str) -> tuple[Cell, ...]:
@@ -33,9 +33,6 @@ def tool_cells(folder, program: str, tools: dict[str, dict], *more: str) -> tupl
     path = Path(folder) / "part.nc"
     path.write_text(program)
     return read_cells(find_file("test_piece.yaml"), [*QUICK, f"path.file={path}", f"tools={tools}", *more])
-
-
-DETAIL = [f"cutting.detail={detail}" for detail in ("teeth", "engagement")]
 
 
 def operation(tool: str, *moves: str, speed: int = 6000) -> str:
@@ -66,7 +63,7 @@ def run_in_turn(cells):
     return in_turn(cells, simulate, lambda ran: ran)
 
 
-@pytest.mark.parametrize("detail", DETAIL)
+@pytest.mark.parametrize("detail", ["cutting.detail=teeth", "cutting.detail=engagement"])
 @pytest.mark.parametrize("first", ["T1", "T2"])
 def test_two_tools_remove_the_union_of_their_slots_and_the_second_on_the_same_path_nothing(tmp_path, detail, first):
     slots = [operation("T1", *ALONG), operation("T2", *ACROSS)]
@@ -143,19 +140,12 @@ def test_tools_that_do_not_fit_are_refused(tmp_path, tools, more, message):
         tool_cells(tmp_path, SLOTS, tools, *filter(None, [more]))
 
 
-def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path):
+def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path, drafted):
     twice = SLOTS.replace(END, operation("T1", *ALONG)) + END
     with pytest.raises(ConfigError, match=r"tools\.T1: cuts again in line 20, after T2"):
         tool_cells(tmp_path, twice, {"T1": LARGE, "T2": SMALL})
-    path = tmp_path / "cell.yaml"
-    (tmp_path / "part.nc").write_text(SLOTS)
-    path.write_text(
-        "/**:\n  ros__parameters:\n    includes: [test_piece.yaml]\n    path: {file: part.nc}\n"
-        "    tools: {T1: {diameter_mm: 10.0}, T2: {diameter_mm: 6.0}}\n"
-    )
-    assert len(read_cells(path, QUICK)) == 2
-    with pytest.raises(ConfigError, match=r"has 2 tools, .* --set path\.tool=T1"):
-        read_cell(path, QUICK)
+    with pytest.raises(ConfigError, match=r"has 3 tools, .* --set path\.tool=T1"):
+        read_cell(drafted, STOCK)
 
 
 @pytest.fixture(scope="module")
@@ -167,17 +157,14 @@ def drafted(tmp_path_factory):
     return folder / "cell.yaml"
 
 
-FAST = ("cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=mirror")
-
-
-COMPENSATE = ("--no-verdict", "--gcode", "--out")
+FAST = settings(*STOCK, "cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=mirror")
 
 
 def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path):
-    checked = answered("check", drafted, *settings(*STOCK, *FAST))
+    checked = answered("check", drafted, *FAST)
     assert [one["tool"] for one in checked["tools"]] == ["T1", "T2", "T3"]
     assert checked["may_be_run"] and sum(one["removed_by_rapid_moves_mm3"] for one in checked["tools"]) == 0.0
-    answer = answered("compensate", drafted, *settings(*STOCK, *FAST), *COMPENSATE, tmp_path / "out")
+    answer = answered("compensate", drafted, *FAST, "--no-verdict", "--gcode", "--out", tmp_path / "out")
     assert answer["decision"] == "caution" and answer["may_be_run"]
     programs = [path for one in answer["tools"] for path in one["programs"]["krl_spline"]]
     names = [path.rpartition("/")[2] for path in programs]
@@ -192,7 +179,7 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
     assert manifest.count("====") == 6 and all(f'data-tool="T{k}"' in report for k in (1, 2, 3))
     corrected = Path(answer["gcode"]["file"])  # one program with all tools
     assert corrected.name in manifest and f"(part program: {line[:50]}" in corrected.read_text()
-    for cell, one in zip(read_cells(drafted, [*STOCK, *FAST]), answer["gcode"]["tools"], strict=True):
+    for cell, one in zip(read_cells(drafted, STOCK), answer["gcode"]["tools"], strict=True):
         read = read_gcode(corrected, one["tool"])
         assert one["error_um"] < 2.1 and one["blocks"] == np.count_nonzero(~read.rapid) > one["source_blocks"]
         assert read.length == pytest.approx(cell.timed_path.toolpath.length, rel=0.01)
@@ -203,8 +190,8 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
 def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path):
     program = tmp_path / "dangerous.nc"
     program.write_text(PLATE.replace("G1 X5.7 F2000", "G0 X5.7"))
-    words, out = [str(drafted), *settings(*STOCK, *FAST, f"path.file={program}")], tmp_path / "out"
-    answer = answered("compensate", *words, *COMPENSATE, out, code=1)
+    words, out = [str(drafted), *FAST, *settings(f"path.file={program}")], tmp_path / "out"
+    answer = answered("compensate", *words, "--no-verdict", "--gcode", "--out", out, code=1)
     assert answer["decision"] == "no" and answer["deciding_tool"] == "T2" and "rapid" in answer["sentence"]
     assert [one["level"] for one in answer["tools"]] == ["caution", "no", "caution"]
     assert not [*out.glob("krl_*"), *out.glob("*gcode_*")]

@@ -102,8 +102,6 @@ def test_json_has_the_cell_with_marked_guesses_and_the_words_of_the_program():
 
 
 # --- keys ---
-
-
 def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
     rows = {row["key"]: row for row in keys_of()}
     shipped = set(flatten(read_cell(TEST_PIECE.with_suffix(".yaml"))))
@@ -115,16 +113,12 @@ def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
 
 def test_keys_of_a_section_have_bounds_and_defaults_in_their_unit():
     rows = {row["key"]: row for row in answered("keys", "timing")["keys"]}
-    step = rows["timing.controller_step_ms"]
-    assert (step["unit"], step["low"], step["high"], step["default"], step["required"]) == ("ms", 1, 1000, 50, False)
-    table = ask("keys", "cutting.linear_edge").out
-    assert "cutting.linear_edge.tangential_cutting_n_per_mm2" in table and "K_tc" in table
-    assert "known are arm" in refused("keys", "tols")
+    expected = {"unit": "ms", "low": 1, "high": 1000, "default": 50, "required": False}
+    assert expected.items() <= rows["timing.controller_step_ms"].items()
+    assert "K_tc" in ask("keys", "cutting.linear_edge").out and "known are arm" in refused("keys", "tols")
 
 
 # --- recordings ---
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     pytest.importorskip("geometry_msgs")
@@ -171,8 +165,6 @@ def test_replay_compensates_to_the_trajectory_that_was_published(whole, tmp_path
 
 
 # --- The command report: which recordings it takes and where it writes ---
-
-
 def test_the_report_of_a_directory_goes_into_it_whether_it_holds_files_or_directories(whole, tmp_path):
     for place in ("files/a.mcap", "files/b.mcap", "directories/a/a.mcap", "one/r.mcap"):
         (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
@@ -220,8 +212,6 @@ def test_names_that_are_alike_get_their_directories():
 
 
 # --- a graph whose topics were remapped ---
-
-
 @pytest.fixture(scope="module")
 def remapped(tmp_path_factory):
     """A pass of a robot in /left whose wrench was on force/measured; another sensor was on wrench."""
@@ -249,13 +239,10 @@ def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_p
     assert "force x" in ask("compare", remapped, str(tmp_path / "cell.yaml"), *rule).out
 
 
-@pytest.mark.parametrize(
-    ("rule", "sentence"),
-    [
-        ("wrnch:=force", "'wrnch' is not one of target_trajectory, robot_description, tool_pose, wrench, "),
-        ("wrench=force", "'wrench=force' is not NAME:=RECORDED"),
-        ("wrench:=force/other", "has no topic force/other"),
-    ],
-)
+@pytest.mark.parametrize(("rule", "sentence"), [
+    ("wrnch:=force", "'wrnch' is not one of target_trajectory, robot_description, tool_pose, wrench, "),
+    ("wrench=force", "'wrench=force' is not NAME:=RECORDED"),
+    ("wrench:=force/other", "has no topic force/other"),
+])  # fmt: skip
 def test_a_wrong_remapping_is_one_sentence(remapped, rule, sentence):
     assert sentence in refused("replay", remapped, "--recompute", "--remap", rule)

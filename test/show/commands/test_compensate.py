@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
-import json
 import re
 import signal
 import subprocess
@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile import answered, ask, contents, refused, settings
-from krl_robot import Robot
+from hostile import answered, ask, contents, printed, refused, settings
 from small_part import GCODE, assignments
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell import jobs
-from kr270_milling.cli import _parser, main
+from kr270_milling.cli import main
 from kr270_milling.decide.programs import krl
 
 
@@ -136,8 +135,6 @@ def test_a_failure_while_writing_leaves_the_directory_as_it_was(tmp_path, monkey
 
 
 # --- The verdict as a part of ``compensate``: on by default, quick, long or left out ---
-
-
 SHORT = settings(
     "path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]", "uncertainty.reference_inertia=0",
     "uncertainty.repeatability_um=0",
@@ -146,49 +143,36 @@ SHORT = settings(
 
 @pytest.fixture
 def judged(quick, tmp_path, capsys):
-    """The command on a short cut: what it prints as JSON and as text, and what it says beside it."""
-
-    def run(*words: str) -> tuple[dict, str, str]:
-        words = ["compensate", "paper.yaml", "--out", str(tmp_path / "o"), *SHORT, *words]
-        args = _parser(words).parse_args(words)
-        answer = args.run(args)
-        assert answer.print(as_json=True) == 0
-        as_json, errors = capsys.readouterr()
-        assert answer.print(as_json=False) == 0
-        return json.loads(as_json), capsys.readouterr().out, errors
-
-    return run
+    """The command on a short cut."""
+    return functools.partial(printed, capsys, "compensate", "paper.yaml", "--out", str(tmp_path / "o"), *SHORT)
 
 
 def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(judged, monkeypatch):
     monkeypatch.setattr("kr270_milling.show.commands.compensate.PLANTS", 2)
-    result, text, _ = judged("--method", "spline", "--seed", "7")
+    _, text, result, _ = judged("--method", "spline", "--seed", "7")
     assert "2 simulated robots, seed 7: largest path deviation [um]" in text and "verdict: compensation helps" in text
     verdict = result["verdict"]
-    assert verdict["verdict"] == "helps" and verdict["samples"] == 2 and verdict["seed"] == 7
-    assert len(verdict["compensated_um"]) == 3 and "inverse" in verdict["methods_um"]
-    assert result["recommended_method"] == verdict["recommended_method"]
-    result, *_ = judged("--quick", "--method", "spline")
+    assert (verdict["verdict"], verdict["samples"], verdict["seed"]) == ("helps", 2, 7)
+    assert "inverse" in verdict["methods_um"] and result["recommended_method"] == verdict["recommended_method"]
+    _, _, result, _ = judged("--quick", "--method", "spline")
     assert result["verdict"]["samples"] == 8 and set(result["verdict"]["methods_um"]) == {"none", "spline"}
     assert result["recommended_method"] is None  # nothing was compared
-    result, text, errors = judged("--no-verdict")
+    code, text, result, warnings = judged("--no-verdict")
     assert result["verdict"] is None and result["recommended_method"] is None
-    assert text.startswith("decision: caution: ") and "would take too long" not in errors
+    assert code == 0 and text.startswith("decision: caution: ") and "would take too long" not in warnings
 
 
 def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence_but_a_typed_number_runs(judged, monkeypatch):
     monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_VERDICT", 1e-3)
     monkeypatch.setattr("kr270_milling.decide.verdict.FEWEST", 1)
     monkeypatch.setattr("time.perf_counter", itertools.count(0.0, 100.0).__next__)  # 100 s from look to look
-    result, text, _ = judged("--method", "spline")
+    _, text, result, _ = judged("--method", "spline")
     assert result["verdict"] is None and "--verdict runs them" in text
-    result, *_ = judged("--method", "spline", "--verdict", "2")
+    _, _, result, _ = judged("--method", "spline", "--verdict", "2")
     assert result["verdict"]["samples"] == 2 and result["verdict"]["note"] == ""
 
 
 # --- An interrupted compensation leaves no half-written program and continues from its last finished pass ---
-
-
 def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(quick, tmp_path, monkeypatch):
     whole, out = tmp_path / "whole", tmp_path / "out"
     passes, run_pass = [], jobs.run_pass
@@ -214,38 +198,3 @@ def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(quick, tmp_pa
     unfinished.mkdir()
     (unfinished / "pass_1.bin").write_bytes(b"half")
     assert "pass_1.bin: is no finished pass; run without --resume" in refused(*words)
-
-
-# --- from a CAM's file to the controller in two commands ---
-
-
-PROGRAM = Path(__file__).parents[2] / "path" / "programs" / "haas.nc"
-#: coarse, so that a pocket takes seconds
-COARSE = settings(
-    "stock.grid_step_um=100", "stock.floor_tolerance_um=10", "exchange.micro_step_deg=6", "exchange.period_ms=2",
-    "timing.controller_step_ms=50", "dynamics.reference_inertia=false", "dynamics.posture_spacing_mm=20",
-    'program.spindle_on=["$OUT[1]=TRUE"]', 'program.spindle_off=["$OUT[1]=FALSE"]',
-)  # fmt: skip
-
-
-def test_a_pocket_ends_in_a_program_a_report_and_a_decision(tmp_path):
-    (tmp_path / "my.yaml").write_text(ask("init", "--gcode", str(PROGRAM), "--tool", "T1").out)
-    words = ("--method", "mirror", "--no-verdict", "--out", tmp_path / "part", *COARSE)
-    result = answered("compensate", tmp_path / "my.yaml", *words)
-    assert result["may_be_run"] is True and result["decision"] == "caution" and result["method"] == "mirror"
-    for version in ("as_programmed", "compensated"):
-        assert {"passes_tolerance", "wall_um", "floor_um"} <= set(result[version])
-    assert result["compensated"]["wall_um"] < result["as_programmed"]["wall_um"]
-    page = Path(result["report"]).read_text()
-    assert '<span class="label">decision</span><strong>caution</strong>' in page
-    folder = Path(result["programs"]["krl_spline"][0]).parent
-    for kind, within in (("ORG", 1e-3), ("CMP", 0.1)):  # [mm]
-        robot = Robot(folder, f"HAAS_{kind}")
-        place = robot.column("XYZ")  # 28 by 20 mm of tool centre path with corners of 2 mm, 1 mm deep
-        deep = place[place[:, 2] < -0.9]
-        assert place[:, 2].min() == pytest.approx(-1.0, abs=within)
-        np.testing.assert_allclose([*deep[:, :2].min(0), *deep[:, :2].max(0)], [-14, -10, 14, 10], atol=within)
-        moves = [line for line in robot.steps if line.startswith(("PTP", "LIN", "SPL ", "$OUT"))]
-        assert moves[:4] == ["PTP XHOME", "$OUT[1]=TRUE", "PTP XAPPROACH", "LIN XP1"]
-        assert moves[-3:] == ["LIN XRETRACT", "$OUT[1]=FALSE", "PTP XHOME"]
-        assert robot.approach[2] >= 50.0 and not any("-0.0000" in line for line in robot.steps)

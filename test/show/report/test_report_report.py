@@ -106,8 +106,8 @@ def test_the_papers_column_and_figures_are_there_only_for_the_paper(tmp_path, st
 
 
 def shown_decision(level: str, sentence: str, method: str, verdict: str) -> SimpleNamespace:
-    said = SimpleNamespace(text=verdict)
-    return SimpleNamespace(level=level, sentence=sentence, method_text=method, notes=(sentence,), verdict=said)
+    text = SimpleNamespace(text=verdict)
+    return SimpleNamespace(level=level, sentence=sentence, method_text=method, notes=(sentence,), verdict=text)
 
 
 def test_texts_from_files_are_escaped(tmp_path, straight):
@@ -145,15 +145,12 @@ def test_the_decision_leads_the_page(tmp_path, straight):
     assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        ["path.length_mm=0.1"],  # three exchange periods, never engaged
-        ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
-        ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
-        ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "dynamics.mass_model=consistent"],
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    ["path.length_mm=0.1"],  # three exchange periods, never engaged
+    ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
+    ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
+    ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "dynamics.mass_model=consistent"],
+])  # fmt: skip
 def test_passes_of_other_cells_are_reported_without_complaint(tmp_path, changes):
     other = read_cell(find_file("paper.yaml"), ["path.length_mm=11", "stock.grid_step_um=50.0", *changes])
     data = json.loads(Page(written(tmp_path, other, [simulate(other)])).scripts[0])
@@ -200,8 +197,6 @@ def test_a_rounded_zero_has_no_sign_and_a_missing_number_is_a_dash():
 
 
 # --- series: CSV files, and names that stay inside the directory ---
-
-
 def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its_joints(tmp_path, straight):
     def close(table, expected):  # a number of thirteen digits is wrong by half of the last one at most
         np.testing.assert_allclose(table, expected, rtol=5e-13, atol=0)
@@ -239,8 +234,6 @@ def test_file_names_are_plain_inside_the_directory_and_different_even_without_re
 
 
 # --- report.charts and report.straight_cut: micro-step forces, spectra, walls ---
-
-
 def test_micro_step_forces_average_to_the_wrench_of_each_exchange_period():
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=6.0", "stock.grid_step_um=20.0"])
     result = simulate(cell).result
@@ -265,9 +258,7 @@ def test_thinning_a_spectrum_loses_no_peak():
     amplitude = rng.random(40_000)
     amplitude[5332] = 10.0
     thin_f, thin_a = thinned_spectrum(frequency, amplitude, 2000.0, 300)
-    assert thin_f.size <= 300
-    assert thin_f[np.argmax(thin_a)] == frequency[5332]
-    assert np.all(np.diff(thin_f) > 0)
+    assert thin_f[np.argmax(thin_a)] == frequency[5332] and thin_f.size <= 300 and np.all(np.diff(thin_f) > 0)
 
 
 def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to(straight):
@@ -283,8 +274,6 @@ def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to(straight):
 
 
 # --- report.charts and report.linked: thinned to what can be seen, no maximum lost ---
-
-
 @settings(max_examples=budget(30))
 @given(st.integers(1, 6000), st.integers(2, 60), st.integers(0, 2**32 - 1))
 def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, seed):

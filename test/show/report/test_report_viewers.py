@@ -60,8 +60,6 @@ def test_every_number_of_a_result_has_a_column_and_the_table_of_the_scores_every
 
 
 # --- robot.urdf, its solids, and report.robot_model: the robot that viewers and the page show ---
-
-
 @pytest.fixture(scope="module", params=["paper.yaml", "test_piece.yaml"])
 def cell(request):
     return read_cell(find_file(request.param))
@@ -85,26 +83,21 @@ def test_pinocchio_puts_every_frame_of_the_urdf_where_our_kinematics_does(cell, 
             np.testing.assert_allclose(placed.rotation, pose.rotation, atol=1e-8)
 
 
-def test_every_link_that_one_sees_has_solids_and_none_is_a_mesh(text):
+def test_the_solids_of_every_link_are_closed_and_have_a_known_colour_and_the_tool_ends_in_the_tip(cell, text):
     root = ET.fromstring(text)
-    shapes = {shape.tag for geometry in root.iter("geometry") for shape in geometry}
-    assert shapes == {"box", "cylinder"}
+    assert {shape.tag for geometry in root.iter("geometry") for shape in geometry} == {"box", "cylinder"}
+    known = {material.get("name") for material in root.findall("material")}
+    assert {material.get("name") for material in root.findall(".//visual/material")} <= known
+    meshes = {link.name: link.meshes for link in links_of(text)}
     for name in ("base_link", *(f"link_{j}" for j in range(1, 7)), "tcp"):
-        assert root.find(f"link[@name='{name}']").findall("visual"), name
-    known = {m.get("name") for m in root.findall("material")}
-    assert {m.get("name") for v in root.iter("visual") for m in v.findall("material")} <= known
-
-
-def test_meshes_are_closed_and_point_outwards_and_the_tool_ends_in_the_tip(cell, text):
-    for link in links_of(text):
-        for mesh in link.meshes:
+        assert meshes[name], name
+        for mesh in meshes[name]:
             corners = mesh.vertex[mesh.triangle]
             volume = np.sum(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6
             assert volume > 0.0
             edges = np.concatenate([mesh.triangle[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
             assert {tuple(e) for e in edges} == {tuple(e[::-1]) for e in edges}
-    (tool,) = (link for link in links_of(text) if link.name == "tcp")
-    vertices = np.vstack([mesh.vertex for mesh in tool.meshes])
+    vertices = np.vstack([mesh.vertex for mesh in meshes["tcp"]])
     assert vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # z points from the flange to the tip
     at_tip = vertices[np.abs(vertices[:, 2]) < 1e-9]
     assert np.hypot(*at_tip[:, :2].T).max() == pytest.approx(cell.tool.radius, abs=1e-9)

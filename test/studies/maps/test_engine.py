@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import json
 import os
 import re
@@ -22,6 +20,7 @@ from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, _client
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 
 parquet = pytest.importorskip("pyarrow.parquet")
+dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("dask.distributed")
 PATIENCE = 60.0
 SHORT = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
@@ -34,51 +33,16 @@ def until(true, what: str) -> None:
         time.sleep(0.02)
 
 
-class Cluster:
-    """``dask scheduler`` and ``dask worker`` as anybody starts them."""
-
-    def __init__(self, place: Path):
-        self.place, self.workers, self.file = place, [], place / "scheduler.json"
-        self.scheduler = self.start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", self.file)
-
-    @functools.cached_property
-    def address(self) -> str:
-        """Of the scheduler, which writes its file piece by piece."""
-        until(lambda: self.file.exists() and self.file.read_text().rstrip().endswith("}"), "no scheduler")
-        return json.loads(self.file.read_text())["address"]
-
-    def start(self, *words):
-        line = [sys.executable, "-m", "dask", *map(str, words), "--host", "127.0.0.1"]
-        # the result of a killed worker is requested until this time is over
-        environment = os.environ | {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
-        with (self.place / "log").open("ab") as log:
-            output = {"stdout": log, "stderr": log}
-            return subprocess.Popen(line, **output, cwd=self.place, start_new_session=True, env=environment)
-
-    def add_worker(self) -> subprocess.Popen:
-        words = ("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory")
-        self.workers.append(self.start(*words, self.place))
-        return self.workers[-1]
-
-    def stop(self) -> None:
-        for process in (*self.workers, self.scheduler):
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
-    made = Cluster(tmp_path_factory.mktemp("dask"))
-    try:
-        made.add_worker(), made.add_worker()
-        yield made
-    finally:
-        made.stop()
+def cluster():
+    """The address of a scheduler with two workers."""
+    timeouts = {"distributed.comm.timeouts.connect": "3s"}  # of requests for the result of a killed worker
+    with dask.config.set(timeouts), distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as made:
+        yield made.scheduler_address
 
 
 def rows_of(seconds: float = 0.0):
-    """Rows of chunks, after some time; workers get a function in a function as it is, and need no file of it."""
+    """Rows of chunks, after some time; workers receive the inner function with its code, and need no file."""
 
     def rows(number: int) -> bytes:
         time.sleep(seconds)
@@ -106,27 +70,17 @@ def test_a_short_study_needs_no_cluster_a_long_one_soon_has_one_and_a_folder_is_
     assert len(list((tmp_path / "long").glob("rows-*"))) == 2
 
 
-def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
-    """What is submitted and not yet written is what the driver and the workers hold: the bound of their memory."""
-    study, out, most = Study(tmp_path / "study", {}), set(), []
-    submit, whole = distributed.Client.submit, Study.chunk
+def test_no_more_chunks_are_under_way_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
+    """A chunk that is submitted and not yet written takes memory of the driver and of the workers."""
+    written, under_way, submit = [0], [], distributed.Client.submit
 
-    def counted(client, function, *args, key, **more):
-        if key[-1].isdigit():
-            out.add(int(key.rpartition("-")[2]))
-            most.append(len(out))
-        return submit(client, function, *args, key=key, **more)
-
-    def written(self, number):
-        out.discard(number)
-        return whole(self, number)
+    def counted(*args, **more):
+        under_way.append(len(under_way) + 1 - written[-1])
+        return submit(*args, **more)
 
     monkeypatch.setattr(distributed.Client, "submit", counted)
-    missing = study.missing(100)
-    monkeypatch.setattr(Study, "missing", lambda self, count: missing)
-    monkeypatch.setattr(Study, "chunk", written)
-    run_chunks(study, 100, rows_of(), cluster.address)
-    assert len(most) == 100 and max(most) <= 2 * AHEAD
+    run_chunks(Study(tmp_path, {}), 100, rows_of(), cluster, lambda done, total: written.append(done))
+    assert len(under_way) == 100 and max(under_way) <= 2 * AHEAD
 
 
 def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
@@ -137,24 +91,21 @@ def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
         return str(os.getpid()).encode()
 
     study = Study(tmp_path / "study", {})
-    run_chunks(study, 8, maker, cluster.address)
+    run_chunks(study, 8, maker, cluster)
     made = chunks(study, 8)
     assert len(set(made)) == 2 and min(map(made.count, made)) >= 2
 
 
 def test_a_killed_worker_loses_no_row(cluster, tmp_path):
     study, count = Study(tmp_path / "study", {}), 12
-    victim = cluster.add_worker()
-    with distributed.Client(cluster.address) as client:
-        client.wait_for_workers(3, timeout=PATIENCE)
+    with distributed.Client(cluster) as client:
+        victim, _ = client.run(os.getpid).values()
 
     def kill(done, total):
-        if done >= 2 and victim.poll() is None:
-            os.killpg(victim.pid, signal.SIGKILL)
-            victim.wait()
+        if done == 2:
+            os.kill(victim, signal.SIGKILL)
 
-    run_chunks(study, count, rows_of(0.05), cluster.address, kill)
-    assert victim.poll() == -signal.SIGKILL
+    run_chunks(study, count, rows_of(0.05), cluster, kill)
     assert chunks(study, count) == [f"rows of chunk {n}".encode() for n in range(count)]
 
 
@@ -198,7 +149,7 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     driver.wait()
     assert ports and {port.laddr.ip for port in ports} == {"127.0.0.1"}
     before = {path: path.stat().st_mtime_ns for path in out.glob("rows-*.parquet")}
-    answer = answered(*words, "--scheduler", cluster.address)
+    answer = answered(*words, "--scheduler", cluster)
     assert answer["rows"] == 10 and parquet.read_table(out).num_rows == 10
     assert [row["path.depth_of_cut_mm"] for row in answer["best"]] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
     assert [row["path.depth_of_cut_mm"] for row in answer["worst"]] == pytest.approx([1.0, 0.9, 0.8, 0.7, 0.6])

@@ -25,16 +25,17 @@ from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
 parquet = pytest.importorskip("pyarrow.parquet")
 
 
+def line(start, end, count: int, force) -> PathPlaces:
+    """Places from start to end [m] with the tool down and a constant force [N]."""
+    feed = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
+    down = np.tile(np.diag([1.0, -1.0, -1.0]), (count, 1, 1))
+    return PathPlaces(np.linspace(start, end, count), down, np.tile(feed, (count, 1)), np.tile(force, (count, 1)))
+
+
 @pytest.fixture(scope="module")
 def placements() -> Placements:
     cell = read_cell(find_file("test_piece.yaml"), ["dynamics.gravity=false"])
-    x = np.linspace(-0.04, 0.04, 5)
-    course = PathPlaces(
-        np.stack([x, 0 * x, -1e-3 + 0 * x], 1),
-        np.tile(np.diag([1.0, -1.0, -1.0]), (5, 1, 1)),
-        np.tile([1.0, 0.0, 0.0], (5, 1)),
-        np.tile([-40.0, 150.0, 5.0], (5, 1)),
-    )
+    course = line([-0.04, 0.0, -1e-3], [0.04, 0.0, -1e-3], 5, [-40.0, 150.0, 5.0])
     axes = (np.array([1.4, 1.5]), np.array([-0.1, 0.1]), np.array([0.8]), np.radians([0.0, 20.0]),
             np.radians([-30.0, 0.0]))  # fmt: skip
     return Placements(cell, course, axes)
@@ -250,9 +251,7 @@ def test_a_whole_turn_has_no_seam():
 
 def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_what_is_too_fast_is_refused():
     """A cut of 1.2 m across the front of the arm in 24 s, the spindle across axis 6."""
-    y = np.linspace(-0.6, 0.6, 49)
-    course = PathPlaces(np.stack([0 * y, y, 0 * y], 1), np.tile(np.diag([1.0, -1.0, -1.0]), (49, 1, 1)),
-                        np.tile([0.0, 1.0, 0.0], (49, 1)), np.tile([150.0, -40.0, -20.0], (49, 1)))  # fmt: skip
+    course = line([0.0, -0.6, 0.0], [0.0, 0.6, 0.0], 49, [150.0, -40.0, -20.0])
     across = Turns(read_cell(find_file("test_piece.yaml")), course, 0.5, np.degrees(0.05e-6))
     grid = np.radians(np.arange(-180.0, 181.0, 10.0))
     way, arm = find_way(across, grid), across.cell.arm
