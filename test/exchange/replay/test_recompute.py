@@ -124,7 +124,7 @@ CASES = {  # messages, counts of channels (empty: all are 0), stops: without the
                                 (" messages that belong on /deflection",)) for n in (0, 1)},
     "no exchange": (lambda: one_pass()[: made.LATCHED_FIRST], {"compared": {f"/{name}": 1 for name in LATCHED}},
                     ("no pass is in the recording",)),
-    "begun before": (lambda: [m for m in one_pass() if m.stamp > 5_000_000 or m.topic in LATCHED], {},
+    "started before the recording": (lambda: [m for m in one_pass() if m.stamp > 5_000_000 or m.topic in LATCHED], {},
                      ("middle of a pass", "middle of a pass", "a pass that was not recorded")),
     "retried": (retried, {"repeated": {"/tool_pose": 1}, "compared": WHOLE | {"/wrench": STEPS + 1}}, ()),
     **{f"latched message {n} is late": (lambda n=n: late(n), {}, ()) for n in range(made.LATCHED_FIRST)},

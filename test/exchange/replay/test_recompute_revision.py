@@ -200,11 +200,6 @@ def test_a_recording_is_revised_by_its_own_or_by_another_method(tmp_path):
         assert to_bytes(revised.reference)[BODY:] == expected[BODY:]
 
 
-def test_a_state_without_fields_is_refused(tmp_path):
-    messages = made.changed(one_pass(), "compensator_state", 0, lambda data: data.replace(b"finished", b"finishes"))
-    assert recomputed(tmp_path / "r", messages).channels["/compensator_state"].refused == 1
-
-
 # --- Recordings of passes in which another cell cut than the one that planned: both are attached, all is recomputed ---
 
 

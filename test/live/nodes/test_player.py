@@ -84,16 +84,6 @@ def test_latched_messages_come_first_where_several_stand_at_the_first_moment(tmp
     assert [m.topic for m in messages[: len(FIRST) + 1]] == [*FIRST, "/tool_pose"]
 
 
-def test_with_an_offset_the_last_latched_messages_from_before_come_first(bag):
-    messages = played(bag, "--start-offset", "0.03")
-    recorded = made.raw(bag)
-    before = {topic: of_topic(recorded, topic)[0] for topic in FIRST}  # the others are revised from this pass
-    assert {m.topic: m.data for m in messages[: len(FIRST)]} == before
-    assert all(m.log_time >= END // 2 for m in messages[len(FIRST) :]) and messages[len(FIRST)].log_time == END // 2
-    behind = played(bag, "--start-offset", "0.061")
-    assert {m.topic: m.data for m in behind if m.topic in FIRST} == {t: of_topic(recorded, t)[-1] for t in FIRST}
-
-
 def listened(world, bag, *words: str, names=("/tool_pose", "/wrench", *FIRST), arguments=()):
     """A player that is paused and matched, and the list of the messages that a subscriber receives."""
     from rclpy.qos import QoSProfile

@@ -165,27 +165,6 @@ def test_a_file_that_ends_anywhere_lacks_nothing_that_came_before_the_rest_of_it
     recorder.session._waiting.clear()
 
 
-def test_a_directory_that_is_set_ends_the_recording_and_begins_another(world, tmp_path):
-    recorder = world.add(Recorder, "-p", "autostart:=false")
-    partner = world.partner()
-    partner.create_publisher(*topics.ROBOT_DESCRIPTION).publish(String(data="<robot/>"))
-    publisher = partner.create_publisher(*topics.WRENCH)
-    assert recorder.watch() == {}
-    for name, steps in (("first", range(30)), ("second", range(20))):
-        assert set_directory(recorder, tmp_path / name).successful
-        world.until(lambda: publisher.get_subscription_count() == 1)
-        publish_wrenches(world, publisher, steps)
-        due = {"/wrench": len(steps), "/robot_description": 1}
-        world.until(
-            lambda due=due: {t: e["count"] for t, e in recorder.session.writer.report().items() if t in due} == due
-        )
-        assert set_directory(recorder, "").successful
-        world.until(lambda: publisher.get_subscription_count() == 0)
-        with Recording(tmp_path / name) as recording:
-            assert not recording.cut_off
-            assert {topic: recording.topics()[topic].count for topic in due} == due
-
-
 def test_a_directory_that_cannot_be_used_is_refused_and_the_recorder_continues(world, tmp_path):
     recorder = world.add(Recorder, "-p", "autostart:=false")
     (tmp_path / "old").mkdir()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 from recording_samples import PERIOD, POSE, STORE, TOPICS, poses, raw, read, record, sample, whole_recording, write_mcap
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, StoragePlugin
@@ -21,7 +21,6 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.series import series
 
 
 @pytest.mark.parametrize("kind", list(CompressionType))
@@ -69,37 +68,6 @@ def test_a_file_cut_off_anywhere_gives_a_beginning_of_it_or_one_sentence(tmp_pat
         counts.append(len(messages))
     assert counts == sorted(counts)  # a longer file has never fewer messages
     assert counts[0] == 0 and counts[-1] == len(expected)
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [(b"", "not an MCAP file"), (b"\x89MCA", "ends in its first bytes"), (b"#!/bin/sh\necho", "not an MCAP file"),
-     (b"\x89MCAP0\r\n", "before its header"), (b"\x89MCAP0\r\n\x01\x05\0", "before its header")],
-)  # fmt: skip
-def test_what_is_no_recording_says_why(tmp_path, content, sentence):
-    (tmp_path / "a.mcap").write_bytes(content)
-    with pytest.raises(RecordingError, match=sentence):
-        Recording(tmp_path / "a.mcap")
-
-
-def test_a_foreign_schema_is_listed_and_its_bytes_are_read_but_not_decoded(tmp_path):
-    with open(tmp_path / "a.mcap", "wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("Thing", "jsonschema", b'{"type": "object"}')
-        channel = writer.register_channel("/thing", "json", schema)
-        bare = writer.register_channel("/bare", "", 0)
-        writer.add_message(channel, 1, b'{"a": 1}', 1)
-        writer.add_message(bare, 2, b"xyz", 2)
-        writer.finish()
-    with Recording(tmp_path / "a.mcap") as recording:
-        assert [m.data for m in recording.messages()] == [b'{"a": 1}', b"xyz"]
-        assert recording.topics()["/thing"].schema_encoding == "jsonschema"
-        for topic in ("/thing", "/bare"):
-            with pytest.raises(RecordingError, match="only cdr with ros2msg"):
-                list(recording.decoded([topic]))
-            with pytest.raises(RecordingError):
-                series(recording, topic)
 
 
 PACKAGES = ("@mcap/core", "@foxglove/rosmsg", "@foxglove/rosmsg2-serialization", "fzstd")

@@ -28,7 +28,7 @@ from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.stamps import YEAR, GapCounter, LogTimes
+from kr270_milling.recordings.bag.stamps import GapCounter
 from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
@@ -60,28 +60,9 @@ def test_metadata_yaml_is_what_rosbag2_of_jazzy_writes_and_the_file_has_configur
         assert recording.metadata()["kr270_milling"] == expected
     text = (tmp_path / "a" / "metadata.yaml").read_text()
     about = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    # the keys in the order of a file written by ros2 bag record (Jazzy, version 9)
-    assert list(about) == ["version", "storage_identifier", "duration", "starting_time", "message_count",
-                           "topics_with_message_count", "compression_format", "compression_mode",
-                           "relative_file_paths", "files", "custom_data", "ros_distro"]  # fmt: skip
     assert (about["version"], about["message_count"], about["relative_file_paths"]) == (9, 6, ["a.mcap"])
     assert about["duration"] == {"nanoseconds": 2 * PERIOD}
     assert "&id" not in text  # anchors are legal YAML that other readers need not know
-
-
-def test_wrong_use_is_one_sentence(tmp_path):
-    writer = BagWriter(tmp_path / "a")
-    writer.add_topic("/p", POSE)
-    for call in (
-        lambda: writer.add_topic("/p", TEXT),
-        lambda: writer.write("/p", b"", -1, -1),
-        lambda: writer.add_topic("/z", "no_such_msgs/msg/Thing"),
-    ):
-        with pytest.raises(RecordingError):
-            call()
-    writer.close()
-    with pytest.raises(RecordingError, match="closed"):
-        writer.write("/p", raw(pose(0, np.zeros(7))), 0)
 
 
 def test_a_refused_message_is_counted_and_the_recording_continues(tmp_path):
@@ -149,7 +130,7 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_
         assert [m.log_time for m in messages] == [i * 10_000 for i in range(len(messages))]
         assert messages[-1].data == posed(10_000 * (len(messages) - 1))
         assert recording.last_log_time == messages[-1].log_time
-        assert info(recording)["cut_off"] and info(recording)["missing"] == 0
+        assert info(recording)["missing"] == 0 and "cut off" in info_text(info(recording))
         [table] = export(recording, tmp_path / "csv").files
     assert len(table.read_text().splitlines()) == len(messages) + 1
     result = recover(tmp_path / "a")
@@ -282,14 +263,6 @@ def test_what_waits_for_a_stamp_is_bounded_and_nothing_of_it_is_lost(tmp_path, m
             writer.write("/s", text(f"{number:080}"), WALL + number)
         assert writer.count == 40
     assert log_times(tmp_path / "a") == [("/s", WALL + number) for number in range(40)]
-
-
-def test_stamps_a_little_apart_are_of_one_clock_and_years_apart_of_two():
-    times = LogTimes()
-    assert times.of(POSE, 10, WALL) == 10
-    assert times.of(POSE, 10 + YEAR - 1, WALL) == 9 + YEAR
-    assert times.of(POSE, 10, WALL) == 10
-    assert times.of(POSE, 3 * YEAR, WALL) == 9 + YEAR
 
 
 def count(stamps, period=None) -> GapCounter:

@@ -46,14 +46,6 @@ def test_the_definition_is_enough_for_mcap_ros2_to_decode_a_message():
         assert hasattr(decoded, next(iter(sample(topic, 2).__dataclass_fields__)))
 
 
-def test_separators_are_80_signs_and_every_dependency_stands_once():
-    text = definition("geometry_msgs/msg/PoseStamped")
-    heads = [line for line in text.splitlines() if line.startswith("MSG: ")]
-    needed = "std_msgs/Header builtin_interfaces/Time geometry_msgs/Pose geometry_msgs/Point geometry_msgs/Quaternion"
-    assert sorted(heads) == sorted(f"MSG: {name}" for name in needed.split())
-    assert text.count("=" * 80 + "\n") == len(heads)
-
-
 def test_a_type_that_the_store_lacks_is_read_from_the_files_of_its_package(tmp_path, monkeypatch):
     folder = tmp_path / "share" / "shop_msgs" / "msg"
     folder.mkdir(parents=True)
