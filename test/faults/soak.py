@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -74,23 +73,18 @@ class Growth:
 
     def cells(self) -> list[str]:
         """As text, in the order of COLUMNS; from the middle to the end of the run."""
-        (_, *first), (_, *last) = self._steady[[0, -1]]
-        memory, threads, files = (f"{a:.{d}f} -> {b:.{d}f}" for a, b, d in zip(first, last, (1, 0, 0), strict=True))
+        memory, threads, files = (f"{first:.4g} -> {last:.4g}" for first, last in self._steady[[0, -1], 1:].T)
         slope = f"{self.slope * 1000:+.2f} kB/{self.unit}"
         return [self.name, str(len(self.samples)), memory, f"{self.growth:+.2f}", slope, threads, files]
 
 
-def run_soak(passes: int, seconds: float, out: Path, progress: Callable[[int, int], None]) -> list[Growth]:
+def run_soak(passes: int, seconds: float, out: Path) -> list[Growth]:
     """A row for each process. Recordings of the passes are removed after each pass."""
     keep_to_this_host()
-    share = passes * 5  # [s]
-    total = int(share + seconds)
-    rows = _passes(passes, out, lambda done: progress(int(done * 5), total))
-    rows.append(_long_recording(seconds, out / "long", lambda done: progress(int(share + done), total)))
-    return rows
+    return [*_passes(passes, out), _long_recording(seconds, out / "long")]
 
 
-def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Growth]:
+def _passes(count: int, out: Path) -> list[Growth]:
     with Graph(fault_cell(), out, composed=True) as graph:
         pids = {child.name: child.pid for child in graph.children.values()} | {"runner": os.getpid()}
         rows = {name: Growth(name, "pass") for name in pids}
@@ -100,11 +94,10 @@ def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Gr
                 rows[name].look(number, pid)
             for file in recording.glob("*"):
                 file.unlink()
-            progress(number)
     return list(rows.values())
 
 
-def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]) -> Growth:
+def _long_recording(seconds: float, out: Path) -> Growth:
     """The exchange's three topics at the rate of a pass in real time."""
     growth, driver = Growth("recorder (one long recording)", "s"), Driver("", lambda: None)
     words = ["--ros-args", "-p", f"directory:={out}", "-p", f"topics:={','.join(TOPICS)}"]
@@ -114,17 +107,14 @@ def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]
         driver.until(lambda: all(p.get_subscription_count() for p in publishers), "discovery", PATIENCE)
         begin, random, down = time.monotonic(), np.random.default_rng(0), np.array([1.0, 0.0, 0.0, 0.0])
         for i in range(count):
-            row = random.normal(0.0, 50.0, 6)
-            records = (PoseSample(i * STEP_NS, "workpiece", row[:3], down),
-                       *(kind(i * STEP_NS, "workpiece", row) for kind in (WrenchSample, TwistSample)))  # fmt: skip
+            row, about = random.normal(0.0, 50.0, 6), (i * STEP_NS, "workpiece")
+            records = PoseSample(*about, row[:3], down), WrenchSample(*about, row), TwistSample(*about, row)
             for publisher, record in zip(publishers, records, strict=True):
                 publisher.publish(to_bytes(record))
             if i % AT_ONCE == 0:
-                now = time.monotonic() - begin
                 if not recorder.alive:
                     raise RunError("recorder", recorder.why_ended())
-                growth.look(now, recorder.pid)
-                progress(min(now, seconds))
+                growth.look(time.monotonic() - begin, recorder.pid)
             if i % 10 == 9:  # some milliseconds' worth at a time
                 time.sleep(max(0.0, begin + i / RATE - time.monotonic()))
         time.sleep(LAST)

@@ -11,7 +11,8 @@ pytest.importorskip("rclpy")
 from faults import soak, trials
 from faults.__main__ import main
 from faults.faults import ENDS, FAULTS, GOES_ON, Message
-from faults.trials import Trial, judge_words
+from faults.trials import Recorded, Row, Trial, judge_recording, judge_words
+from kr270_milling.live.graph.graph import NOT_COMPLETE
 
 
 def test_fault_is_reported_by_name_and_no_process_remains(ros_environment, monkeypatch, capsys):
@@ -22,22 +23,22 @@ def test_fault_is_reported_by_name_and_no_process_remains(ros_environment, monke
     assert (name, repeats) == ("cutting_process, SIGKILL", "1") and float(detected) >= 0.0
     design = "the run ends with a sentence; the recording is closed"
     assert rest == ["1 of 1", design, "0", "complete up to the fault, no hole"]
-    assert main(["--only", "earthquake"]) == 2
-    errors = capsys.readouterr().err
-    assert "'earthquake'" in errors and "disk full" in errors
 
 
-def test_reaction_other_than_the_designed_one_fails_the_row():
+def test_reaction_and_recording_other_than_the_designed_ones_fail_the_row():
     """A killed cut where the design is that the pass continues, and a name that no message contains."""
     killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
     messages = [Message(11.0, "cutting_process: was ended by SIGKILL")]
-    graph = SimpleNamespace(messages=messages, struck_at=10.0)
-    right, wrong = (Trial(0.5, reaction=ENDS) for _ in range(2))
-    judge_words(right, killed, graph)
+    right, wrong = (Trial(reaction=ENDS) for _ in range(2))
+    judge_words(right, killed, messages, 10.0)
     assert right.problems == [] and right.detected_s == 1.0
-    judge_words(wrong, replace(killed, process="recorder", reaction=GOES_ON), graph)
-    assert any("not named" in problem for problem in wrong.problems)
-    assert any("run ends: cutting_process: was ended by SIGKILL" in problem for problem in wrong.problems)
+    judge_words(wrong, replace(killed, process="recorder", reaction=GOES_ON), messages, 10.0)
+    assert [problem.partition(":")[0] for problem in wrong.problems] == ["not named; messages", "run ends"]
+    lacking = Trial(reaction=GOES_ON, recording=Recorded(False, True, 0, 7, 0.0, False, True))
+    judge_recording(lacking, [Message(11.0, f"recorder: {NOT_COMPLETE}")], "")
+    assert lacking.problems == [] and Row(killed, (lacking,)).cells()[-1].endswith("lost and counted: 7")
+    judge_recording(lacking, messages, "")
+    assert lacking.problems == ["the recording lacks messages, and no message reports it"]
 
 
 class OwnProcess:
@@ -59,7 +60,7 @@ class OwnProcess:
 
 def test_soak_measures_every_process_and_loses_nothing(ros_environment, monkeypatch, tmp_path):
     monkeypatch.setattr(soak, "Graph", OwnProcess)
-    rows = soak.run_soak(2, 0.6, tmp_path, lambda done, total: None)
+    rows = soak.run_soak(2, 0.6, tmp_path)
     assert [row.name for row in rows] == ["recorder", "runner", "recorder (one long recording)"]
     for row in rows:
         assert row.lost == 0 and len(row.cells()) == len(soak.COLUMNS) and len(row.samples) >= 2

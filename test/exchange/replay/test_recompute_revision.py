@@ -24,7 +24,7 @@ from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 
 pytestmark = made.needs_messages
 BODY = 12  # offset behind the stamp of a reference, which is the start of the next pass
-STATE, NAMES = "diagnostic_msgs/msg/DiagnosticStatus", ("c", "a", "b")  # in another order than that of the alphabet
+NAMES = ("c", "a", "b")  # in another order than that of the alphabet
 
 
 def folder_of(directory, method: str = "learned"):
@@ -38,7 +38,7 @@ def with_state(messages, index: int, **changes) -> list:
     """The messages with other fields in one state of the compensator."""
 
     def change(data: bytes) -> bytes:
-        state = from_bytes(STATE, data)
+        state = from_bytes(made.STATE, data)
         learned = state.learned
         if "last" in changes:
             learned = (*learned[:-1], learned[-1]._replace(**changes["last"]))
@@ -114,7 +114,7 @@ def test_a_method_that_is_chosen_between_two_passes_starts_from_the_named_pass(t
         files[name] = [*latched, *made.pass_along(compensator, f"{name}/{name}.mcap")]
         made.write(tmp_path / name, files[name])
     state = next(m.data for m in files["spline"] if m.topic == "compensator_state")
-    assert [one.recording for one in from_bytes(STATE, state).learned] == ["original/original.mcap"]
+    assert [one.recording for one in from_bytes(made.STATE, state).learned] == ["original/original.mcap"]
     for name in files:
         assert recompute(tmp_path / name).verdict == "identical", name
     together = [message for messages in files.values() for message in messages]  # one recorder, one file
