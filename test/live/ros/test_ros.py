@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-import importlib.metadata
 import os
-import re
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +11,18 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from ros_domain import is_used
 
 from kr270_milling.base.errors import ConfigError, InputError
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.base.record import Record, parameter, specs
+from kr270_milling.base.record import Record, specs
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.cell_file import cell_text, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, guarded
-from kr270_milling.live.ros.parameters import declare
 from kr270_milling.live.ros.readiness import unmatched
 from kr270_milling.live.ros.status import Status
 
@@ -109,55 +103,18 @@ def test_a_pass_may_start_when_every_end_of_every_topic_is_matched(change, sente
     assert unmatched(statuses(change)).startswith(sentence) and bool(unmatched(statuses(change))) == bool(sentence)
 
 
-def test_the_private_names_of_rclpy_are_those_of_the_versions_that_the_package_requires():
-    low, high = ((ROOT / "package.xml").read_text().partition(f'{key}="')[2].partition('"')[0] for key in ("gte", "lt"))
-    installed = importlib.metadata.version("rclpy")
-    assert tuple(map(int, low.split("."))) <= tuple(map(int, installed.split("."))) < tuple(map(int, high.split(".")))
-    texts = {file.name: file.read_text() for file in (ROOT / "kr270_milling" / "live").rglob("*.py")}
-    private = re.compile(r"rclpy\.impl|_rclpy|handle\.take|\._state_machine|_LifecycleNodeMixin__")
-    assert [name for name, text in texts.items() if private.search(text)] == ["rclpy_private.py"]
-
-
-# --- Parameter records as ROS parameters ---
-
-
-@dataclass(frozen=True, eq=False)
-class Sample(Record):
-    speed: float = parameter(unit="rpm", low=10.0, high=600.0, text="a speed")
-    angles: np.ndarray = parameter(unit="deg", low=-90.0, high=90.0, size=2, text="two angles")
-    teeth: int = parameter(3, low=1, high=9, text="a count")
-
-
-@pytest.fixture
-def declared(world, tmp_path):
-    """The record as a node reads it from a parameter file."""
-
-    def read(text: str) -> Sample:
-        (tmp_path / "node.yaml").write_text("/**:\n  ros__parameters:\n" + text)
-        node = world.add(functools.partial(Node, "sample"), "--params-file", str(tmp_path / "node.yaml"))
-        try:
-            return declare(node, Sample)
-        finally:
-            world.remove(node)
-
-    return read
-
-
-def test_a_node_takes_whole_numbers_where_floats_are_due_also_of_an_included_file(declared, tmp_path):
-    sample = declared("    speed_rpm: 60\n    angles_deg: [30, -90]\n")
-    assert sample.speed == pytest.approx(2 * np.pi)
-    np.testing.assert_allclose(np.degrees(sample.angles), [30.0, -90.0])
-    (tmp_path / "below.yaml").write_text("/**:\n  ros__parameters:\n    speed_rpm: 60\n    angles_deg: [30, -90.5]\n")
-    with pytest.raises(ConfigError):  # -90.5 is out of range, not of type
-        declared(f"    includes: ['{tmp_path / 'below.yaml'}']\n    teeth: 4\n")
-    sample = declared(f"    includes: ['{tmp_path / 'below.yaml'}']\n    angles_deg: [1, 2]\n")
-    assert sample.speed == pytest.approx(2 * np.pi) and sample.teeth == 3
-
-
-def test_a_node_refuses_a_fraction_for_a_count_and_a_number_out_of_range(declared):
-    for text, key in (("speed_rpm: 60\n    teeth: 2.5", "teeth"), ("speed_rpm: 5", "speed_rpm")):
+def test_a_node_takes_whole_numbers_where_floats_are_due_also_of_an_included_file(world, tmp_path):
+    form = '/**:\n  ros__parameters:\n    includes: ["{}"]\n'
+    below = form.format("paper.yaml") + "    tool: {diameter_mm: 12}\n    mount: {abc_deg: [1, 89, 0]}\n"
+    (tmp_path / "below.yaml").write_text(below)
+    (tmp_path / "cell.yaml").write_text(form.format(tmp_path / "below.yaml") + "    path: {length_mm: 5}\n")
+    words = ("--params-file", str(tmp_path / "cell.yaml"))
+    cell = world.add(CuttingProcess, *words).cell
+    assert (cell.tool.radius, cell.path.length) == pytest.approx((6e-3, 5e-3))
+    np.testing.assert_allclose(np.degrees(cell.mount.abc), [1.0, 89.0, 0.0])
+    for given, key in (("tool.teeth:=2.5", "teeth"), ("tool.diameter_mm:=-5", "diameter_mm")):
         with pytest.raises(ConfigError, match=key):
-            declared(f"    {text}\n    angles_deg: [1.0, 2.0]\n")
+            world.add(CuttingProcess, *words, "-p", given)
 
 
 # --- the environment of node processes: discovery on this host only ---
