@@ -298,6 +298,21 @@ def test_samples_out_of_order_count_for_nothing_and_holes_are_counted(protocol, 
 # --- A robot and a sensor with another clock ---
 
 
+def test_learning_converges_with_a_robot_of_another_clock():
+    """Poses every 4 ms with jitter, 2 % lost, force at 1 kHz; the error is at most the noise of one pose."""
+    cell, noise = read_cell(find_file("paper.yaml"), (*PLACED, "compensation.method=learned")), 5e-6
+    cell = cell.replace(imperfections=cell.imperfections.replace(pose_noise=noise))
+    protocol = CompensatorProtocol(cell)
+    protocol.begin(cell.target())
+    errors = []
+    for number in range(4):
+        result = simulate(cell, protocol.active.reference).result
+        errors.append(np.abs((result.actual - result.target)[result.time > cell.full_engagement, 1]).max())
+        feed(protocol, foreign_pass(result, number, noise, cell), 0)
+        assert protocol.passes == number + 1 and not protocol.under_way
+    assert errors[0] > 60e-6 and errors[-1] < noise
+
+
 def test_an_untared_sensor_in_its_own_frame_gives_the_wrench_at_the_tip(ran):
     """Its offset, its weight and its lever arm are gone; the mount is off the axis, and the tool is not upright."""
     cell = cell_with("path.length_mm=4", "mount.xyz_mm=[140, 30, -320]", "mount.abc_deg=[10, 80, 5]", *PLACED)

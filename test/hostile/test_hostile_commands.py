@@ -129,9 +129,10 @@ def test_a_reference_that_is_none_for_this_path_is_refused(tmp_path):
 
 
 SECRET = b"not to be touched"
+CELL = ("paper.yaml", *settings(*SHORT))
 WRITERS = {
-    "simulate": ("simulate", "paper.yaml", *settings(*SHORT), "--out", "{out}"),
-    "compensate": ("compensate", "paper.yaml", *settings(*SHORT), "--method=linear", "--no-verdict", "--out", "{out}"),
+    "simulate": ("simulate", *CELL, "--out", "{out}"),
+    "compensate": ("compensate", *CELL, "--method=linear", "--no-verdict", "--out", "{out}"),
     "demo": ("demo", "--plain", "--out", "{out}"),
     "export": ("export", "{recording}", "--csv", "{out}"),
     "revise": ("replay", "{passed}", "--compensate", "--out", "{out}"),
@@ -203,7 +204,6 @@ NUMBERS = ("", "nan", "inf", "-inf", "1e999", "-1", "9" * 5000, "0x10", "ä", "1
 COUNTS = ("", "nan", "inf", "1e30", "-1", "0", "1.5", "9" * 5000, "1_0", "0x10", "٣", "²")
 SIX = ("", "1", "1,2,3,4,5", "1,2,3,4,5,6,7", "nan,0,0,0,0,0", "0,0,0,0,0,inf", "1e30,0,0,0,0,0", ",,,,,",
        "a,b,c,d,e,f", "-1e300,0,0,0,0,0", "721,0,0,0,0,0")  # fmt: skip
-CELL = ("paper.yaml", *settings(*SHORT))
 
 
 @pytest.mark.parametrize(("parse", "texts"), [
@@ -287,16 +287,27 @@ def test_ctrl_c_ends_a_command_with_one_sentence_and_leaves_the_files_of_the_las
     assert contents(tmp_path) == {"out": "dir", "out/original.csv": b"mine"}
 
 
-COMPILING = """
+SIGNALLED = """
 import os, signal
 from numba.core.compiler_lock import global_compiler_lock as lock
 from kr270_milling.cli import _handle_interrupts
 _handle_interrupts()
-with lock:
+
+def press():
     os.kill(os.getpid(), signal.{number})
     sum(range(10**6))
     print("still here")
+
+class File:
+    def __del__(self):
+        press()
+
+def compile():
+    with lock:
+        press()
+
 try:
+    {begin}()
     while True:
         signal.pause()
 except {error}:
@@ -306,26 +317,6 @@ with lock:
         os.kill(os.getpid(), signal.{number})
     except {error}:
         print("at once when sent again")
-"""
-
-
-FINALIZING = """
-import os, signal
-from kr270_milling.cli import _handle_interrupts
-_handle_interrupts()
-
-class File:
-    def __del__(self):
-        os.kill(os.getpid(), signal.{number})
-        sum(range(10**6))
-        print("still here")
-
-try:
-    File()
-    while True:
-        signal.pause()
-except {error}:
-    print("now")
 """
 
 
@@ -349,9 +340,8 @@ def test_a_signal_waits_for_a_compilation_unless_it_comes_twice_and_a_finalizer_
         return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=30)
 
     for number, error in (("SIGINT", "KeyboardInterrupt"), ("SIGTERM", "SystemExit")):
-        done = ran(COMPILING.format(number=number, error=error))
-        assert done.stdout.split("\n") == ["still here", "now", "at once when sent again", ""], done.stderr
-        done = ran(FINALIZING.format(number=number, error=error))
-        assert (done.stdout, done.stderr) == ("still here\nnow\n", "")
+        for begin in ("compile", "File"):
+            done = ran(SIGNALLED.format(number=number, error=error, begin=begin))
+            assert (done.stdout, done.stderr) == ("still here\nnow\nat once when sent again\n", "")
     done = ran(STARTING)
     assert (done.returncode, done.stderr) == (130, "kr270_milling: interrupted\n")
