@@ -1,4 +1,4 @@
-"""Faults in mid-pass, or long runs, of the whole graph: ``python -m faults``, in this folder's parent.
+"""Faults in mid-pass, or many passes, of the whole graph: ``python -m faults``, in this folder's parent.
 
 Exit code 1 if a row fails, 2 with a sentence where no graph can be started.
 """
@@ -36,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
             Path(directory, "cell.yaml").touch()  # the next run finds that this directory is taken
             if args.soak:
                 columns = soak.COLUMNS
-                rows = soak.run_soak(args.passes, args.minutes * 60, Path(directory))
+                rows = soak.run_soak(args.passes, Path(directory))
             else:
                 columns = trials.COLUMNS
                 faults = [fault for fault in FAULTS if args.only.lower() in fault.name.lower()]
@@ -61,12 +61,11 @@ def _print_row(cells: Sequence[str]) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m faults", description="Disturb the graph of nodes on purpose.")
     add, count = parser.add_argument, bounded(1, 1000, int)
-    add("--soak", action="store_true", help="no fault: many passes in one graph, and a long recording")
+    add("--soak", action="store_true", help="no fault: many passes in one graph")
     add("--repeats", type=count, default=10, metavar="N", help="of every fault (default: 10)")
     add("--seed", type=int, default=1, metavar="S", help="of the times of the faults (default: 1)")
     add("--only", default="", metavar="NAME", help="only the faults whose name contains this")
     add("--passes", type=count, default=100, metavar="N", help="of the soak (default: 100)")
-    add("--minutes", type=bounded(0.01, 1000.0), default=10.0, metavar="M", help="of its recording (default: 10)")
     add("--out", metavar="DIR", help="keep recordings and logs there (default: they are removed)")
     return parser
 

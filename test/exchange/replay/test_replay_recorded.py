@@ -249,14 +249,7 @@ def driven(tmp_path_factory):
             name = "tool_pose" if isinstance(sample, PoseSample) else "wrench"
             messages.append(made.Message(name, to_bytes(sample), sample.stamp))
             messages += made.messages(getattr(protocol, "pose" if name == "tool_pose" else "wrench")(sample))
-    directory = tmp_path_factory.mktemp("driven") / "r"
-    kinds = {name: kind for name, kind in made.TYPES.items() if name != "deflection"}
-    with BagWriter(directory, attachments={"cell.yaml": cell_text(cell)}) as writer:
-        for name, kind in kinds.items():
-            writer.add_topic(f"/{name}", kind)
-        for k, message in enumerate(messages):
-            writer.write(f"/{message.topic}", message.data, LATE + k)
-    return directory, true
+    return made.write(tmp_path_factory.mktemp("driven") / "r", messages, cell=cell_text(cell)), true
 
 
 def test_a_pass_of_a_robot_with_another_clock_is_scored_at_its_stamps(driven):
