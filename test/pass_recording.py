@@ -21,6 +21,7 @@ from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.recordings.bag.play_options import PlayOptions
+from kr270_milling.recordings.bag.playback import opening, passage, span
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -189,6 +190,15 @@ def options(*words: str) -> PlayOptions:
     for names, keywords in PLAY:
         parser.add_argument(*names, **keywords)
     return play_options(parser.parse_args(list(words)))
+
+
+def played(bag, *words: str) -> list:
+    """The messages of a playback in their order."""
+    chosen = options(str(bag), *words)
+    with Recording(bag) as recording:
+        topics = set(chosen.topics or recording.topics())
+        start, end = span(recording, chosen)
+        return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
 
 
 def raw(directory) -> list[tuple[str, bytes]]:

@@ -182,40 +182,25 @@ def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_
 # --- which passes a run makes, with a graph whose passes are simulated at once ---
 
 
-class PlainGraph:
-    """What ``run_plan`` needs of a graph."""
-
-    driver = SimpleNamespace(namespace="/")
-
-    def __init__(self, cell):
-        self.cell = cell
-        self.compensator = compensator(cell, cell.target())
-        self.choose = self.compensator.choose
-        self.ran: dict[str, object] = {}
-
-    @property
-    def repeats(self) -> bool:
-        return self.compensator.repeats
-
-    def run_pass(self, name: str) -> RunValues:
-        self.ran[name] = simulate(self.cell, self.compensator.reference, name)
-        self.compensator.revise(record_of(self.cell, self.ran[name].result))
-        state = self.compensator
-        return RunValues(Path(name), 1.0, tuple(state.errors), state.finished)
-
-
 @pytest.fixture
 def run(monkeypatch, short_cell):
-    """Runs a plan for a cell with other parameters of the compensation; returns the graph and the rows."""
+    """Runs a plan for a cell with other parameters of the compensation; returns graph, rows and names of its passes."""
 
     def run(methods, passes=None, **parameters):
-        graph = PlainGraph(short_cell.replace(compensation=short_cell.compensation.replace(**parameters)))
+        cell = short_cell.replace(compensation=short_cell.compensation.replace(**parameters))
+        graph, ran = compensator(cell, cell.target()), {}
+
+        def run_pass(name: str) -> RunValues:
+            ran[name] = simulate(cell, graph.reference, name)
+            graph.revise(record_of(cell, ran[name].result))
+            return RunValues(Path(name), 1.0, tuple(graph.errors), graph.finished)
 
         def recorded(recording, name, namespace):
-            return SimpleNamespace(scored=graph.ran[str(recording)], lost_to_end=0)
+            return SimpleNamespace(scored=ran[str(recording)], lost_to_end=0)
 
+        graph.cell, graph.driver, graph.run_pass = cell, SimpleNamespace(namespace="/"), run_pass
         monkeypatch.setattr(plan, "pass_from_recording", recorded)
-        return graph, plan.run_plan(graph, methods, passes)
+        return graph, plan.run_plan(graph, methods, passes), list(ran)
 
     return run
 
@@ -226,7 +211,7 @@ def run(monkeypatch, short_cell):
     (["learned"], 1, ["original"]),
 ])  # fmt: skip
 def test_each_method_that_does_not_repeat_makes_one_pass_or_the_given_number(run, methods, passes, names):
-    _, rows = run(methods, passes)
+    _, rows, _ = run(methods, passes)
     assert [row.scored.name for row in rows] == names
     assert not any(row.learning for row in rows)
 
@@ -234,15 +219,15 @@ def test_each_method_that_does_not_repeat_makes_one_pass_or_the_given_number(run
 @pytest.mark.parametrize("method, repeat", [("learned", False), ("spline", True)])
 def test_a_method_that_repeats_continues_until_the_compensator_is_finished_as_off_line(run, method, repeat):
     """The compensator is asked; the method's name decides nothing."""
-    graph, (original, best) = run([method], repeat=repeat, max_passes=4)
-    assert graph.compensator.finished and 2 <= len(best.learning) <= 4
-    assert list(graph.ran) == ["original", *(f"{method}_{n + 1}" for n in range(len(best.learning)))]
+    graph, (original, best), ran = run([method], repeat=repeat, max_passes=4)
+    assert graph.finished and 2 <= len(best.learning) <= 4
+    assert ran == ["original", *(f"{method}_{n + 1}" for n in range(len(best.learning)))]
     off_line = compensated(graph.cell, original.scored, method)
     assert best.scored.name == method and best.scored.scores == off_line.scores
 
 
 def test_the_original_pass_is_the_best_where_no_revision_helps(run):
-    _, (original, best) = run(["spline"], repeat=True, max_correction=1e-9)
+    _, (original, best), _ = run(["spline"], repeat=True, max_correction=1e-9)
     assert len(best.learning) >= 1 and best.scored.scores.max_deviation <= original.scored.scores.max_deviation
 
 

@@ -7,10 +7,10 @@ import io
 import json
 
 import numpy as np
+import pass_recording as made
 import pytest
 import recording_samples as samples
 from mcap.writer import Writer
-from pass_recording import options
 from recording_samples import DIAGNOSTICS, PERIOD, POSE, TEXT, TOPICS, WRENCH, header, make, pose, raw, record, wrench
 
 from kr270_milling.base.errors import RecordingError
@@ -19,7 +19,6 @@ from kr270_milling.cli import main
 from kr270_milling.recordings.bag import export as module
 from kr270_milling.recordings.bag.export import WRITERS, export
 from kr270_milling.recordings.bag.info import info, info_text
-from kr270_milling.recordings.bag.playback import opening, passage, span
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.bag.writer import BagWriter
@@ -201,12 +200,6 @@ def three_passes(tmp_path):
         yield recording
 
 
-def played(recording: Recording, *words: str) -> list:
-    topics = set(recording.topics())
-    start, end = span(recording, options(str(recording.path), *words))
-    return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
-
-
 def test_rate_times_series_and_tables_are_those_of_each_pass(three_passes, tmp_path):
     about = info(three_passes)
     assert about["topics"]["/tool_pose"]["rate_hz"] == pytest.approx(2000.0) and about["missing"] == 0
@@ -220,7 +213,7 @@ ONE = (STEPS - 1) * PERIOD + 1  # [ns]; a pass begins 1 ns after the pass before
 
 
 def test_passes_are_played_one_after_the_other_at_their_pace(three_passes):
-    actual = [m for m in played(three_passes) if m.topic != "/diagnostics"]
+    actual = [m for m in made.played(three_passes.path) if m.topic != "/diagnostics"]
     times = [m.log_time for m in actual]
     assert times == sorted(times)
     poses = [m for m in actual if m.topic == "/tool_pose"]
@@ -230,7 +223,7 @@ def test_passes_are_played_one_after_the_other_at_their_pace(three_passes):
 
 def test_an_offset_leads_into_a_later_pass_with_what_was_latched_last_before_it(three_passes):
     offset = str((ONE + 12 * PERIOD) * 1e-9)
-    first, *actual = played(three_passes, "--start-offset", offset, "--playback-duration", "0.001")
+    first, *actual = made.played(three_passes.path, "--start-offset", offset, "--playback-duration", "0.001")
     _, note, _ = (m.data for m in three_passes.messages(["/note"]))
     assert (first.topic, first.data) == ("/note", note)
     poses = [m.log_time for m in actual if m.topic == "/tool_pose"]
@@ -242,8 +235,7 @@ def test_a_recording_on_another_clock_is_one_part(tmp_path):
         writer.add_topic("/tool_pose", POSE)
         for log_time in (5, 9, 7, 5, 8):
             writer.write("/tool_pose", raw(pose(0, np.zeros(7))), 1, log_time)
-    with Recording(tmp_path / "b") as recording:
-        assert [m.log_time for m in played(recording)] == [5, 9, 9, 9, 9]  # in the order of the file
+    assert [m.log_time for m in made.played(tmp_path / "b")] == [5, 9, 9, 9, 9]  # in the order of the file
 
 
 def test_no_text_of_a_table_is_a_formula_for_a_spreadsheet():
