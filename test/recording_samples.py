@@ -153,12 +153,12 @@ def write_mcap(path, messages, compression=CompressionType.ZSTD, **options):
 
 @functools.cache
 def whole_recording() -> Whole:
-    """Bytes of a small file with several chunks, its messages, and the bytes of its metadata.yaml."""
+    """Bytes of a small file with several chunks, and its messages."""
     with tempfile.TemporaryDirectory() as folder:
         directory = Path(folder, "a")
         written = record(directory, 40, ["/tool_pose", "/wrench", "/robot_description"],
                          attachments={"cell.yaml": "a: 1\n" * 50}, metadata={"seed": 7}, chunk_size=2000)  # fmt: skip
-        return Whole(((directory / "a.mcap").read_bytes(), written, (directory / "metadata.yaml").read_bytes()))
+        return Whole(((directory / "a.mcap").read_bytes(), written))
 
 
 @contextlib.contextmanager

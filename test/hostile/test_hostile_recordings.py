@@ -88,7 +88,7 @@ def damaged(data: bytes, kind: int, rng: random.Random) -> bytes:
 
 @pytest.mark.parametrize("seed", range(budget(200)))
 def test_a_damaged_file_gives_written_messages_or_one_sentence(tmp_path, seed):
-    data, written, _ = whole_recording()
+    data, written = whole_recording()
     path, good = tmp_path / "a.mcap", set(written)
     path.write_bytes(damaged(data, seed % 4, random.Random(seed)))
     try:

@@ -11,7 +11,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rclpy.parameter import Parameter
 from ros_domain import is_used
 
 from kr270_milling.base.errors import ConfigError, InputError
@@ -20,7 +19,6 @@ from kr270_milling.base.record import Record, specs
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.cell_file import cell_text, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
-from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, guarded
 from kr270_milling.live.ros.readiness import unmatched
@@ -61,15 +59,8 @@ def test_failed_transition_and_unusable_input_are_reported_and_a_mistake_in_a_ca
     assert node.failure == "ZeroDivisionError in stumble: a mistake"
 
 
-def test_autostart_is_read_only_a_status_names_its_hardware_and_a_closed_node_leaves_no_port(
-    world, domain, short_cell, tmp_path
-):
-    node = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
-    assert node.describe_parameter("autostart").description and node.describe_parameter("autostart").read_only
-    assert not node.set_parameters([Parameter("autostart", value=True)])[0].successful
-    messages = world.listen(world.partner(), topics.DIAGNOSTICS)
-    world.until(lambda: messages)
-    assert messages[0].status[0].hardware_id
+def test_a_closed_node_leaves_no_port(world, domain, short_cell, tmp_path):
+    world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     assert is_used(domain)
     world.close()
     end = time.monotonic() + 60.0

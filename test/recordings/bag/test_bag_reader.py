@@ -69,7 +69,7 @@ def test_files_without_chunks_or_without_index_and_summary_are_read(tmp_path):
 
 def test_a_file_cut_off_anywhere_gives_a_beginning_of_it_or_one_sentence(tmp_path):
     """Every begin of a record, one byte before, one byte after, and many places between."""
-    data, written, _ = whole_recording()
+    data, written = whole_recording()
     expected = [data for _, _, data in written]
     path = tmp_path / "a.mcap"
     places, at = {0, 1, 7, 8}, 8
@@ -194,12 +194,10 @@ def places(data: bytes) -> dict[str, list[tuple[int, int]]]:
     return actual
 
 
-def test_a_whole_recording_has_no_findings(tmp_path):
-    data, _, metadata = whole_recording()
-    (tmp_path / "a.mcap").write_bytes(data)
-    (tmp_path / "metadata.yaml").write_bytes(metadata)
-    assert "whole: every checksum and index fits" in ask("info", str(tmp_path), "--verify").out
-    assert answered("info", tmp_path, "--verify")["damage"] == []
+def test_a_whole_recording_has_no_findings(bag, tmp_path):
+    directory, _ = bag
+    assert "whole: every checksum and index fits" in ask("info", str(directory), "--verify").out
+    assert answered("info", directory, "--verify")["damage"] == []
     for index in (IndexType.ALL, IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE):  # whatever its writer wrote
         with Recording(write_mcap(tmp_path / "b.mcap", poses(range(50)), chunk_size=500, index_types=index)) as other:
             assert findings(other) == []
@@ -207,7 +205,7 @@ def test_a_whole_recording_has_no_findings(tmp_path):
 
 @pytest.mark.parametrize("name", list(NAMES.values()))
 def test_a_flipped_bit_in_any_record_is_reported_and_recovered(tmp_path, name):
-    data, written, _ = whole_recording()
+    data, written = whole_recording()
     for number, (begin, end) in enumerate(places(data)[name][:3]):
         for at in {begin, (begin + end) // 2, end - 1}:
             path = tmp_path / f"{number}_{at}.mcap"

@@ -232,15 +232,6 @@ def test_a_silent_graph_has_one_clock_and_its_messages_are_on_the_disk_before_th
     assert log_times(tmp_path / "none") == [("/s", WALL + tenth) for tenth in range(11)]
 
 
-def test_what_waits_for_a_stamp_is_bounded_and_nothing_of_it_is_lost(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "HOLD_SIZE", 1000)
-    with opened(tmp_path / "a", "/s") as writer:
-        for number in range(40):
-            writer.write("/s", text(f"{number:080}"), WALL + number)
-        assert writer.count == 40
-    assert log_times(tmp_path / "a") == [("/s", WALL + number) for number in range(40)]
-
-
 def count(stamps, period=None) -> GapCounter:
     counter = GapCounter()
     counter.period_ns = period
