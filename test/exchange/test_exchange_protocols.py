@@ -162,16 +162,6 @@ def test_without_reference_workpiece_or_start_robot_and_cut_refuse_with_a_senten
             cut.pose(PoseSample(stamp, "workpiece", np.zeros(3), DOWN))
 
 
-def test_the_start_may_be_repeated_from_elsewhere_until_the_pass_is_under_way():
-    robot, cut = protocols(cell_with())
-    ((_, pose),) = robot.start()
-    for position in (pose.position + 1e-3, pose.position):
-        assert not cut.pose(pose._replace(position=position))[0][1].wrench.any()
-    np.testing.assert_array_equal(cut.pose(pose._replace(stamp=H))[0][1].wrench, np.zeros(6))
-    with pytest.raises(ExchangeError, match="fresh workpiece"):  # a second pass
-        cut.pose(pose)
-
-
 def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_cell):
     robot, cut = protocols(short_cell)
     ((_, fresh),) = cut.configure()

@@ -10,7 +10,7 @@ import pytest
 
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointSample, PoseSample, Text
-from kr270_milling.exchange.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
+from kr270_milling.exchange.scene import Scene
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.recordings.messages.codec import deserialise, to_bytes
@@ -53,23 +53,6 @@ def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
         for name, pose in (("flange", ours.flange), ("tcp", ours.tool), ("workpiece", cell.workpiece.pose)):
             np.testing.assert_allclose(frames[name][:3, 3], pose.position, atol=1e-8)
             np.testing.assert_allclose(frames[name][:3, :3], pose.rotation, atol=1e-8)
-
-
-def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
-    scene = Scene()
-    list(scene.take("robot_description", described(cell)))
-    sent = [message for message in made.one_pass() if message.topic in INPUTS]
-    result = [one for message in sent for one in scene.take(message.topic, message.data)]
-    assert {one.topic for one in result} <= set(OUTPUTS)
-    for topic in ("/markers", "/tf"):
-        stamps = np.array([one.stamp_ns for one in result if one.topic == topic])
-        assert stamps.size and np.all(np.diff(stamps) >= PERIOD_NS)
-    *_, markers = (one.data for one in result if one.topic == "/markers")
-    last = deserialise("visualization_msgs/msg/MarkerArray", markers)
-    named = {marker.ns: marker for marker in last.markers}
-    assert set(named) <= {"path", "removed", "force"} and "force" in named
-    for marker in last.markers:
-        assert marker.header.frame_id == "workpiece" and marker.pose.orientation.w == 1.0
 
 
 def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):

@@ -118,7 +118,9 @@ def run_trial(fault: Fault, cell: Cell, plain: PassResult, out: Path, after: flo
         if trial.reaction == ENDS or graph.struck_at is not None:
             break
         after /= 2
-    trial.orphans = sum(is_alive(pid) for pid in {child.pid for child in graph.children.values()})
+    pids = {child.pid for child in graph.children.values()}
+    states = [process.status() for process in psutil.process_iter() if process.pid in pids]
+    trial.orphans = sum(state != psutil.STATUS_ZOMBIE for state in states)
     if trial.orphans:
         trial.problems.append(f"{trial.orphans} processes are left")
     if graph.struck_at is None:
@@ -206,8 +208,3 @@ class Row:
 
 def fault_cell(composed: bool = False) -> Cell:
     return read_cell(find_file("paper.yaml"), COMPOSED if composed else CELL)
-
-
-def is_alive(pid: int) -> bool:
-    """Whether a process exists, and not only its exit code."""
-    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE

@@ -302,16 +302,13 @@ def folder_of(directory, method: str = "learned"):
     return directory
 
 
-def with_state(messages, index: int, **changes) -> list:
-    """The messages with other fields in one state of the compensator."""
+def with_state(messages, index: int, learned=None, **changes) -> list:
+    """The messages with other fields in one state of the compensator; learned: fields of its passes."""
 
     def change(data: bytes) -> bytes:
         state = from_bytes(made.STATE, data)
-        learned = state.learned
-        if "last" in changes:
-            learned = (*learned[:-1], learned[-1]._replace(**changes["last"]))
-        others = {key: value for key, value in changes.items() if key != "last"}
-        return to_bytes(dataclasses.replace(state, learned=learned, **others))
+        passes = tuple(one._replace(**(learned or {})) for one in state.learned)
+        return to_bytes(dataclasses.replace(state, learned=passes, **changes))
 
     return made.changed(messages, "compensator_state", index, change)
 
@@ -367,7 +364,7 @@ def test_another_pass_in_the_place_of_a_named_one_is_no_substitute_and_another_p
     # a state makes us open recordings beside this one alone
     for name in ("", "..", "../c.mcap", "/etc/passwd", "c/\n.mcap", "x" * 3000, "c"):
         shutil.rmtree(tmp_path / "a")
-        messages = with_state(files_of("learned", NAMES)[1], 0, last={"recording": name})
+        messages = with_state(files_of("learned", NAMES)[1], 0, learned={"recording": name})
         result = recomputed(tmp_path / "a", messages, cell=made.cell_text("learned"))
         assert result.verdict == "incomplete" and result.first is None, name
 
@@ -410,9 +407,9 @@ def test_a_revision_without_the_last_wrench_is_recomputed_without_it(tmp_path):
 @pytest.mark.parametrize(("index", "changes", "verdict", "sentence"), [
     (1, {"finished": True}, "different", "values[2].value"),
     (1, {"reference": "00000000"}, "different", "values[4].value"),
-    (1, {"last": {"fingerprint": "00" * 32}}, "different", "values[6].value"),
+    (1, {"learned": {"fingerprint": "00" * 32}}, "different", "values[6].value"),
     (1, {"method": "spline"}, "different", ""),
-    (1, {"last": {"poses": STEPS - 3}}, "incomplete", f"received {STEPS - 3} poses"),  # the compensator missed some
+    (1, {"learned": {"poses": STEPS - 3}}, "incomplete", f"received {STEPS - 3} poses"),  # the compensator missed some
     (0, {"target": "00000000"}, "incomplete", "the target trajectory 00000000"),
 ])  # fmt: skip
 def test_a_state_that_the_recording_does_not_lead_to_is_a_difference_and_one_of_other_messages_is_reported(

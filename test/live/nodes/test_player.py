@@ -163,19 +163,10 @@ def test_a_signal_ends_the_player_with_exit_code_0(play, bag):
 
 
 def damaged(directory, begin: int) -> Path:
-    """A recording with a byte of its fourth chunk changed, well behind its begin [ns]."""
-    messages = [m for m in made.one_pass() if m.topic == "wrench"]
-    with BagWriter(directory) as writer:
-        writer.add_topic("/wrench", made.WRENCH)
-        for number, message in enumerate(messages):
-            writer.write("/wrench", message.data, begin + number, begin + number * 500_000)
-            if number % 10 == 9:
-                writer.flush()
-    with Recording(directory) as recording:
+    """A recording of a pass that starts at a stamp [ns], with a byte of its fourth chunk changed."""
+    with Recording(made.write(directory, made.one_pass(begin=begin))) as recording:
         chunk, path = recording.chunks[3], recording.path
-    data = bytearray(path.read_bytes())
-    data[(chunk.offset + chunk.end) // 2] ^= 1
-    path.write_bytes(data)
+    path.write_bytes(made.flip((chunk.offset + chunk.end) // 2)(path.read_bytes()))
     return directory
 
 

@@ -177,7 +177,6 @@ def test_an_empty_recording_has_no_times(tmp_path):
 
 
 STEPS = 200
-LATCHED = [{"durability": "transient_local", "depth": 1}]
 
 
 @pytest.fixture
@@ -186,7 +185,7 @@ def three_passes(tmp_path):
     with BagWriter(tmp_path / "a", chunk_size=5000) as writer:
         for topic, kind in {"/tool_pose": POSE, "/wrench": WRENCH, "/diagnostics": DIAGNOSTICS}.items():
             writer.add_topic(topic, kind)
-        writer.add_topic("/note", TEXT, LATCHED)
+        writer.add_topic("/note", TEXT, [made.LATCHED])
         for number in range(3):
             for step in range(STEPS):
                 stamp = step * PERIOD

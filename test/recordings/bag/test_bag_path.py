@@ -204,30 +204,27 @@ def knots(times, at, turn=(1, 0, 0, 0), velocities=None):
     return path(3, times, at[:, None], [[turn]] * len(times), velocities)
 
 
-@pytest.mark.parametrize(
-    ("message", "sentence"),
-    [
-        (nav(line(), [0] * 15, frame="base_link"), "frame is 'base_link', but must be workpiece"),
-        (nav(line(), [0] * 15, pose_frame="map"), "frame is 'map'"),
-        (nav(line() * np.nan, [0] * 15), "point 1 is more than"),
-        (nav(line(1), [0]), "never moves"),
-        (nav(line(), [0] * 15, (1, 0, 0, 1)), "pose 1 does not have length 1"),
-        (nav(line(), [0] * 15, (np.inf, 0, 0, 1)), "not finite"),
-        (nav(line(), [0] * 15, (0.6, 0, 0, 0.8)), "points out of the part"),
-        ([nav(line(), [0] * 15), nav(line(14), [0] * 14)], "different paths"),
-        (nav(line(4), [0, 10**9, 10**9, 2 * 10**9]), "pose 3 needs a later stamp"),
-        (nav(line(4), [3 * 10**9, 2 * 10**9, 10**9, 0]), "pose 2 needs a later stamp"),
-        (nav(line(4), [0, 10**9, 10**9 + 1, 2 * 10**9]), "pose 3 at 4.67e+06 m/s"),
-        (points_of(arc(), frame="base_link"), "must be workpiece"),
-        (points_of(arc(), names=("flange",)), "of flange, not of tcp"),
-        (knots([0, 10**9], line(2) * 1e9), "wrong unit"),
-        (knots([0, 10**9], line(2), (1, 0, 0, 1)), "point 1: its quaternion"),
-        (knots([0, 0], line(2)), "point 2: its time"),
-        (knots([5, 10], line(2)), "point 1: the first time"),
-        (knots([0, 10], line(2), velocities=np.full((2, 1, 6), np.inf)), "velocity is not finite"),
-        (knots([0, 10], line(2)[[0, 0]]), "never moves"),
-    ],
-)
+@pytest.mark.parametrize(("message", "sentence"), [
+    (nav(line(), [0] * 15, frame="base_link"), "frame is 'base_link', but must be workpiece"),
+    (nav(line(), [0] * 15, pose_frame="map"), "frame is 'map'"),
+    (nav(line() * np.nan, [0] * 15), "point 1 is more than"),
+    (nav(line(1), [0]), "never moves"),
+    (nav(line(), [0] * 15, (1, 0, 0, 1)), "pose 1 does not have length 1"),
+    (nav(line(), [0] * 15, (np.inf, 0, 0, 1)), "not finite"),
+    (nav(line(), [0] * 15, (0.6, 0, 0, 0.8)), "points out of the part"),
+    ([nav(line(), [0] * 15), nav(line(14), [0] * 14)], "different paths"),
+    (nav(line(4), [0, 10**9, 10**9, 2 * 10**9]), "pose 3 needs a later stamp"),
+    (nav(line(4), [3 * 10**9, 2 * 10**9, 10**9, 0]), "pose 2 needs a later stamp"),
+    (nav(line(4), [0, 10**9, 10**9 + 1, 2 * 10**9]), "pose 3 at 4.67e+06 m/s"),
+    (points_of(arc(), frame="base_link"), "must be workpiece"),
+    (points_of(arc(), names=("flange",)), "of flange, not of tcp"),
+    (knots([0, 10**9], line(2) * 1e9), "wrong unit"),
+    (knots([0, 10**9], line(2), (1, 0, 0, 1)), "point 1: its quaternion"),
+    (knots([0, 0], line(2)), "point 2: its time"),
+    (knots([5, 10], line(2)), "point 1: the first time"),
+    (knots([0, 10], line(2), velocities=np.full((2, 1, 6), np.inf)), "velocity is not finite"),
+    (knots([0, 10], line(2)[[0, 0]]), "never moves"),
+])  # fmt: skip
 def test_what_cannot_be_run_is_refused(tmp_path, message, sentence):
     assert sentence in refusal(record(tmp_path / "a", target=message), "", FEED)
 
