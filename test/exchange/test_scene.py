@@ -69,10 +69,9 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
 
 
-FOREIGN = ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"]
-
-
-@pytest.mark.parametrize("text", FOREIGN)
+@pytest.mark.parametrize(
+    "text", ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"]
+)
 def test_a_description_of_something_else_gives_no_moving_frames_and_noise_is_refused(text):
     with contextlib.suppress(ValueError):
         result = list(Scene().take("robot_description", to_bytes(Text(text))))

@@ -44,9 +44,10 @@ def main(arguments: list[str] | None = None) -> int:
             _print_row(columns)
             _print_row(["---"] * len(columns))
             for row in rows:
-                _print_row(row.cells())
+                name, *_ = cells = row.cells()
+                _print_row(cells)
                 for problem in row.problems:
-                    print(f"{row.name}, {problem}", file=sys.stderr)
+                    print(f"{name}, {problem}", file=sys.stderr)
                     problems += 1
     except MillingError as error:
         print(f"faults: {error}", file=sys.stderr)

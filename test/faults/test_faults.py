@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import os
 from dataclasses import replace
 from types import SimpleNamespace
@@ -41,25 +42,19 @@ def test_reaction_and_recording_other_than_the_designed_ones_fail_the_row():
     assert lacking.problems == ["the recording lacks messages, and no message reports it"]
 
 
-class OwnProcess:
-    """A graph whose passes are nothing, in this process."""
+def own_process(cell, out, composed):
+    """In place of a graph: this process, whose passes are nothing."""
 
-    def __init__(self, cell, out, composed):
-        self.out = out
-        self.children = {"recorder": SimpleNamespace(name="recorder", pid=os.getpid())}
+    def run_pass(name: str) -> SimpleNamespace:
+        (out / name).write_text("")
+        return SimpleNamespace(recording=out)
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_) -> None: ...
-
-    def run_pass(self, name: str):
-        (self.out / name).write_text("")
-        return SimpleNamespace(recording=self.out)
+    children = {"recorder": SimpleNamespace(name="recorder", pid=os.getpid())}
+    return contextlib.nullcontext(SimpleNamespace(children=children, run_pass=run_pass))
 
 
 def test_soak_measures_every_process(monkeypatch, tmp_path):
-    monkeypatch.setattr(soak, "Graph", OwnProcess)
+    monkeypatch.setattr(soak, "Graph", own_process)
     rows = soak.run_soak(2, tmp_path)
     assert [row.name for row in rows] == ["recorder", "runner"]
     for row in rows:

@@ -174,10 +174,6 @@ class Row:
     trials: tuple[Trial, ...]
 
     @property
-    def name(self) -> str:
-        return self.fault.name
-
-    @property
     def problems(self) -> list[str]:
         return [f"trial {n}: {p}" for n, trial in enumerate(self.trials, 1) for p in trial.problems]
 

@@ -80,15 +80,6 @@ class Loop:
         self.start()
         self.world.until(lambda: len(self.series["wrench"]) > count)
 
-    def again(self, result) -> None:
-        """A pass after a fresh start gives the same as the plain loop."""
-        for node in (self.robot, self.cut):
-            node.trigger_deactivate()
-            node.trigger_cleanup()
-        self.series = {name: {} for name in SERIES}
-        self.start()
-        self.matches(result)
-
     def revised(self, count: int):
         self.world.until(lambda: len(self.references) > count)
         return from_msg(self.references[count])
@@ -166,7 +157,12 @@ def test_node_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(
     again.trigger_activate()
     for report in restarted:
         loop.reports.until(*report, ERROR)
-    loop.again(ran)
+    for node in (loop.robot, loop.cut):
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+    loop.series = {topic: {} for topic in SERIES}
+    loop.start()
+    loop.matches(ran)
 
 
 def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, ran, monkeypatch):
@@ -345,12 +341,6 @@ def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, r
         assert path.header.frame_id == path.poses[-1].header.frame_id == "workpiece"
 
 
-def raised(short_cell) -> bytes:
-    """A target that no arm of this size can reach."""
-    target = short_cell.target()
-    return to_bytes(target.with_position(target.position + [0.0, 0.0, 9.0]))
-
-
 def reset(machine):
     return machine.world.request("/trajectory_compensator/reset")
 
@@ -361,16 +351,18 @@ def test_refused_targets_leave_the_node_waiting_for_another_or_with_the_one_befo
     node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
     machine = Machine(world)
     publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
-    publisher.publish(raised(short_cell))
+    target = short_cell.target()
+    out_of_reach = to_bytes(target.with_position(target.position + [0.0, 0.0, 9.0]))
+    publisher.publish(out_of_reach)
     machine.reports.until(COMPENSATOR, "reach", ERROR)
     world.step(0.3)
     assert node.failure is None and not machine.references
     longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
-    for index, target in enumerate((longer, short_cell.target())):
-        publisher.publish(to_bytes(target))
-        assert machine.reference(index).duration_ns == target.duration_ns
+    for index, usable in enumerate((longer, target)):
+        publisher.publish(to_bytes(usable))
+        assert machine.reference(index).duration_ns == usable.duration_ns
     refused = node.refused
-    publisher.publish(raised(short_cell))
+    publisher.publish(out_of_reach)
     world.until(lambda: node.refused > refused)
     machine.play(ran, range(ran.time_ns.size), wrench=False)
     assert np.array_equal(machine.reference(2).position, revised)
@@ -378,7 +370,7 @@ def test_refused_targets_leave_the_node_waiting_for_another_or_with_the_one_befo
     assert node.failure is None
 
 
-def out_of_reach(monkeypatch) -> None:
+def lead_out_of_reach(monkeypatch) -> None:
     """As when a correction leads to the border of the reach."""
 
     def refuse(cell, reference):
@@ -390,7 +382,7 @@ def out_of_reach(monkeypatch) -> None:
 def test_reset_and_parameters_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):
     refused = node.set_parameters([Parameter("compensation.method", value="magic")])[0]
     assert not refused.successful and "linear" in refused.reason
-    out_of_reach(monkeypatch)
+    lead_out_of_reach(monkeypatch)
     answer = reset(machine)
     assert not answer.success and "would be 3.0000 m" in answer.message
     refused = node.set_parameters([Parameter("compensation.method", value="spline")])[0]
@@ -414,7 +406,7 @@ def test_pass_without_its_start_and_one_whose_revision_is_refused_are_reported_a
     machine.world.step(0.7)
     refused = node.refused
     with pytest.MonkeyPatch.context() as patch:
-        out_of_reach(patch)
+        lead_out_of_reach(patch)
         machine.play(ran, range(ran.time_ns.size))
         machine.reports.until(COMPENSATOR, "would be 3.0000 m", ERROR)
         machine.world.step(0.7)

@@ -72,7 +72,7 @@ def test_a_closed_node_leaves_no_port(world, domain, short_cell, tmp_path):
 # --- whether a pass may start, by the statuses of its nodes ---
 
 
-def statuses(change=lambda robot, cut, rec: None) -> dict[str, Status]:
+def statuses(change) -> dict[str, Status]:
     """A robot and a cut that are matched, and a recorder of the topic "a*"; change: what differs."""
     robot = dict(listeners={"/a": 2, "/b": 0}, sources={"/w": 1}, values={"reference": "1"})
     cut = dict(listeners={"/w": 1}, sources={"/a": 1}, values={"reference": "1"})
