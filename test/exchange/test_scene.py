@@ -20,17 +20,14 @@ pytestmark = made.needs_messages
 
 @pytest.fixture(scope="module")
 def cell():
-    return made.cell_of("linear", 1)
-
-
-def described(cell) -> bytes:
-    return to_bytes(Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)))
+    return made.cell_of()
 
 
 def placed(cell, joints) -> dict[str, np.ndarray]:
     """Every frame on base_link, by chaining the transforms that a viewer gets."""
     scene = Scene()
-    result = list(scene.take("robot_description", described(cell)))
+    description = Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose))
+    result = list(scene.take("robot_description", to_bytes(description)))
     result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_{i}" for i in range(1, 7)), joints)))
     frames = {"base_link": np.eye(4)}
     waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
