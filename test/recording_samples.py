@@ -92,8 +92,8 @@ def sample(topic: str, step: int):
     if kind == PATH:
         return path(stamp, [0, 10**9], values[:6].reshape(2, 1, 3), [[[0, 0, 0, 1]], [[0, 1, 0, 0]]])
     if kind == JOINT_PATH:
-        point = make("trajectory_msgs/msg/JointTrajectoryPoint", values[:6], values[:0], values[:0], values[:0],
-                     time(50_000_000, "Duration"))  # fmt: skip
+        numbers, none = values[:6], values[:0]
+        point = make("trajectory_msgs/msg/JointTrajectoryPoint", numbers, none, none, none, time(10**8, "Duration"))
         return make(JOINT_PATH, header(stamp), [f"joint_{i}" for i in range(1, 7)], [point])
     if kind == GRID:
         info = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, 40, 25, pose(0, [*values[:3], 0, 0, 0, 1]).pose)

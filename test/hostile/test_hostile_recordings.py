@@ -112,6 +112,7 @@ def test_files_that_claim_absurd_sizes_take_no_memory(tmp_path):
     small = zstandard.compress(b"\0" * 1000)
     files = {
         "bomb": chunk_record(zstandard.compress(b"\0" * 200_000_000), 1000, b"zstd"),
+        "large": chunk_record(zstandard.compress(b"\0" * 300_000_000), 300_000_000, b"zstd"),
         "unpacked": chunk_record(small, 2**60, b"zstd"),
         "packed": chunk_record(small, 1000, b"zstd", claimed=2**61),
         "endless": chunk_record(small, 1000, b"zstd", claimed=2**64 - 1),
@@ -129,6 +130,13 @@ def test_files_that_claim_absurd_sizes_take_no_memory(tmp_path):
     for name, line in zip(files, lines, strict=True):
         assert "cut off" in line if name == "record" else f"{name}.mcap" in line, line
     assert grown < 100 * MB
+
+
+def test_a_record_above_the_limit_is_not_read(tmp_path, monkeypatch):
+    path = write_mcap(tmp_path / "a.mcap", [(0, os.urandom(100_000))])
+    monkeypatch.setattr("kr270_milling.recordings.bag.records.LIMIT", 50_000)
+    with pytest.raises(RecordingError, match="not a whole record"):
+        Recording(path)
 
 
 def test_two_chunks_of_200_mb_are_read_verified_and_recovered_within_500_mb(tmp_path):

@@ -261,7 +261,9 @@ def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path
     assert channel["name"] == "deviation"
 
 
-def test_a_table_without_places_is_refused(tmp_path):
+def test_a_table_without_places_and_a_used_port_are_refused(tmp_path):
     (tmp_path / "rsi.csv").write_text("time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg\n0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n")
     with pytest.raises(InputError, match="has no column X_mm"):
         read_corrections(tmp_path / "rsi.csv")
+    with open_socket("127.0.0.1", 0) as connection, pytest.raises(InputError, match="cannot be used"):
+        open_socket("127.0.0.1", connection.getsockname()[1])
