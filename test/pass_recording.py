@@ -7,11 +7,13 @@ import dataclasses
 import functools
 import importlib.util
 import struct
-import tempfile
 from pathlib import Path
 
 import pytest
+from recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH
 
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell import cell_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
@@ -19,6 +21,7 @@ from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.recordings.bag.play_options import PlayOptions
+from kr270_milling.recordings.bag.playback import opening, passage, span
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -27,19 +30,7 @@ from kr270_milling.recordings.messages.topics import TOPICS
 needs_messages = pytest.mark.skipif(
     importlib.util.find_spec("geometry_msgs") is None, reason="the message definitions of ROS are not installed"
 )
-CELL = """/**:
-  ros__parameters:
-    includes: ["paper.yaml"]
-    path: {{length_mm: 4.0}}
-    stock: {{grid_step_um: 20.0}}
-    exchange: {{iterations: {iterations}}}
-    publish: {{every: {every}}}
-    cutting: {{chip_angle: previous_centre, moments: true}}
-    compensation: {{method: {method}}}
-"""
-POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
-WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
-REFERENCE = "trajectory_msgs/msg/MultiDOFJointTrajectory"
+STATE = "diagnostic_msgs/msg/DiagnosticStatus"
 LATCHED = {"durability": "transient_local", "depth": 1}
 LATCHED_TOPICS = {topic.name for topic in TOPICS if topic.latched}
 LATCHED_FIRST = 2  # state and reference, which the compensator publishes together
@@ -53,16 +44,16 @@ class Message:
     stamp: int
 
 
-def cell_text(method: str = "linear", iterations: int = 1, every: int = 1) -> str:
-    return CELL.format(method=method, iterations=iterations, every=every)
+@functools.cache
+def cell_of(method: str = "linear", iterations: int = 1, every: int = 1):
+    sets = ("path.length_mm=4", "stock.grid_step_um=20", "cutting.chip_angle=previous_centre", "cutting.moments=true",
+            f"compensation.method={method}", f"exchange.iterations={iterations}", f"publish.every={every}")  # fmt: skip
+    return read_cell(find_file("paper.yaml"), sets)
 
 
 @functools.cache
-def cell_of(method: str = "linear", iterations: int = 1, every: int = 1):
-    with tempfile.TemporaryDirectory() as directory:
-        file = Path(directory, "cell.yaml")
-        file.write_text(cell_text(method, iterations, every))
-        return read_cell(file)
+def cell_text(method: str = "linear", iterations: int = 1, every: int = 1) -> str:
+    return cell_file.cell_text(cell_of(method, iterations, every))
 
 
 def one_pass(
@@ -130,10 +121,9 @@ def _exchange(robot, cut, compensator, file: str) -> list[Message]:
     return sent + messages(cut.workpiece()) + messages(revised)
 
 
-TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,
-         "robot_description": "std_msgs/msg/String", "reference_trajectory": REFERENCE,
-         "workpiece": "nav_msgs/msg/OccupancyGrid", "compensator_state": "diagnostic_msgs/msg/DiagnosticStatus",
-         "target_trajectory": REFERENCE}  # fmt: skip
+TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS, "robot_description": TEXT,
+         "reference_trajectory": PATH, "target_trajectory": PATH, "workpiece": GRID,
+         "compensator_state": STATE}  # fmt: skip
 
 
 def write(directory, messages, *, namespaces=("",), attachments=None, cell: str | None = None) -> Path:
@@ -190,7 +180,7 @@ def later(message: Message, stamp: int) -> Message:
 
 def force_offset(axis: int) -> int:
     """The offset of a wrench's force: after 4 bytes, a stamp, "workpiece" with its length, aligned to 8."""
-    return 4 + 8 + 4 + 10 + 2 + 8 * axis - (4 + 8 + 4 + 10 + 2 - 4) % 8
+    return 28 + 8 * axis
 
 
 def options(*words: str) -> PlayOptions:
@@ -200,6 +190,15 @@ def options(*words: str) -> PlayOptions:
     for names, keywords in PLAY:
         parser.add_argument(*names, **keywords)
     return play_options(parser.parse_args(list(words)))
+
+
+def played(bag, *words: str) -> list:
+    """The messages of a playback in their order."""
+    chosen = options(str(bag), *words)
+    with Recording(bag) as recording:
+        topics = set(chosen.topics or recording.topics())
+        start, end = span(recording, chosen)
+        return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
 
 
 def raw(directory) -> list[tuple[str, bytes]]:

@@ -42,29 +42,20 @@ def make(type_name: str, *args):
     return STORE.types[type_name](*args)
 
 
-def time(stamp: int):
-    return make("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
-
-
-def duration(nanoseconds: int):
-    return make("builtin_interfaces/msg/Duration", nanoseconds // 10**9, nanoseconds % 10**9)
+def time(nanoseconds: int, kind: str = "Time"):
+    return make(f"builtin_interfaces/msg/{kind}", *divmod(nanoseconds, 10**9))
 
 
 def header(stamp: int, frame: str = "base_link"):
     return make("std_msgs/msg/Header", time(stamp), frame)
 
 
-def vector(values):
-    return make("geometry_msgs/msg/Vector3", *map(float, values))
-
-
-def quaternion(values):
-    return make("geometry_msgs/msg/Quaternion", *map(float, values))
+def vector(values, kind: str = "Vector3"):
+    return make(f"geometry_msgs/msg/{kind}", *map(float, values))
 
 
 def pose(stamp: int, values, frame: str = "base_link"):
-    inner = make("geometry_msgs/msg/Pose", make("geometry_msgs/msg/Point", *map(float, values[:3])),
-                 quaternion(values[3:]))  # fmt: skip
+    inner = make("geometry_msgs/msg/Pose", vector(values[:3], "Point"), vector(values[3:], "Quaternion"))
     return make(POSE, header(stamp, frame), inner)
 
 
@@ -85,11 +76,12 @@ def path(stamp: int, times, positions, quaternions, velocities=None, names=("tcp
     """positions (p, j, 3), quaternions (p, j, 4), velocities (p, j, 6) or None."""
     points = []
     for i, at in enumerate(times):
-        transforms = [make("geometry_msgs/msg/Transform", vector(p), quaternion(q))
-                      for p, q in zip(positions[i], quaternions[i], strict=True)]  # fmt: skip
-        speeds = [] if velocities is None else [
-            make("geometry_msgs/msg/Twist", vector(v[:3]), vector(v[3:])) for v in velocities[i]]  # fmt: skip
-        points.append(make("trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", transforms, speeds, [], duration(at)))
+        places = zip(positions[i], quaternions[i], strict=True)
+        transforms = [make("geometry_msgs/msg/Transform", vector(p), vector(q, "Quaternion")) for p, q in places]
+        twists = [] if velocities is None else velocities[i]
+        speeds = [make("geometry_msgs/msg/Twist", vector(v[:3]), vector(v[3:])) for v in twists]
+        lasting = time(at, "Duration")
+        points.append(make("trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", transforms, speeds, [], lasting))
     return make(PATH, header(stamp, "workpiece"), list(names), points)
 
 
@@ -100,8 +92,8 @@ def sample(topic: str, step: int):
     if kind == PATH:
         return path(stamp, [0, 10**9], values[:6].reshape(2, 1, 3), [[[0, 0, 0, 1]], [[0, 1, 0, 0]]])
     if kind == JOINT_PATH:
-        point = make("trajectory_msgs/msg/JointTrajectoryPoint", values[:6], values[:0], values[:0], values[:0],
-                     duration(50_000_000))  # fmt: skip
+        numbers, none = values[:6], values[:0]
+        point = make("trajectory_msgs/msg/JointTrajectoryPoint", numbers, none, none, none, time(10**8, "Duration"))
         return make(JOINT_PATH, header(stamp), [f"joint_{i}" for i in range(1, 7)], [point])
     if kind == GRID:
         info = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, 40, 25, pose(0, [*values[:3], 0, 0, 0, 1]).pose)
@@ -161,12 +153,12 @@ def write_mcap(path, messages, compression=CompressionType.ZSTD, **options):
 
 @functools.cache
 def whole_recording() -> Whole:
-    """Bytes of a small file with several chunks, its messages, and the bytes of its metadata.yaml."""
+    """Bytes of a small file with several chunks, and its messages."""
     with tempfile.TemporaryDirectory() as folder:
         directory = Path(folder, "a")
         written = record(directory, 40, ["/tool_pose", "/wrench", "/robot_description"],
                          attachments={"cell.yaml": "a: 1\n" * 50}, metadata={"seed": 7}, chunk_size=2000)  # fmt: skip
-        return Whole(((directory / "a.mcap").read_bytes(), written, (directory / "metadata.yaml").read_bytes()))
+        return Whole(((directory / "a.mcap").read_bytes(), written))
 
 
 @contextlib.contextmanager

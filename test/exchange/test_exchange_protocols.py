@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 
 import numpy as np
@@ -41,10 +40,6 @@ def protocols(cell):
     return robot, cut
 
 
-def iterated(cell, iterations: int):
-    return cell.replace(exchange=cell.exchange.replace(iterations=iterations))
-
-
 def records(outputs, topic: str) -> list:
     return [record for name, record in outputs if name == topic]
 
@@ -65,12 +60,12 @@ def run(robot, cut, disturb=lambda robot, cut, pose: [], steps: float = np.inf) 
     return answer
 
 
-def started(steps: int = 3):
-    """Robot and cut after some steps of a pass in metal, the outputs so far, and the next pose."""
+def started():
+    """The cut after three steps of a pass in metal, its last pose and wrench, and the next pose."""
     robot, cut = protocols(cell_with(IN_METAL))
-    outputs = run(robot, cut, steps=steps)
-    *before, following = records(outputs, "tool_pose")
-    return robot, cut, before, records(outputs, "wrench"), following
+    outputs = run(robot, cut, steps=3)
+    *_, pose, following = records(outputs, "tool_pose")
+    return cut, pose, records(outputs, "wrench")[-1].wrench, following
 
 
 BENT = ("dynamics.reference_inertia=true",)  # the reference itself moves the arm
@@ -127,24 +122,10 @@ def repeated(robot, cut, pose) -> list:
     return robot.repeat() if pose.stamp in (0, H, 40 * H) else []
 
 
-def unusable(robot, cut, pose) -> list:
-    """Messages that are refused, and wrenches of other stamps, which are ignored."""
-    at, turn = pose.position, pose.quaternion
-    for values, frame in ((np.full(6, np.nan), "workpiece"), (np.ones(6), "base_link")):
-        with pytest.raises(MessageError):
-            robot.wrench(WrenchSample(pose.stamp, frame, values))
-    for stamp in (pose.stamp + 1, pose.stamp - H, pose.stamp + H):
-        assert robot.wrench(WrenchSample(stamp, "workpiece", np.ones(6))) == []
-    for bad in (("tcp", at, turn), ("workpiece", at * np.nan, turn), ("workpiece", at, 2 * turn)):
-        with pytest.raises(MessageError):
-            cut.pose(PoseSample(pose.stamp, *bad))
-    return []
-
-
-@pytest.mark.parametrize(("disturb", "iterations"), [(repeated, 1), (repeated, 3), (unusable, 1)])
-def test_repeated_and_unusable_messages_change_nothing(disturb, iterations):
-    cell = iterated(cell_with(IN_METAL, "path.length_mm=4"), iterations)
-    disturbed, plain = run(*protocols(cell), disturb), run(*protocols(cell))
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_repeated_poses_change_nothing(iterations):
+    cell = cell_with(IN_METAL, "path.length_mm=4", f"exchange.iterations={iterations}")
+    disturbed, plain = run(*protocols(cell), repeated), run(*protocols(cell))
     np.testing.assert_array_equal(column(disturbed, "deflection", "twist"), column(plain, "deflection", "twist"))
     assert column(plain, "wrench", "wrench").any()
     assert not column(plain, "wrench", "wrench")[0].any() and not column(plain, "deflection", "twist")[0].any()  # rest
@@ -152,58 +133,32 @@ def test_repeated_and_unusable_messages_change_nothing(disturb, iterations):
 
 def test_only_the_first_and_the_last_pose_of_a_stamp_and_the_next_one_are_swept():
     """As in an iterated exchange: first elsewhere, then here, is the same as here at once."""
-    _, cut, poses, wrenches, following = started()
+    cut, pose, wrench, following = started()
     area = cut.cut.removed_area
-    ((_, again),) = cut.pose(poses[-1])
-    np.testing.assert_array_equal(again.wrench, wrenches[-1].wrench)
-    assert cut.cut.removed_area == area and again.wrench.any()
-    elsewhere = poses[-1]._replace(position=poses[-1].position + [3e-5, 2e-5, 0.0])
-    assert np.any(cut.pose(elsewhere)[0][1].wrench != wrenches[-1].wrench)
-    np.testing.assert_array_equal(cut.pose(poses[-1])[0][1].wrench, wrenches[-1].wrench)
+    np.testing.assert_array_equal(cut.pose(pose)[0][1].wrench, wrench)
+    assert cut.cut.removed_area == area and wrench.any()
+    elsewhere = pose._replace(position=pose.position + [3e-5, 2e-5, 0.0])
+    assert np.any(cut.pose(elsewhere)[0][1].wrench != wrench)
+    np.testing.assert_array_equal(cut.pose(pose)[0][1].wrench, wrench)
     for jump, reason in ((2, "does not follow"), (100, "does not follow"), (-1, "is older"), (0.3, "does not follow")):
-        stamp = poses[-1].stamp + round(jump * H)
+        stamp = pose.stamp + round(jump * H)
         with pytest.raises(ExchangeError, match=reason) as caught:
             cut.pose(following._replace(stamp=stamp))
         assert caught.value.stamp_ns == stamp and cut.cut.removed_area == area
-    _, untouched, *_ = started()
+    untouched, *_ = started()
     np.testing.assert_array_equal(cut.pose(following)[0][1].wrench, untouched.pose(following)[0][1].wrench)
 
 
 def test_without_reference_workpiece_or_start_robot_and_cut_refuse_with_a_sentence(short_cell):
     robot, cut = RobotProtocol(short_cell), CutProtocol(short_cell)
-    for ask in (robot.start, robot.repeat):
-        with pytest.raises(ExchangeError):
-            ask()
-    assert robot.wrench(WrenchSample(0, "workpiece", np.zeros(6))) == [] and not robot.large_correction
+    with pytest.raises(ExchangeError):
+        robot.start()
     with pytest.raises(NoWorkpiece, match="configure first"):
         cut.pose(PoseSample(0, "workpiece", np.zeros(3), DOWN))
-    with pytest.raises(NoWorkpiece):
-        cut.workpiece()
     cut.configure()
     for stamp in (-H, 3, H):
         with pytest.raises(ExchangeError, match="has not seen its start"):
             cut.pose(PoseSample(stamp, "workpiece", np.zeros(3), DOWN))
-
-
-def test_the_start_may_be_repeated_from_elsewhere_until_the_pass_is_under_way():
-    robot, cut = protocols(cell_with())
-    ((_, pose),) = robot.start()
-    for position in (pose.position + 1e-3, pose.position):
-        assert not cut.pose(pose._replace(position=position))[0][1].wrench.any()
-    np.testing.assert_array_equal(cut.pose(pose._replace(stamp=H))[0][1].wrench, np.zeros(6))
-    with pytest.raises(ExchangeError, match="fresh workpiece"):  # a second pass
-        cut.pose(pose)
-
-
-def test_what_a_caller_does_to_its_arrays_afterwards_does_not_matter():
-    robot, cut, _, _, pose = started()
-    for _ in range(3):
-        tool = pose.position.copy()
-        ((_, answer),) = cut.pose(pose._replace(position=tool))
-        wrench = answer.wrench.copy()
-        ((_, pose), *_) = robot.wrench(answer._replace(wrench=wrench))
-        tool[:] = wrench[:] = np.nan
-        assert np.isfinite([*answer.wrench, *pose.position]).all() and answer.wrench.any()
 
 
 def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_cell):
@@ -277,22 +232,6 @@ def test_a_pass_is_revised_once_from_all_its_messages_in_whatever_order(protocol
     assert not protocol.under_way
 
 
-def test_poses_alone_wait_for_the_last_wrench_until_it_is_given_up(protocol, ran, short_cell):
-    *most, last = samples(ran)
-    assert feed(protocol, most) == [] and protocol.at_end
-    assert_revised(protocol.finish(), expected(short_cell, ran))
-    assert protocol.finish() == [] and feed(protocol, [last]) == []
-
-
-def test_a_new_start_begins_anew_and_nothing_is_finished_in_mid_pass(protocol, ran, short_cell):
-    records = samples(ran)
-    far = [r._replace(position=r.position + 1e-3) if isinstance(r, PoseSample) else r for r in records[:40]]
-    assert feed(protocol, far) == [] == protocol.finish()
-    assert protocol.under_way and not protocol.at_end
-    assert_revised(feed(protocol, records), expected(short_cell, ran))
-    assert len(protocol.compensator.first.time_ns) == len(ran.time_ns)
-
-
 def test_the_state_names_method_and_recordings_and_another_method_and_a_reset_start_from_the_target(
     protocol, ran, short_cell
 ):
@@ -317,34 +256,27 @@ def test_the_state_names_method_and_recordings_and_another_method_and_a_reset_st
     assert states(outputs)[0].learned == ()
 
 
-@pytest.mark.parametrize("change", ["wrench", "pose", "last wrench"])
-def test_the_fingerprint_of_a_pass_covers_every_message(protocol, ran, change):
+@pytest.mark.parametrize(("index", "field"), [(41, "wrench"), (40, "position"), (-1, None)])
+def test_the_fingerprint_of_a_pass_covers_every_message(protocol, ran, index, field):
     records = samples(ran)
     (plain,) = states(feed(protocol, records))
-    if change == "last wrench":
-        (other,) = states(feed(protocol, records[:-1]) or protocol.finish())
-        assert other.learned[-1].wrenches == plain.learned[-1].wrenches - 1
-    else:
-        at, field = (41, "wrench") if change == "wrench" else (40, "position")
-        values = getattr(records[at], field).copy()
+    record = records.pop(index)  # the last wrench, or one that differs in its last bit
+    if field is not None:
+        values = getattr(record, field).copy()
         values[0] = np.nextafter(values[0], 1.0)
-        records[at] = records[at]._replace(**{field: values})
-        (other,) = states(feed(protocol, records))
+        records.insert(index, record._replace(**{field: values}))
+    (other,) = states(feed(protocol, records) or protocol.finish())
     assert other.learned[0] == plain.learned[0]
+    assert other.learned[-1].wrenches == plain.learned[-1].wrenches - (field is None)
     assert other.learned[-1].fingerprint != plain.learned[-1].fingerprint
 
 
-def test_samples_that_are_unusable_or_out_of_order_count_for_nothing_and_holes_are_counted(protocol, ran, short_cell):
-    records, outputs = samples(ran), []
+def test_samples_out_of_order_count_for_nothing_and_holes_are_counted(protocol, ran, short_cell):
+    records = samples(ran)
     assert feed(protocol, records[2:8:2]) == [] and protocol.inbox.ignored == 3 and not protocol.under_way
-    bad = (PoseSample(0, "base_link", np.zeros(3), DOWN), PoseSample(0, "workpiece", np.full(3, np.nan), DOWN),
-           WrenchSample(0, "camera", np.zeros(6)), WrenchSample(0, "workpiece", np.full(6, np.inf)))  # fmt: skip
-    for k, sample in enumerate(bad):
-        outputs += feed(protocol, records[10 * k : 10 * k + 10])
-        with pytest.raises(MessageError):
-            feed(protocol, [sample])
     older, repeated = records[10], records[38]
-    assert_revised(outputs + feed(protocol, [older, repeated, *records[40:]]), expected(short_cell, ran))
+    outputs = feed(protocol, [*records[:40], older, repeated, *records[40:]])
+    assert_revised(outputs, expected(short_cell, ran))
     assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the pass has ended
     feed(protocol, records[:40] + records[46:])
     assert protocol.missing == 3
@@ -377,13 +309,10 @@ def test_an_untared_sensor_in_its_own_frame_gives_the_wrench_at_the_tip(ran):
     offset = frames.offset([WrenchSample(i, "ft_sensor", row) for i, row in enumerate(before)], DOWN)
     got = frames.at_tip("ft_sensor", after, np.tile(quaternions[1], (len(after), 1)), offset)
     np.testing.assert_allclose(got, true, rtol=0, atol=1e-9)
-    allowed = "'camera', but must be workpiece, tcp, base, base_link, flange, tool0 or ft_s"
-    with pytest.raises(MessageError, match=allowed):
+    with pytest.raises(MessageError, match="'camera', but must be workpiece, tcp"):
         checked_wrench(WrenchSample(0, "camera", np.zeros(6)), frames.names)
     with pytest.raises(ConfigError, match="sensor.frame"):
         cell_with("sensor.frame=tcp")
-    same = cell_with("mount.xyz_mm=[140, 30, -320]", "sensor.frame=tool0")
-    assert WrenchFrames(same).names == ("workpiece", "tcp", "base", "base_link", "flange", "tool0")
 
 
 def test_a_wrench_is_moved_as_pinocchio_moves_it():
@@ -412,18 +341,13 @@ def test_a_message_of_the_robot_starts_its_pass_where_it_says(announced, ran):
     np.testing.assert_allclose(announced.active.first.wrench[:, 1].max(), ran.wrench[:, 1].max(), rtol=0.05)
 
 
-@pytest.mark.parametrize(("change", "sentence"), [
-    (lambda stamp: stamp - 10**10, "tool_pose: the stamp is 10."),
-    (lambda stamp: stamp + (stamp > WALL + 20_000_000) * 2 * 10**8, "no tool_pose for 0.2"),
-])  # fmt: skip
-def test_stamps_that_do_not_fit_are_stated(announced, ran, change, sentence):
+def test_a_gap_in_the_stamps_of_a_pass_is_stated(announced, ran):
     announced.start(WALL)
-    for sample in (sample for sample in foreign_pass(ran, 0) if sample.stamp >= WALL):
-        with contextlib.suppress(MessageError):
-            feed(announced, [sample._replace(stamp=change(sample.stamp))], 0)
-        if announced.inbox.problem:
-            break
-    assert announced.inbox.problem.startswith(sentence)
+    running = [sample for sample in foreign_pass(ran, 0) if sample.stamp >= WALL]
+    feed(announced, [sample for sample in running if sample.stamp < WALL + 20_000_000], 0)
+    later = next(sample for sample in running if isinstance(sample, PoseSample) and sample.stamp > WALL + 20_000_000)
+    feed(announced, [later._replace(stamp=later.stamp + 200_000_000)], 0)
+    assert announced.inbox.problem.startswith("no tool_pose for 0.2")
 
 
 def test_a_pass_that_does_not_follow_the_reference_is_refused(announced, ran):

@@ -10,7 +10,7 @@ import pytest
 
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointSample, PoseSample, Text
-from kr270_milling.exchange.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
+from kr270_milling.exchange.scene import Scene
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.recordings.messages.codec import deserialise, to_bytes
@@ -20,17 +20,14 @@ pytestmark = made.needs_messages
 
 @pytest.fixture(scope="module")
 def cell():
-    return made.cell_of("linear", 1)
-
-
-def described(cell) -> bytes:
-    return to_bytes(Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)))
+    return made.cell_of()
 
 
 def placed(cell, joints) -> dict[str, np.ndarray]:
     """Every frame on base_link, by chaining the transforms that a viewer gets."""
     scene = Scene()
-    result = list(scene.take("robot_description", described(cell)))
+    description = Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose))
+    result = list(scene.take("robot_description", to_bytes(description)))
     result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_{i}" for i in range(1, 7)), joints)))
     frames = {"base_link": np.eye(4)}
     waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
@@ -55,23 +52,6 @@ def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
             np.testing.assert_allclose(frames[name][:3, :3], pose.rotation, atol=1e-8)
 
 
-def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
-    scene = Scene()
-    list(scene.take("robot_description", described(cell)))
-    sent = [message for message in made.one_pass() if message.topic in INPUTS]
-    result = [one for message in sent for one in scene.take(message.topic, message.data)]
-    assert {one.topic for one in result} <= set(OUTPUTS)
-    for topic in ("/markers", "/tf"):
-        stamps = np.array([one.stamp_ns for one in result if one.topic == topic])
-        assert stamps.size and np.all(np.diff(stamps) >= PERIOD_NS)
-    *_, markers = (one.data for one in result if one.topic == "/markers")
-    last = deserialise("visualization_msgs/msg/MarkerArray", markers)
-    named = {marker.ns: marker for marker in last.markers}
-    assert set(named) <= {"path", "removed", "force"} and "force" in named
-    for marker in last.markers:
-        assert marker.header.frame_id == "workpiece" and marker.pose.orientation.w == 1.0
-
-
 def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     scene, target = Scene(), cell.target()
     list(scene.take("target_trajectory", to_bytes(target)))
@@ -86,10 +66,9 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
 
 
-FOREIGN = ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"]
-
-
-@pytest.mark.parametrize("text", FOREIGN)
+@pytest.mark.parametrize(
+    "text", ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"]
+)
 def test_a_description_of_something_else_gives_no_moving_frames_and_noise_is_refused(text):
     with contextlib.suppress(ValueError):
         result = list(Scene().take("robot_description", to_bytes(Text(text))))

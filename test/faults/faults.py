@@ -7,8 +7,9 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -29,7 +30,6 @@ NAMES = {
     COMPENSATOR: (COMPENSATOR, "compensator"),
     RECORDER: (RECORDER,),
 }
-Script = Iterator[float]  #: steps of a disturbance; each yields the pause [s] before the next step
 
 
 class Message(NamedTuple):
@@ -40,43 +40,37 @@ class Message(NamedTuple):
 
 
 class Disturbed(Graph):
-    """A graph; ``disturb`` takes a script that begins some seconds after the next pass starts."""
+    """A graph; ``strike`` disturbs the graph ``after`` seconds from the start of its pass."""
 
-    def __init__(self, cell: Cell, out: Path, composed: bool = False):
+    def __init__(self, cell: Cell, out: Path, composed: bool, strike: Callable[[Disturbed], None], after: float):
         super().__init__(cell, out, composed=composed)
         self.messages: list[Message] = []
         self.beside: list[subprocess.Popen] = []  #: processes that are no nodes
         self.struck_at: float | None = None  #: [s of the monotonic clock]
         self.struck_wall_ns = 0
         self.recording = Path(out)
-        self._script: Script | None = None
-        self._next = 0.0
+        self._strike = strike
+        self._after = after
+        self._running_at: float | None = None  # [s of the monotonic clock]
 
     def child(self, process: str) -> Child:
         """By the names of its nodes."""
         return next(child for child in self.children.values() if child.name == process)
-
-    def disturb(self, script: Script, after: float) -> None:
-        self.messages, self.struck_at = [], None
-        self._script, self._next = self._delayed(script, after), 0.0
-
-    def _delayed(self, script: Script, after: float) -> Script:
-        while self.driver.value(ROBOT, "state") != "active" or self.driver.statuses[ROBOT].message != "pass running":
-            yield 0.0
-        yield after
-        yield from script
 
     def run_pass(self, name: str):
         self.recording = self.out / name
         return super().run_pass(name)
 
     def check(self) -> None:
-        if self._script is not None and time.monotonic() >= self._next:
-            pause = next(self._script, None)
-            self._script = None if pause is None else self._script
-            self._next = time.monotonic() + (pause or 0.0)
+        now = time.monotonic()
         if self.struck_at is not None:
             self._take_messages()
+        elif self._running_at is not None:
+            if now >= self._running_at + self._after:
+                self.struck_at, self.struck_wall_ns = now, time.time_ns()
+                self._strike(self)
+        elif self._in_pass and self.driver.statuses[ROBOT].message == "pass running":
+            self._running_at = now
         super().check()
 
     def _take_messages(self) -> None:
@@ -90,16 +84,7 @@ class Disturbed(Graph):
     def warn(self, sentence: str) -> None:
         self.messages.append(Message(time.monotonic(), sentence))
 
-    def struck(self) -> None:
-        """The fault happens now."""
-        self.struck_at, self.struck_wall_ns = time.monotonic(), time.time_ns()
-
-    def strike(self, process: str, number: int) -> None:
-        self.struck()
-        self.child(process).signal(number)
-
     def stop(self) -> None:
-        self._script = None
         for process in self.beside:
             process.kill()
             process.wait()
@@ -111,48 +96,39 @@ class Fault:
     """One row of the table."""
 
     name: str
-    process: str  #: its nodes, of which the message must name one; empty: no node
-    strike: Callable[[Disturbed], Script]
+    process: str  #: its nodes, of which a message must name one within 3 s; empty: no node
+    strike: Callable[[Disturbed], None]
     reaction: str  #: ENDS or GOES_ON
     design: str  #: the reaction in a sentence
-    named: bool = True  #: a message must name the node within 3 s
     composed: bool = False  #: robot and cut run in one process
 
-    def names_it(self, sentence: str) -> bool:
-        return not self.process or any(name in sentence for node in self.process.split("+") for name in NAMES[node])
+    def is_named_in(self, sentence: str) -> bool:
+        return any(name in sentence for node in self.process.split("+") for name in NAMES[node])
 
 
 def _kill(process: str):
-    def strike(graph: Disturbed) -> Script:
-        graph.strike(process, signal.SIGKILL)
-        yield 0.0
-
-    return strike
+    return lambda graph: graph.child(process).signal(signal.SIGKILL)
 
 
 def _stop(process: str):
-    def strike(graph: Disturbed) -> Script:
-        graph.strike(process, signal.SIGSTOP)
-        yield STOP
-        graph.child(process).signal(signal.SIGCONT)
+    def strike(graph: Disturbed) -> None:
+        child = graph.child(process)
+        child.signal(signal.SIGSTOP)
+        threading.Timer(STOP, child.signal, [signal.SIGCONT]).start()
 
     return strike
 
 
-def _fill_disk(graph: Disturbed) -> Script:
+def _fill_disk(graph: Disturbed) -> None:
     """Limit the recorder's file to its present size plus 20 kB."""
     size = os.path.getsize(mcap_file(graph.recording)) + 20_000
-    graph.struck()
     resource.prlimit(graph.children[RECORDER].pid, resource.RLIMIT_FSIZE, (size, size))
-    yield 0.0
 
 
-def _late_subscriber(graph: Disturbed) -> Script:
+def _start_subscriber(graph: Disturbed) -> None:
     """Start the live page in mid-pass."""
-    graph.struck()
     watch = [sys.executable, "-m", "kr270_milling.cli", "watch", "--port", "0"]
     graph.beside.append(subprocess.Popen(watch, stdout=subprocess.DEVNULL, start_new_session=True))
-    yield 0.0
 
 
 CLOSED = "the run ends with a sentence; the recording is closed"
@@ -173,5 +149,5 @@ FAULTS = (
     Fault("composed: compensator and recorder, SIGKILL", PLANNERS, _kill(PLANNERS), ENDS, CUT_OFF, composed=True),
     Fault("composed: robot and cut, SIGSTOP 2 s", ROBOT_AND_CUT, _stop(ROBOT_AND_CUT), GOES_ON, WAITED, composed=True),
     Fault("composed: disk full", RECORDER, _fill_disk, ENDS, FULL, composed=True),
-    Fault("composed: late subscriber", "", _late_subscriber, GOES_ON, "same result", named=False, composed=True),
+    Fault("composed: late subscriber", "", _start_subscriber, GOES_ON, "same result", composed=True),
 )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import random
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -40,33 +39,34 @@ class Recorded:
     """A recording after a fault."""
 
     cut_off: bool
-    started: bool  #: it holds something of the pass: a pose or a wrench
+    started: bool  #: it has something of the pass: a pose or a wrench
     missing: int  #: holes in it, counted from the stamps
     short: int  #: messages of the whole pass that are missing
     behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where the recording continues
-    complete: bool  #: it holds every message of the pass
+    complete: bool  #: it has every message of the pass
     same: bool  #: every pose, wrench and deflection in it is that of the undisturbed pass, bit for bit
-    verdict: str  #: of recompute; empty where recompute did not run
 
 
 @dataclass
 class Trial:
     """Result of a trial; ``problems`` is empty where the reaction is the designed one."""
 
-    after_s: float  #: from the start of the pass to the fault
     detected_s: float | None = None  #: from the fault to the sentence that names the node
     reaction: str = ""
-    lost: int = 0  #: messages that the recording has not, counted
     recording: Recorded | None = None
     orphans: int = 0
     problems: list[str] = field(default_factory=list)
 
+    @property
+    def lost(self) -> int:
+        """Number of messages that are counted as missing in the recording."""
+        if self.recording is None:
+            return 0
+        return self.recording.short if self.reaction == GOES_ON else self.recording.missing
 
-def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int, again: bool) -> Recorded:
-    """again: recompute it too. struck_ns: when the fault was, started_ns: when the pass began [ns of the wall clock].
 
-    Raises RecordingError.
-    """
+def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int) -> Recorded:
+    """struck_ns, started_ns: of the fault and of the pass [ns of the wall clock]. Raises RecordingError."""
     values_of = {"/tool_pose": expected.tool, "/wrench": expected.wrench, "/deflection": expected.deflection}
     with Recording(path) as recording:
         about, every = info(recording), attached_cell(recording).thinned_steps
@@ -74,33 +74,28 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int,
         stamps = expected.time_ns + next((stamp_of(message.data) or 0 for message in references), 0)
         same, short, started, ended = True, 0, False, True
         for topic, values in values_of.items():
-            at, got = series(recording, topic)
+            at, actual = series(recording, topic)
             due = stamps[:: every if topic == "/deflection" else 1]
             started |= at.size > 0 and topic != "/deflection"
             ended &= bool(at.size and at[-1] == due[-1])
             short += due.size - np.unique(at).size
             same &= bool(np.isin(at, stamps).all())
-            same = same and np.array_equal(got[:, : values.shape[1]], values[np.searchsorted(stamps, at)])
+            same = same and np.array_equal(actual[:, : values.shape[1]], values[np.searchsorted(stamps, at)])
         last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=started_ns)
-    behind, whole = max(0.0, (struck_ns - last) * 1e-9), ended and not short
-    verdict = recompute(path).verdict if again else ""
-    return Recorded(about["cut_off"], started, about["missing"], short, behind, whole, same, verdict)
+    behind = max(0.0, (struck_ns - last) * 1e-9)
+    return Recorded(about["cut_off"], started, about["missing"], short, behind, ended and not short, same)
 
 
-def run_faults(
-    faults: Sequence[Fault], repeats: int, seed: int, out: Path, progress: Callable[[int, int], None]
-) -> list[Row]:
+def run_faults(faults: Sequence[Fault], repeats: int, seed: int, out: Path) -> Iterator[Row]:
     """Rows in the order of the faults; recordings and logs go to directories below ``out``."""
-    chance, rows = random.Random(seed), []
-    for number, fault in enumerate(faults):
-        cell, trials = fault_cell(fault.composed), []
-        plain = simulate(cell).result
+    chance = random.Random(seed)
+    for number, fault in enumerate(faults, 1):
+        cell = fault_cell(fault.composed)
+        plain, trials = simulate(cell).result, []
         for repeat in range(repeats):
-            place = out / f"fault_{number + 1:02d}" / f"graph_{repeat + 1}"
+            place = out / f"fault_{number:02d}" / f"graph_{repeat + 1}"
             trials.append(run_trial(fault, cell, plain, place, chance.uniform(*AFTER), repeat == 0))
-            progress(number * repeats + repeat + 1, len(faults) * repeats)
-        rows.append(Row(fault, tuple(trials)))
-    return rows
+        yield Row(fault, tuple(trials))
 
 
 def run_trial(fault: Fault, cell: Cell, plain: PassResult, out: Path, after: float, again: bool) -> Trial:
@@ -111,66 +106,64 @@ def run_trial(fault: Fault, cell: Cell, plain: PassResult, out: Path, after: flo
     for number in range(1, TRIES + 1):
         place = out if number == 1 else out.with_name(f"{out.name}_{number}")
         place.mkdir(parents=True)
-        trial, graph = Trial(after), Disturbed(cell, place, fault.composed)
+        trial, graph = Trial(reaction=GOES_ON), Disturbed(cell, place, fault.composed, fault.strike, after)
         try:
             graph.start()
-            graph.disturb(fault.strike(graph), after)
             graph.run_pass("pass")
-            trial.reaction = GOES_ON
         except MillingError as error:
-            graph.messages.append(Message(time.monotonic(), str(error)))
+            graph.warn(str(error))
             trial.reaction = ENDS
         finally:
             graph.stop()
         if trial.reaction == ENDS or graph.struck_at is not None:
             break
         after /= 2
-    trial.orphans = sum(is_alive(pid) for pid in {child.pid for child in graph.children.values()})
+    pids = {child.pid for child in graph.children.values()}
+    states = [process.status() for process in psutil.process_iter() if process.pid in pids]
+    trial.orphans = sum(state != psutil.STATUS_ZOMBIE for state in states)
     if trial.orphans:
         trial.problems.append(f"{trial.orphans} processes are left")
     if graph.struck_at is None:
         trial.problems.append(f"before the fault: {[message.sentence for message in graph.messages]}")
-    else:
-        judge_words(trial, fault, graph)
-        judge_recording(trial, fault, graph, plain, again)
+        return trial
+    judge_words(trial, fault, graph.messages, graph.struck_at)
+    struck = graph.struck_wall_ns
+    try:
+        trial.recording = read_back(graph.recording, plain, struck, struck - round(after * 1e9))
+        judge_recording(trial, graph.messages, recompute(graph.recording).verdict if again else "")
+    except MillingError as error:
+        trial.problems.append(f"recording: {error}")
     return trial
 
 
-def judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
-    sentences = [message.sentence for message in graph.messages]
-    naming = [m.at for m in graph.messages if fault.names_it(m.sentence) and m.at >= graph.struck_at]
-    if fault.named and not naming:
-        trial.problems.append(f"not named; messages: {sentences}")
-    elif fault.named:
-        trial.detected_s = naming[0] - graph.struck_at
-        if trial.detected_s > NAMED_WITHIN:
-            trial.problems.append(f"reported after {trial.detected_s:.2f} s")
+def judge_words(trial: Trial, fault: Fault, messages: Sequence[Message], struck_at: float) -> None:
+    sentences = [message.sentence for message in messages]
+    if fault.process:
+        naming = [m.at - struck_at for m in messages if m.at >= struck_at and fault.is_named_in(m.sentence)]
+        trial.detected_s = min(naming, default=None)
+        if not naming:
+            trial.problems.append(f"not named; messages: {sentences}")
+        elif naming[0] > NAMED_WITHIN:
+            trial.problems.append(f"reported after {naming[0]:.2f} s")
     if trial.reaction != fault.reaction:
         trial.problems.append(f"{trial.reaction}: {sentences[-1] if sentences else 'no message'}")
 
 
-def judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassResult, again: bool) -> None:
-    struck = graph.struck_wall_ns
-    try:
-        recorded = read_back(graph.recording, plain, struck, struck - round(trial.after_s * 1e9), again)
-    except MillingError as error:
-        trial.problems.append(f"recording: {error}")
-        return
-    goes_on = fault.reaction == GOES_ON
-    trial.recording, trial.lost = recorded, recorded.short if goes_on else recorded.missing
-    counted = goes_on and trial.lost > 0
-    if not recorded.same:
-        trial.problems.append("the recording differs from the undisturbed pass")
+def judge_recording(trial: Trial, messages: Sequence[Message], verdict: str) -> None:
+    """verdict: of a recompute; empty where there was none."""
+    recorded, goes_on = trial.recording, trial.reaction == GOES_ON
+    reported = any(NOT_COMPLETE in message.sentence for message in messages)
     # of a recorder that was killed before it closed its first chunk of the pass there is nothing to compare
     due = "identical" if recorded.started or not recorded.cut_off else "incomplete"
-    if again and recorded.verdict != due and not counted:
-        trial.problems.append(f"recomputed: {recorded.verdict}")
-    if goes_on and not recorded.complete and not any(NOT_COMPLETE in message.sentence for message in graph.messages):
-        trial.problems.append("the recording does not hold the whole pass, and no message reports it")
-    if fault.reaction == ENDS and recorded.missing:
-        trial.problems.append(f"{recorded.missing} messages are missing before the fault")
-    if recorded.behind_s > BEHIND:
-        trial.problems.append(f"the recording ends {recorded.behind_s:.2f} s before the fault")
+    for wrong, problem in (
+        (not recorded.same, "the recording differs from the undisturbed pass"),
+        (verdict not in ("", due) and not (goes_on and trial.lost), f"recomputed: {verdict}"),
+        (goes_on and not (recorded.complete or reported), "the recording lacks messages, and no message reports it"),
+        (not goes_on and trial.lost, f"{trial.lost} messages are missing before the fault"),
+        (recorded.behind_s > BEHIND, f"the recording ends {recorded.behind_s:.2f} s before the fault"),
+    ):
+        if wrong:
+            trial.problems.append(problem)
 
 
 @dataclass(frozen=True)
@@ -181,10 +174,6 @@ class Row:
     trials: tuple[Trial, ...]
 
     @property
-    def name(self) -> str:
-        return self.fault.name
-
-    @property
     def problems(self) -> list[str]:
         return [f"trial {n}: {p}" for n, trial in enumerate(self.trials, 1) for p in trial.problems]
 
@@ -192,7 +181,7 @@ class Row:
         """As text, in the order of COLUMNS."""
         count, trials = len(self.trials), self.trials
         times = [t.detected_s for t in trials if t.detected_s is not None]
-        named = f"{len(times)} of {count}" if self.fault.named else "-"
+        named = f"{len(times)} of {count}" if self.fault.process else "-"
         failed = sum(bool(t.problems) for t in trials)
         design = self.fault.design + (f"; FAILED {failed} of {count}" if failed else "")
         orphans = str(sum(t.orphans for t in trials))
@@ -204,19 +193,14 @@ class Row:
         if len(recordings) < len(self.trials) or not all(r.same for r in recordings):
             return "FAILED"
         lost, cut = sum(t.lost for t in self.trials), sum(r.cut_off for r in recordings)
-        whole = sum(r.complete for r in recordings)
+        whole, behind = sum(r.complete for r in recordings), max(r.behind_s for r in recordings)
         state = "complete" if whole == len(recordings) else "complete up to the fault"
         if self.fault.reaction != ENDS and whole < len(recordings):
             state = f"{len(recordings) - whole} not whole"
-        elif any(r.behind_s > 0.05 for r in recordings):
-            state = f"readable, ends at most {max(r.behind_s for r in recordings):.2f} s before the fault"
+        elif behind > 0.05:
+            state = f"readable, ends at most {behind:.2f} s before the fault"
         return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
 
 
 def fault_cell(composed: bool = False) -> Cell:
     return read_cell(find_file("paper.yaml"), COMPOSED if composed else CELL)
-
-
-def is_alive(pid: int) -> bool:
-    """Whether a process exists, and not only its exit code."""
-    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE

@@ -25,6 +25,8 @@ from recording_samples import record
 
 from kr270_milling.base.arguments import bounded, numbers
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.recordings.bag.writer import BagWriter
 
 GARBAGE = bytes(range(256)) * 40
@@ -129,40 +131,37 @@ def test_a_reference_that_is_none_for_this_path_is_refused(tmp_path):
 
 
 SECRET = b"not to be touched"
-WRITERS = {
-    "simulate": ("simulate", "paper.yaml", *settings(*SHORT), "--out", "{out}"),
-    "compensate": ("compensate", "paper.yaml", *settings(*SHORT), "--method=linear", "--no-verdict", "--out", "{out}"),
-    "demo": ("demo", "--plain", "--out", "{out}"),
-    "export": ("export", "{recording}", "--csv", "{out}"),
-    "revise": ("replay", "{passed}", "--compensate", "--out", "{out}"),
-    "report": ("report", "{passed}", "--out", "{out}"),
-    "recover": ("recover", "{recording}", "--out", "{out}"),
-}
+CELL = ("paper.yaml", *settings(*SHORT))
+WRITERS = {name: COMMANDS[name] for name in ("simulate", "compensate", "export", "revise", "report", "recover")}
+WRITERS["demo"] = ("demo", "--plain", "--out", "{out}")
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory):
-    """One of every topic, and one of a whole pass."""
+def files(tmp_path_factory):
+    """What each command that writes reads: a cell, a recording of every topic, or a recording of a whole pass."""
     pytest.importorskip("geometry_msgs")
-    directory = tmp_path_factory.mktemp("recordings")
+    directory = tmp_path_factory.mktemp("files")
+    cell = directory / "cell.yaml"
+    cell.write_text(cell_text(read_cell(find_file("paper.yaml"), (*SHORT, "compensation.method=linear"))))
     record(directory / "topics", 5)
-    pass_recording.write(directory / "pass", pass_recording.one_pass())
-    return {"recording": str(directory / "topics"), "passed": str(directory / "pass")}
+    passed = pass_recording.write(directory / "pass", pass_recording.one_pass())
+    topics = dict.fromkeys(("export", "recover"), directory / "topics")
+    return topics | {"simulate": cell, "compensate": cell, "revise": passed, "report": passed, "demo": ""}
 
 
 @pytest.mark.parametrize("name", WRITERS)
 @pytest.mark.parametrize("place", ["file", "a\0b"])
-def test_a_place_that_cannot_be_written_into_is_refused_before_the_work(name, place, recordings, tmp_path):
+def test_a_place_that_cannot_be_written_into_is_refused_before_the_work(name, place, files, tmp_path):
     (tmp_path / "file").write_bytes(SECRET)
-    refused(*[word.format(out=tmp_path / place, **recordings) for word in WRITERS[name]])
+    refused(*[word.format(out=tmp_path / place, file=files[name]) for word in WRITERS[name]])
     assert contents(tmp_path) == {"file": SECRET}
 
 
 @pytest.mark.parametrize("name", [name for name in WRITERS if name != "demo"])  # which has no option to be short
-def test_files_have_the_permissions_of_the_umask_and_replace_links_but_not_their_targets(name, recordings, tmp_path):
+def test_files_have_the_permissions_of_the_umask_and_replace_links_but_not_their_targets(name, files, tmp_path):
     """Each file that a command wrote is, the next time, a link to a file elsewhere."""
     out, victim, before = tmp_path / "out", tmp_path / "victim", os.umask(0o027)
-    words = [word.format(out=out, **recordings) for word in WRITERS[name]]
+    words = [word.format(out=out, file=files[name]) for word in WRITERS[name]]
     try:
         if name != "recover":  # a recording is never written beside other files
             out.mkdir()
@@ -171,18 +170,18 @@ def test_files_have_the_permissions_of_the_umask_and_replace_links_but_not_their
     finally:
         os.umask(before)
     assert answer.code in (0, 1) and answer.err == "", answer
-    files = {file: data for file, data in contents(out).items() if data not in ("dir", SECRET)}
-    assert files and all(files.values()) and not any(".part" in file for file in files)
+    actual = {file: data for file, data in contents(out).items() if data not in ("dir", SECRET)}
+    assert actual and all(actual.values()) and not any(".part" in file for file in actual)
     for path in (out, *out.rglob("*")):
         assert stat.S_IMODE(path.stat().st_mode) == (0o750 if path.is_dir() else 0o640), path
     assert name == "recover" or (out / "mine.txt").read_bytes() == SECRET
     victim.write_bytes(SECRET)
-    for file in files:
+    for file in actual:
         (out / file).unlink()
         (out / file).symlink_to(victim)
     answer = ask(*words)
     assert victim.read_bytes() == SECRET and (answer.code == 2) == (name == "recover")
-    assert name == "recover" or not any((out / file).is_symlink() for file in files)
+    assert name == "recover" or not any((out / file).is_symlink() for file in actual)
 
 
 @pytest.mark.parametrize("command", [["info"], ["replay", "--recompute"], ["export", "--csv", "{out}"]])
@@ -203,7 +202,6 @@ NUMBERS = ("", "nan", "inf", "-inf", "1e999", "-1", "9" * 5000, "0x10", "ä", "1
 COUNTS = ("", "nan", "inf", "1e30", "-1", "0", "1.5", "9" * 5000, "1_0", "0x10", "٣", "²")
 SIX = ("", "1", "1,2,3,4,5", "1,2,3,4,5,6,7", "nan,0,0,0,0,0", "0,0,0,0,0,inf", "1e30,0,0,0,0,0", ",,,,,",
        "a,b,c,d,e,f", "-1e300,0,0,0,0,0", "721,0,0,0,0,0")  # fmt: skip
-CELL = ("paper.yaml", *settings(*SHORT))
 
 
 @pytest.mark.parametrize(("parse", "texts"), [
@@ -287,16 +285,27 @@ def test_ctrl_c_ends_a_command_with_one_sentence_and_leaves_the_files_of_the_las
     assert contents(tmp_path) == {"out": "dir", "out/original.csv": b"mine"}
 
 
-COMPILING = """
+SIGNALLED = """
 import os, signal
 from numba.core.compiler_lock import global_compiler_lock as lock
 from kr270_milling.cli import _handle_interrupts
 _handle_interrupts()
-with lock:
+
+def press():
     os.kill(os.getpid(), signal.{number})
     sum(range(10**6))
     print("still here")
+
+class File:
+    def __del__(self):
+        press()
+
+def compile():
+    with lock:
+        press()
+
 try:
+    {begin}()
     while True:
         signal.pause()
 except {error}:
@@ -306,26 +315,6 @@ with lock:
         os.kill(os.getpid(), signal.{number})
     except {error}:
         print("at once when sent again")
-"""
-
-
-FINALIZING = """
-import os, signal
-from kr270_milling.cli import _handle_interrupts
-_handle_interrupts()
-
-class File:
-    def __del__(self):
-        os.kill(os.getpid(), signal.{number})
-        sum(range(10**6))
-        print("still here")
-
-try:
-    File()
-    while True:
-        signal.pause()
-except {error}:
-    print("now")
 """
 
 
@@ -349,9 +338,8 @@ def test_a_signal_waits_for_a_compilation_unless_it_comes_twice_and_a_finalizer_
         return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=30)
 
     for number, error in (("SIGINT", "KeyboardInterrupt"), ("SIGTERM", "SystemExit")):
-        done = ran(COMPILING.format(number=number, error=error))
-        assert done.stdout.split("\n") == ["still here", "now", "at once when sent again", ""], done.stderr
-        done = ran(FINALIZING.format(number=number, error=error))
-        assert (done.stdout, done.stderr) == ("still here\nnow\n", "")
+        for begin in ("compile", "File"):
+            done = ran(SIGNALLED.format(number=number, error=error, begin=begin))
+            assert (done.stdout, done.stderr) == ("still here\nnow\nat once when sent again\n", "")
     done = ran(STARTING)
     assert (done.returncode, done.stderr) == (130, "kr270_milling: interrupted\n")

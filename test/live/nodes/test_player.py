@@ -15,7 +15,7 @@ from pass_recording import options
 from kr270_milling.base.errors import InputError
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag.play_options import PlayOptions
-from kr270_milling.recordings.bag.playback import PlayClock, opening, passage, span
+from kr270_milling.recordings.bag.playback import PlayClock, span
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 
@@ -54,44 +54,21 @@ def test_the_clock_of_a_playback_runs_at_its_rate_and_stops_while_paused():
     assert clock.position(200.5) == 5 + 3 * 10**9
 
 
-def played(bag, *words: str) -> list:
-    chosen = options(str(bag), *words)
-    with Recording(bag) as recording:
-        topics = set(chosen.topics or recording.topics())
-        start, end = span(recording, chosen)
-        return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
-
-
 def of_topic(pairs, topic: str) -> list[bytes]:
     return [data for name, data in pairs if name == topic]
 
 
 def test_everything_is_played_once_in_the_order_of_the_recording(bag):
     """The revised reference, stamped 0 as every "start at once", comes behind the pass that it was revised from."""
-    messages = [(m.topic, m.data) for m in played(bag)]
-    assert messages == made.raw(bag)
-    assert {topic for topic, _ in messages[: len(FIRST)]} == set(FIRST)
-    last_pose = max(i for i, (topic, _) in enumerate(messages) if topic == "/tool_pose")
-    assert [messages[i][0] in FIRST for i in range(len(FIRST), last_pose)] == [False] * (last_pose - len(FIRST))
-    assert {topic for topic, _ in messages[last_pose:]} >= set(FIRST)
+    assert [(m.topic, m.data) for m in made.played(bag)] == made.raw(bag)
 
 
 def test_latched_messages_come_first_where_several_stand_at_the_first_moment(tmp_path):
     *latched, pose = made.one_pass()[: len(FIRST) + 1]
     rest = made.one_pass()[len(FIRST) + 1 :]
     assert (pose.topic, pose.stamp) == ("tool_pose", 0)
-    messages = played(made.write(tmp_path / "r", [pose, *latched, *rest]))
+    messages = made.played(made.write(tmp_path / "r", [pose, *latched, *rest]))
     assert [m.topic for m in messages[: len(FIRST) + 1]] == [*FIRST, "/tool_pose"]
-
-
-def test_with_an_offset_the_last_latched_messages_from_before_come_first(bag):
-    messages = played(bag, "--start-offset", "0.03")
-    recorded = made.raw(bag)
-    before = {topic: of_topic(recorded, topic)[0] for topic in FIRST}  # the others are revised from this pass
-    assert {m.topic: m.data for m in messages[: len(FIRST)]} == before
-    assert all(m.log_time >= END // 2 for m in messages[len(FIRST) :]) and messages[len(FIRST)].log_time == END // 2
-    behind = played(bag, "--start-offset", "0.061")
-    assert {m.topic: m.data for m in behind if m.topic in FIRST} == {t: of_topic(recorded, t)[-1] for t in FIRST}
 
 
 def listened(world, bag, *words: str, names=("/tool_pose", "/wrench", *FIRST), arguments=()):
@@ -186,19 +163,10 @@ def test_a_signal_ends_the_player_with_exit_code_0(play, bag):
 
 
 def damaged(directory, begin: int) -> Path:
-    """A recording with a byte of its fourth chunk changed, well behind its begin [ns]."""
-    messages = [m for m in made.one_pass() if m.topic == "wrench"]
-    with BagWriter(directory) as writer:
-        writer.add_topic("/wrench", made.WRENCH)
-        for number, message in enumerate(messages):
-            writer.write("/wrench", message.data, begin + number, begin + number * 500_000)
-            if number % 10 == 9:
-                writer.flush()
-    with Recording(directory) as recording:
+    """A recording of a pass that starts at a stamp [ns], with a byte of its fourth chunk changed."""
+    with Recording(made.write(directory, made.one_pass(begin=begin))) as recording:
         chunk, path = recording.chunks[3], recording.path
-    data = bytearray(path.read_bytes())
-    data[(chunk.offset + chunk.end) // 2] ^= 1
-    path.write_bytes(data)
+    path.write_bytes(made.flip((chunk.offset + chunk.end) // 2)(path.read_bytes()))
     return directory
 
 

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-import importlib.metadata
 import os
-import re
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +11,16 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from ros_domain import is_used
 
 from kr270_milling.base.errors import ConfigError, InputError
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.base.record import Record, parameter, specs
+from kr270_milling.base.record import Record, specs
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.cell_file import cell_text, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
-from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, guarded
-from kr270_milling.live.ros.parameters import declare
 from kr270_milling.live.ros.readiness import unmatched
 from kr270_milling.live.ros.status import Status
 
@@ -67,15 +59,8 @@ def test_failed_transition_and_unusable_input_are_reported_and_a_mistake_in_a_ca
     assert node.failure == "ZeroDivisionError in stumble: a mistake"
 
 
-def test_autostart_is_read_only_a_status_names_its_hardware_and_a_closed_node_leaves_no_port(
-    world, domain, short_cell, tmp_path
-):
-    node = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
-    assert node.describe_parameter("autostart").description and node.describe_parameter("autostart").read_only
-    assert not node.set_parameters([Parameter("autostart", value=True)])[0].successful
-    messages = world.listen(world.partner(), topics.DIAGNOSTICS)
-    world.until(lambda: messages)
-    assert messages[0].status[0].hardware_id
+def test_a_closed_node_leaves_no_port(world, domain, short_cell, tmp_path):
+    world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     assert is_used(domain)
     world.close()
     end = time.monotonic() + 60.0
@@ -87,7 +72,7 @@ def test_autostart_is_read_only_a_status_names_its_hardware_and_a_closed_node_le
 # --- whether a pass may start, by the statuses of its nodes ---
 
 
-def statuses(change=lambda robot, cut, rec: None) -> dict[str, Status]:
+def statuses(change) -> dict[str, Status]:
     """A robot and a cut that are matched, and a recorder of the topic "a*"; change: what differs."""
     robot = dict(listeners={"/a": 2, "/b": 0}, sources={"/w": 1}, values={"reference": "1"})
     cut = dict(listeners={"/w": 1}, sources={"/a": 1}, values={"reference": "1"})
@@ -109,55 +94,18 @@ def test_a_pass_may_start_when_every_end_of_every_topic_is_matched(change, sente
     assert unmatched(statuses(change)).startswith(sentence) and bool(unmatched(statuses(change))) == bool(sentence)
 
 
-def test_the_private_names_of_rclpy_are_those_of_the_versions_that_the_package_requires():
-    low, high = ((ROOT / "package.xml").read_text().partition(f'{key}="')[2].partition('"')[0] for key in ("gte", "lt"))
-    installed = importlib.metadata.version("rclpy")
-    assert tuple(map(int, low.split("."))) <= tuple(map(int, installed.split("."))) < tuple(map(int, high.split(".")))
-    texts = {file.name: file.read_text() for file in (ROOT / "kr270_milling" / "live").rglob("*.py")}
-    private = re.compile(r"rclpy\.impl|_rclpy|handle\.take|\._state_machine|_LifecycleNodeMixin__")
-    assert [name for name, text in texts.items() if private.search(text)] == ["rclpy_private.py"]
-
-
-# --- Parameter records as ROS parameters ---
-
-
-@dataclass(frozen=True, eq=False)
-class Sample(Record):
-    speed: float = parameter(unit="rpm", low=10.0, high=600.0, text="a speed")
-    angles: np.ndarray = parameter(unit="deg", low=-90.0, high=90.0, size=2, text="two angles")
-    teeth: int = parameter(3, low=1, high=9, text="a count")
-
-
-@pytest.fixture
-def declared(world, tmp_path):
-    """The record as a node reads it from a parameter file."""
-
-    def read(text: str) -> Sample:
-        (tmp_path / "node.yaml").write_text("/**:\n  ros__parameters:\n" + text)
-        node = world.add(functools.partial(Node, "sample"), "--params-file", str(tmp_path / "node.yaml"))
-        try:
-            return declare(node, Sample)
-        finally:
-            world.remove(node)
-
-    return read
-
-
-def test_a_node_takes_whole_numbers_where_floats_are_due_also_of_an_included_file(declared, tmp_path):
-    sample = declared("    speed_rpm: 60\n    angles_deg: [30, -90]\n")
-    assert sample.speed == pytest.approx(2 * np.pi)
-    np.testing.assert_allclose(np.degrees(sample.angles), [30.0, -90.0])
-    (tmp_path / "below.yaml").write_text("/**:\n  ros__parameters:\n    speed_rpm: 60\n    angles_deg: [30, -90.5]\n")
-    with pytest.raises(ConfigError):  # -90.5 is out of range, not of type
-        declared(f"    includes: ['{tmp_path / 'below.yaml'}']\n    teeth: 4\n")
-    sample = declared(f"    includes: ['{tmp_path / 'below.yaml'}']\n    angles_deg: [1, 2]\n")
-    assert sample.speed == pytest.approx(2 * np.pi) and sample.teeth == 3
-
-
-def test_a_node_refuses_a_fraction_for_a_count_and_a_number_out_of_range(declared):
-    for text, key in (("speed_rpm: 60\n    teeth: 2.5", "teeth"), ("speed_rpm: 5", "speed_rpm")):
+def test_a_node_takes_whole_numbers_where_floats_are_due_also_of_an_included_file(world, tmp_path):
+    form = '/**:\n  ros__parameters:\n    includes: ["{}"]\n'
+    below = form.format("paper.yaml") + "    tool: {diameter_mm: 12}\n    mount: {abc_deg: [1, 89, 0]}\n"
+    (tmp_path / "below.yaml").write_text(below)
+    (tmp_path / "cell.yaml").write_text(form.format(tmp_path / "below.yaml") + "    path: {length_mm: 5}\n")
+    words = ("--params-file", str(tmp_path / "cell.yaml"))
+    cell = world.add(CuttingProcess, *words).cell
+    assert (cell.tool.radius, cell.path.length) == pytest.approx((6e-3, 5e-3))
+    np.testing.assert_allclose(np.degrees(cell.mount.abc), [1.0, 89.0, 0.0])
+    for given, key in (("tool.teeth:=2.5", "teeth"), ("tool.diameter_mm:=-5", "diameter_mm")):
         with pytest.raises(ConfigError, match=key):
-            declared(f"    {text}\n    angles_deg: [1.0, 2.0]\n")
+            world.add(CuttingProcess, *words, "-p", given)
 
 
 # --- the environment of node processes: discovery on this host only ---

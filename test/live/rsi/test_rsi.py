@@ -77,7 +77,7 @@ def test_the_correction_starts_from_nothing_and_is_that_of_the_place_whatever_ov
 def test_a_path_that_crosses_itself_and_one_that_returns_keep_their_order():
     """The correction counts the way, so that a wrong leg shows."""
     angle = np.linspace(0.0, 2 * np.pi, 800)
-    eight = np.stack([0.03 * np.sin(angle), 0.03 * np.sin(2 * angle), 0 * angle], -1)
+    eight = np.stack([0.03 * np.sin(angle), 0.03 * np.sin(2 * angle), 0.01 * np.sin(3 * angle)], -1)
     there = np.linspace(0.0, 0.02, 300)
     back = np.concatenate([there, there[::-1][1:]])
     for points in (eight, np.stack([back, 0 * back, 0 * back], -1)):
@@ -85,15 +85,6 @@ def test_a_path_that_crosses_itself_and_one_that_returns_keep_their_order():
         table = table_of(points, np.stack([0 * way, 2e-4 * way / way[-1], 0 * way], -1))
         applied = corrections(corrector_of(table), points)
         assert np.abs(applied[100:, 1] - table.correction[100:, 1]).max() < 1e-6
-
-
-def test_the_result_does_not_depend_on_the_frame():
-    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    table = line()
-    turned = table_of(table.position @ turn.T + 0.7, table.correction[:, :3] @ turn.T)
-    one = corrections(corrector_of(table), table.position)
-    other = corrections(corrector_of(turned), turned.position)
-    np.testing.assert_allclose(other[:, :3], one[:, :3] @ turn.T, atol=1e-9)
 
 
 # --- limits ---

@@ -38,14 +38,13 @@ def test_samples_are_thinned_and_equal_the_messages_and_states_are_events_when_t
     stamps = np.array([e["t"] for e in samples])
     assert np.all(np.diff(stamps) > 0.99e-9 * PERIOD_NS)
     poses = {m.stamp: from_bytes("geometry_msgs/msg/PoseStamped", m.data) for m in messages if m.topic == "tool_pose"}
-    cell = made.cell_of("linear", 1)
+    cell = made.cell_of()
     for sample in samples:
         stamp = round(sample["t"] * 1e9)
         target = cell.target().sample(stamp)
         shift = np.asarray(poses[stamp].position) - target
-        assert sample["side"] == pytest.approx(1e6 * shift[1], abs=1e-3)  # the path runs along +x: left is +y
-        assert sample["up"] == pytest.approx(1e6 * shift[2], abs=1e-3)
-        assert sample["x"] == pytest.approx(1e3 * target[0], abs=1e-3)
+        expected = 1e3 * target[0], 1e6 * shift[1], 1e6 * shift[2]  # the path runs along +x: left is +y
+        assert (sample["x"], sample["side"], sample["up"]) == pytest.approx(expected, abs=1e-3)
     feed = LiveEvents()
     status = {"level": 1, "name": "/robot", "message": "slow"}
     data = serialise("diagnostic_msgs/msg/DiagnosticArray", {"status": [status]})
@@ -107,11 +106,6 @@ def test_the_page_grows_while_events_come_and_reports_the_end_of_the_graph(serve
         drawn = visit.ask("() => document.getElementById('live_series').data.map((t) => t.y.length)")
         assert len(drawn) == 6 and sum(drawn) == 3 * samples[1]  # two passes, three rows
         assert visit.ask("() => document.getElementById('live_map').data[0].x.length") == drawn[3]
-        margins = visit.ask(
-            """() => { const gd = document.getElementById('live_map'), x = gd.data[0].x, a = gd._fullLayout.xaxis;
-                       return [Math.min(...x) - a.range[0], a.range[1] - Math.max(...x), a._length]; }"""
-        )
-        assert min(margins[:2]) > 0 and margins[2] > 100, "the path is on the map"
         assert "closed" in visit.page.locator("#now").inner_text()
         assert visit.settled_overhang() <= 0.5 and visit.complaints == []
         assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}

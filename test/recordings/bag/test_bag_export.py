@@ -7,10 +7,10 @@ import io
 import json
 
 import numpy as np
+import pass_recording as made
 import pytest
 import recording_samples as samples
 from mcap.writer import Writer
-from pass_recording import options
 from recording_samples import DIAGNOSTICS, PERIOD, POSE, TEXT, TOPICS, WRENCH, header, make, pose, raw, record, wrench
 
 from kr270_milling.base.errors import RecordingError
@@ -19,7 +19,6 @@ from kr270_milling.cli import main
 from kr270_milling.recordings.bag import export as module
 from kr270_milling.recordings.bag.export import WRITERS, export
 from kr270_milling.recordings.bag.info import info, info_text
-from kr270_milling.recordings.bag.playback import opening, passage, span
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.bag.writer import BagWriter
@@ -57,7 +56,7 @@ def test_every_topic_has_a_table_with_a_row_per_message_and_units_in_its_columns
     assert list(tables["wrench"][0]) == [*head, *force, *torque]
     assert list(tables["deflection"][0])[5:7] == ["linear_z_m", "angular_x_rad"]
     assert "velocity_joint_2_rad_per_s" in tables["joint_states"][0]
-    assert "time_from_start_ns" in tables["target_trajectory"][0]
+    assert [row["time_from_start_ns"] for row in tables["target_trajectory"]] == ["0", "1000000000"] * 5
 
 
 def test_numbers_read_back_to_the_same_bits_and_lists_are_json(tables):
@@ -168,82 +167,63 @@ def test_info_counts_what_was_written(tmp_path):
     assert data["attachments"] == [dict(name="cell.yaml", media_type="application/yaml", size_bytes=5)]
     assert data["metadata"]["kr270_milling"]["seed"] == "7"
     assert data["library"] == f"kr270_milling/{__version__}"
-
-
-def test_an_empty_recording_has_no_times(tmp_path):
-    BagWriter(tmp_path / "a").close()
-    data = summary(tmp_path / "a")
+    BagWriter(tmp_path / "empty").close()
+    data = summary(tmp_path / "empty")
     assert (data["messages"], data["start_ns"], data["duration_s"], data["topics"]) == (0, None, 0.0, {})
     assert not data["cut_off"] and "0 messages" in info_text(data)
 
 
 STEPS = 200
-LATCHED = [{"durability": "transient_local", "depth": 1}]
 
 
-def write(directory, passes: int = 2, dropped=(), chunk_size: int = 5000) -> Recording:
-    """Every pass: a text, poses, wrenches, reports with the stamp 0; dropped: (pass, step) of missing wrenches."""
-    with BagWriter(directory, chunk_size=chunk_size) as writer:
+@pytest.fixture
+def three_passes(tmp_path):
+    """A recording; in every pass a text, poses, wrenches, and reports with the stamp 0."""
+    with BagWriter(tmp_path / "a", chunk_size=5000) as writer:
         for topic, kind in {"/tool_pose": POSE, "/wrench": WRENCH, "/diagnostics": DIAGNOSTICS}.items():
             writer.add_topic(topic, kind)
-        writer.add_topic("/note", TEXT, LATCHED)
-        for number in range(passes):
+        writer.add_topic("/note", TEXT, [made.LATCHED])
+        for number in range(3):
             for step in range(STEPS):
                 stamp = step * PERIOD
                 writer.write("/tool_pose", raw(pose(stamp, np.full(7, number * STEPS + step))), 1)
-                if (number, step) not in dropped:
-                    writer.write("/wrench", raw(wrench(stamp, np.full(6, number * STEPS + step))), 1)
+                writer.write("/wrench", raw(wrench(stamp, np.full(6, number * STEPS + step))), 1)
                 if step == 5:
                     writer.write("/note", raw(make(TEXT, f"pass {number}")), 1)
                 if step % 20 == 0:
                     writer.write("/diagnostics", raw(make(DIAGNOSTICS, header(0), [])), 1)
-        report = writer.report()
-    assert report["/wrench"]["missing"] == len(dropped)
-    return Recording(directory)
+    with Recording(tmp_path / "a") as recording:
+        yield recording
 
 
-def played(recording: Recording, *words: str) -> list:
-    topics = set(recording.topics())
-    start, end = span(recording, options(str(recording.path), *words))
-    return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
-
-
-def test_what_is_missing_in_the_second_pass_is_counted_also_where_the_first_has_it(tmp_path):
-    write(tmp_path / "a", dropped={(1, step) for step in range(50, 150)}).close()
-    actual = summary(tmp_path / "a")
-    gaps = actual["topics"]["/wrench"]["gaps"]
-    assert (actual["missing"], gaps["gaps"], gaps["backwards"], gaps["repeated"]) == (100, 1, 0, 0)
-
-
-def test_rate_times_series_and_tables_are_those_of_each_pass(tmp_path):
-    with write(tmp_path / "a", 3) as recording:
-        assert info(recording)["topics"]["/tool_pose"]["rate_hz"] == pytest.approx(2000.0)
-        assert [m.log_time for m in recording.messages(["/note"])] == [5 * PERIOD] * 3
-        assert series(recording, "/wrench").values[:, 0].tolist() == list(range(3 * STEPS))
+def test_rate_times_series_and_tables_are_those_of_each_pass(three_passes, tmp_path):
+    about = info(three_passes)
+    assert about["topics"]["/tool_pose"]["rate_hz"] == pytest.approx(2000.0) and about["missing"] == 0
+    assert [m.log_time for m in three_passes.messages(["/note"])] == [5 * PERIOD] * 3
+    assert series(three_passes, "/wrench").values[:, 0].tolist() == list(range(3 * STEPS))
     (file,) = exported(tmp_path / "a", tmp_path / "csv", "/note")
     assert [row["data"] for row in rows(file)] == ["pass 0", "pass 1", "pass 2"]
 
 
-def test_passes_are_played_one_after_the_other_at_their_pace(tmp_path):
-    with write(tmp_path / "a", 3) as recording:
-        actual = [m for m in played(recording) if m.topic != "/diagnostics"]
-        sent = [m.data for m in recording.messages(["/tool_pose"])]
-    poses = [m for m in actual if m.topic == "/tool_pose"]
-    assert [m.data for m in poses] == sent
+ONE = (STEPS - 1) * PERIOD + 1  # [ns]; a pass begins 1 ns after the pass before
+
+
+def test_passes_are_played_one_after_the_other_at_their_pace(three_passes):
+    actual = [m for m in made.played(three_passes.path) if m.topic != "/diagnostics"]
     times = [m.log_time for m in actual]
     assert times == sorted(times)
-    one = (STEPS - 1) * PERIOD + 1  # a pass begins right behind the one before
-    assert [m.log_time for m in poses] == [number * one + step * PERIOD for number in range(3) for step in range(STEPS)]
-
-
-def test_an_offset_leads_into_a_later_pass_with_what_was_latched_before_it(tmp_path):
-    one = (STEPS - 1) * PERIOD + 1
-    with write(tmp_path / "a") as recording:
-        actual = played(recording, "--start-offset", str((one + 2 * PERIOD) * 1e-9), "--playback-duration", "0.001")
-        notes = [m.data for m in recording.messages(["/note"])]
     poses = [m for m in actual if m.topic == "/tool_pose"]
-    assert (actual[0].topic, actual[0].data) == ("/note", notes[0])
-    assert [m.log_time for m in poses] == [one + step * PERIOD for step in (2, 3, 4)]
+    assert [m.data for m in poses] == [m.data for m in three_passes.messages(["/tool_pose"])]
+    assert [m.log_time for m in poses] == [number * ONE + step * PERIOD for number in range(3) for step in range(STEPS)]
+
+
+def test_an_offset_leads_into_a_later_pass_with_what_was_latched_last_before_it(three_passes):
+    offset = str((ONE + 12 * PERIOD) * 1e-9)
+    first, *actual = made.played(three_passes.path, "--start-offset", offset, "--playback-duration", "0.001")
+    _, note, _ = (m.data for m in three_passes.messages(["/note"]))
+    assert (first.topic, first.data) == ("/note", note)
+    poses = [m.log_time for m in actual if m.topic == "/tool_pose"]
+    assert poses == [ONE + step * PERIOD for step in (12, 13, 14)]
 
 
 def test_a_recording_on_another_clock_is_one_part(tmp_path):
@@ -251,19 +231,7 @@ def test_a_recording_on_another_clock_is_one_part(tmp_path):
         writer.add_topic("/tool_pose", POSE)
         for log_time in (5, 9, 7, 5, 8):
             writer.write("/tool_pose", raw(pose(0, np.zeros(7))), 1, log_time)
-    with Recording(tmp_path / "b") as recording:
-        assert [m.log_time for m in played(recording)] == [5, 9, 9, 9, 9]  # in the order of the file
-
-
-def test_a_cut_off_file_of_two_passes_is_played_in_their_order_and_the_summary_states_it(tmp_path):
-    write(tmp_path / "a").close()
-    whole = (tmp_path / "a" / "a.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 2 // 3])
-    assert "cut off" in info_text(summary(tmp_path / "cut.mcap"))
-    with Recording(tmp_path / "cut.mcap") as recording:
-        assert recording.cut_off
-        sent = [m.data for m in recording.messages(["/tool_pose"])]
-        assert [m.data for m in played(recording) if m.topic == "/tool_pose"] == sent and len(sent) > STEPS
+    assert [m.log_time for m in made.played(tmp_path / "b")] == [5, 9, 9, 9, 9]  # in the order of the file
 
 
 def test_no_text_of_a_table_is_a_formula_for_a_spreadsheet():

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recording_samples import PATH, POSE, STORE, header, make, path, pose, raw
+from recording_samples import PATH, STORE, header, make, path, pose, raw
 from scipy.spatial.transform import Rotation
 from small_part import path_error
 
 from kr270_milling.base.errors import ConfigError, InputError, RecordingError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
@@ -94,16 +91,6 @@ def test_a_damaged_path_is_refused_or_read_within_its_bytes(cut, tail):
     assert 64 * len(actual.time) <= len(data)
 
 
-def test_200000_poses_are_read_in_under_five_seconds():
-    whole, size = raw(nav(line(3), [1, 2, 3])), 8 + 4 + 10 + 2 + 56  # stamp, frame, padding, numbers
-    at = whole.index((3).to_bytes(4, "little"))  # how many poses there are
-    data = whole[:at] + (200_000).to_bytes(4, "little") + whole[at + 4 :] + 199_997 * whole[-size:]
-    start = time.process_time()
-    actual = read_path(data)
-    assert time.process_time() - start < 5.0
-    assert actual.time[:3].tolist() == [1, 2, 3] and set(actual.time[3:].tolist()) == {3}
-
-
 def test_the_stamps_of_a_path_give_the_feed(tmp_path):
     at = line(29, 0.028)
     stamps = stamped(at[:15]) + (stamped(at[14:], 2 * FEED, 7 * 10**9 + 210_000_000)[1:])
@@ -177,7 +164,9 @@ def arc(period: float = 0.05, speed: float = 0.05, radius: float = 0.02) -> Traj
 @pytest.mark.parametrize("run", [arc(), Trajectory.straight_line([0, 0, -SIDE], [1, 0, 0], 0.01, FEED, 0.05)])
 def test_a_trajectory_is_the_target_as_it_is(tmp_path, run):
     for name in ("tcp", "tool0"):  # before 0.3 the tool tip was tool0
-        actual = read_recorded(record(tmp_path / name, reference=points_of(run, names=(name,))))
+        file = record(tmp_path / name, reference=points_of(run, names=(name,)))
+        np.testing.assert_array_equal(read_cell(CELL, [f"path.file={file.parent}"]).target().position, run.position)
+        actual = read_recorded(file)
         assert isinstance(actual, TimedPath) and actual.timed_by_source
         np.testing.assert_array_equal(actual.trajectory.time_ns, run.time_ns)
         np.testing.assert_array_equal(actual.trajectory.position, run.position)
@@ -211,50 +200,31 @@ def test_the_tool_may_rest_on_its_way(tmp_path):
     assert path_error(actual, np.linspace(0, run.duration_ns, 99).astype(np.int64)).max() < 1e-15
 
 
-def test_a_pass_along_the_recorded_target_is_the_pass_of_the_straight_cut(tmp_path):
-    short = ["path.length_mm=12", "stock.max_mm=[4,12,0]"]
-    plain = read_cell(CELL, short)
-    file = record(tmp_path / "a", target_trajectory=points_of(plain.target()))
-    recorded = read_cell(CELL, [*short, f"path.file={file.parent}"])  # the directory does as well
-    expected, actual = simulate(plain).result, simulate(recorded).result
-    np.testing.assert_array_equal(actual.actual, expected.actual)
-    np.testing.assert_array_equal(actual.wrench, expected.wrench)
-    assert np.abs(actual.wrench).max() > 1.0
-
-
 def knots(times, at, turn=(1, 0, 0, 0), velocities=None):
     return path(3, times, at[:, None], [[turn]] * len(times), velocities)
 
 
-@pytest.mark.parametrize(
-    ("message", "sentence"),
-    [
-        (nav(line(), [0] * 15, frame="base_link"), "frame is 'base_link', but must be workpiece"),
-        (nav(line(), [0] * 15, pose_frame="map"), "frame is 'map'"),
-        (nav(line() * np.nan, [0] * 15), "point 1 is more than"),
-        (nav(line() * 1e6, [0] * 15), "wrong unit"),
-        (nav(line(1), [0]), "never moves"),
-        (nav(line()[:0], []), "never moves"),
-        (nav(line(), [0] * 15, (1, 0, 0, 1)), "pose 1 does not have length 1"),
-        (nav(line(), [0] * 15, (np.inf, 0, 0, 1)), "not finite"),
-        (nav(line(), [0] * 15, (0.6, 0, 0, 0.8)), "points out of the part"),
-        ([nav(line(), [0] * 15), nav(line(14), [0] * 14)], "different paths"),
-        (nav(line(4), [0, 10**9, 10**9, 2 * 10**9]), "pose 3 needs a later stamp"),
-        (nav(line(4), [0, 0, 0, 1]), "pose 2 needs a later stamp"),
-        (nav(line(4), [3 * 10**9, 2 * 10**9, 10**9, 0]), "pose 2 needs a later stamp"),
-        (nav(line(4), [0, 10**9, 10**9 + 1, 2 * 10**9]), "pose 3 at 4.67e+06 m/s"),
-        (points_of(arc(), frame="base_link"), "must be workpiece"),
-        (points_of(arc(), names=("flange",)), "of flange, not of tcp"),
-        (knots([0, 10**9], line(2) * np.nan), "point 1 is more than"),
-        (knots([0, 10**9], line(2) * 1e9), "wrong unit"),
-        (knots([0, 10**9], line(2), (1, 0, 0, 1)), "point 1: its quaternion"),
-        (knots([0, 0], line(2)), "point 2: its time"),
-        (knots([5, 10], line(2)), "point 1: the first time"),
-        (knots([0, 10], line(2), velocities=np.full((2, 1, 6), np.inf)), "velocity is not finite"),
-        (knots([0, 10], line(2)[[0, 0]]), "never moves"),
-        (knots([], line(0)), "never moves"),
-    ],
-)
+@pytest.mark.parametrize(("message", "sentence"), [
+    (nav(line(), [0] * 15, frame="base_link"), "frame is 'base_link', but must be workpiece"),
+    (nav(line(), [0] * 15, pose_frame="map"), "frame is 'map'"),
+    (nav(line() * np.nan, [0] * 15), "point 1 is more than"),
+    (nav(line(1), [0]), "never moves"),
+    (nav(line(), [0] * 15, (1, 0, 0, 1)), "pose 1 does not have length 1"),
+    (nav(line(), [0] * 15, (np.inf, 0, 0, 1)), "not finite"),
+    (nav(line(), [0] * 15, (0.6, 0, 0, 0.8)), "points out of the part"),
+    ([nav(line(), [0] * 15), nav(line(14), [0] * 14)], "different paths"),
+    (nav(line(4), [0, 10**9, 10**9, 2 * 10**9]), "pose 3 needs a later stamp"),
+    (nav(line(4), [3 * 10**9, 2 * 10**9, 10**9, 0]), "pose 2 needs a later stamp"),
+    (nav(line(4), [0, 10**9, 10**9 + 1, 2 * 10**9]), "pose 3 at 4.67e+06 m/s"),
+    (points_of(arc(), frame="base_link"), "must be workpiece"),
+    (points_of(arc(), names=("flange",)), "of flange, not of tcp"),
+    (knots([0, 10**9], line(2) * 1e9), "wrong unit"),
+    (knots([0, 10**9], line(2), (1, 0, 0, 1)), "point 1: its quaternion"),
+    (knots([0, 0], line(2)), "point 2: its time"),
+    (knots([5, 10], line(2)), "point 1: the first time"),
+    (knots([0, 10], line(2), velocities=np.full((2, 1, 6), np.inf)), "velocity is not finite"),
+    (knots([0, 10], line(2)[[0, 0]]), "never moves"),
+])  # fmt: skip
 def test_what_cannot_be_run_is_refused(tmp_path, message, sentence):
     assert sentence in refusal(record(tmp_path / "a", target=message), "", FEED)
 
@@ -263,19 +233,16 @@ def test_of_several_topics_one_must_be_named(tmp_path):
     sent = dict(plan=nav(line(), stamped(line())), reference=points_of(arc()), tool_pose=pose(0, [0] * 7))
     file = record(tmp_path / "a", **sent)
     text = refusal(file)
-    assert "/plan (nav_msgs/msg/Path)" in text and f"/reference ({PATH})" in text and "path.topic" in text
-    assert "tool_pose" not in text
+    assert text.endswith(f"path.topic: /plan ({NAV}), /reference ({PATH})")
     assert isinstance(read_recorded(file, "/plan"), Toolpath)
     assert isinstance(read_recorded(file, "/reference"), TimedPath)
-    for wrong in ("/tool_pose", "/none"):
-        assert wrong in refusal(file, wrong) and "/plan" in refusal(file, wrong)
+    assert "'/tool_pose', but on: /plan" in refusal(file, "/tool_pose")
     cell = read_cell(CELL, [f"path.file={file}", "path.topic=/plan"])
     np.testing.assert_allclose(cell.feed_rate, FEED, rtol=1e-5)
     for other in ("", "test_piece.nc"):
         with pytest.raises(ConfigError, match="path.topic"):
             read_cell(CELL, [f"path.file={other!r}", "path.topic=/plan"])
-    without = refusal(record(tmp_path / "b", tool_pose=sent["tool_pose"]))
-    assert POSE not in without and NAV in without
+    assert f"has no {NAV}" in refusal(record(tmp_path / "b", tool_pose=sent["tool_pose"]))
 
 
 def test_the_commands_take_a_recorded_trajectory_and_one_of_days_is_refused(tmp_path, capsys):

@@ -24,12 +24,10 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.recordings.bag import writer as module
 from kr270_milling.recordings.bag.bagmeta import DEFAULT_QOS, describe_qos, qos_text, read_qos
-from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.stamps import YEAR, GapCounter, LogTimes
-from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.recordings.bag.stamps import GapCounter
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
 
@@ -60,28 +58,9 @@ def test_metadata_yaml_is_what_rosbag2_of_jazzy_writes_and_the_file_has_configur
         assert recording.metadata()["kr270_milling"] == expected
     text = (tmp_path / "a" / "metadata.yaml").read_text()
     about = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    # the keys in the order of a file written by ros2 bag record (Jazzy, version 9)
-    assert list(about) == ["version", "storage_identifier", "duration", "starting_time", "message_count",
-                           "topics_with_message_count", "compression_format", "compression_mode",
-                           "relative_file_paths", "files", "custom_data", "ros_distro"]  # fmt: skip
     assert (about["version"], about["message_count"], about["relative_file_paths"]) == (9, 6, ["a.mcap"])
     assert about["duration"] == {"nanoseconds": 2 * PERIOD}
     assert "&id" not in text  # anchors are legal YAML that other readers need not know
-
-
-def test_wrong_use_is_one_sentence(tmp_path):
-    writer = BagWriter(tmp_path / "a")
-    writer.add_topic("/p", POSE)
-    for call in (
-        lambda: writer.add_topic("/p", TEXT),
-        lambda: writer.write("/p", b"", -1, -1),
-        lambda: writer.add_topic("/z", "no_such_msgs/msg/Thing"),
-    ):
-        with pytest.raises(RecordingError):
-            call()
-    writer.close()
-    with pytest.raises(RecordingError, match="closed"):
-        writer.write("/p", raw(pose(0, np.zeros(7))), 0)
 
 
 def test_a_refused_message_is_counted_and_the_recording_continues(tmp_path):
@@ -100,84 +79,57 @@ def test_a_refused_message_is_counted_and_the_recording_continues(tmp_path):
         assert json.loads(recording.metadata()["kr270_milling.counts"]["/p"])["refused"] == 3
 
 
-def test_a_chunk_is_closed_by_the_clock(tmp_path):
-    with BagWriter(tmp_path / "a") as writer:
-        writer.add_topic("/p", POSE)
-        sizes = []
-        for step in range(10):
-            writer.write("/p", raw(pose(step, np.zeros(7))), 0)
-            writer.tick(100 + 0.125 * step)
-            with Recording(tmp_path / "a") as recording:
-                sizes.append(recording.count)
-    assert sizes == [0, 0, 3, 3, 5, 5, 7, 7, 9, 9]  # at the first tick 0.2 s or more after the last chunk
-
-
 KILLED = """
 import sys, time
 from kr270_milling.recordings.bag.writer import BagWriter
 writer = BagWriter(sys.argv[1], attachments={"cell.yaml": "a: 1"})
 writer.add_topic("/tool_pose", "geometry_msgs/msg/PoseStamped")
 body = bytes.fromhex(sys.argv[2])
-print("ready", flush=True)
-begin = time.monotonic()
-for i in range(50_000):  # 5,000 messages a second
-    while time.monotonic() - begin < i * 2e-4:
-        time.sleep(1e-3)
-        writer.tick(time.monotonic())
-    writer.write("/tool_pose", body[:8] + (i * 10_000).to_bytes(4, "little") + body[12:], i)
+for i in range(100_000):
+    now = time.time_ns()
+    writer.write("/tool_pose", body[:8] + (i * 10_000).to_bytes(4, "little") + body[12:], now)
     writer.tick(time.monotonic())
-    if i % 100 == 0:
-        print(i, flush=True)
+    if i % 100 == 99:
+        print(now, flush=True)
+        time.sleep(0.02)
 """
 
 
-def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_and_recovered(tmp_path):
+def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_and_recovered(tmp_path):
     command = [sys.executable, "-c", KILLED, str(tmp_path / "a"), posed(0).hex()]
     env = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[3]))
     with subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True) as process:
-        process.stdout.readline()
-        begin, lines = time.monotonic(), []
+        begin, lines = time.monotonic(), [process.stdout.readline()]
         while time.monotonic() - begin < 1.5:
             lines.append(process.stdout.readline())
         process.kill()
         lines += process.stdout.read().splitlines()
-    last = int(lines[-1])
     with Recording(tmp_path / "a") as recording:
         messages = list(recording.messages())
         assert recording.cut_off
-        assert last - 5000 < len(messages)  # 5,000 are one second
+        assert int(lines[-1]) - messages[-1].publish_time < 10**9  # [ns]
         assert [m.log_time for m in messages] == [i * 10_000 for i in range(len(messages))]
         assert messages[-1].data == posed(10_000 * (len(messages) - 1))
         assert recording.last_log_time == messages[-1].log_time
-        assert info(recording)["cut_off"] and info(recording)["missing"] == 0
-        [table] = export(recording, tmp_path / "csv").files
-    assert len(table.read_text().splitlines()) == len(messages) + 1
+        assert info(recording)["missing"] == 0 and "cut off" in info_text(info(recording))
     result = recover(tmp_path / "a")
     assert result.messages == len(messages) and not result.whole and result.attachments == ["cell.yaml"]
-    with Recording(result.directory) as whole:
-        assert not whole.cut_off
-        assert [m[:4] for m in whole.messages()] == [m[:4] for m in messages]
-        assert findings(whole) == []
 
 
-@pytest.mark.parametrize("limit", [4, 30_000])
-def test_a_full_disk_ends_the_file_after_its_last_whole_chunk(tmp_path, limit):
-    rng, writer = np.random.default_rng(6), None  # numbers that cannot be packed
-    with full_disk(limit), pytest.raises(RecordingError, match="File too large") as caught:
-        writer = BagWriter(tmp_path / "a", chunk_size=4000)
-        writer.add_topic("/p", POSE)
+def test_a_full_disk_ends_the_file_after_its_last_whole_chunk(tmp_path):
+    with full_disk(4), pytest.raises(RecordingError, match="File too large"):
+        BagWriter(tmp_path / "none")
+    rng, writer = np.random.default_rng(6), BagWriter(tmp_path / "a", chunk_size=4000)  # numbers that cannot be packed
+    writer.add_topic("/p", POSE)
+    with full_disk(30_000), pytest.raises(RecordingError, match="File too large") as caught:
         for step in range(10_000):
             writer.write("/p", raw(pose(step, rng.normal(size=7))), 0)
-    if writer is not None:
-        with pytest.raises(RecordingError) as again:
-            writer.add_metadata("more", {})
-        writer.close()
-        saved, count = writer.output.saved, writer.count
-        assert again.value is caught.value and 0 < saved < count
-        assert f"{saved} messages are safe, the last {count - saved} are lost" in str(caught.value)
-        with Recording(tmp_path / "a") as recording:
-            assert recording.cut_off and recording.count == saved
-    assert (writer is None) == (limit == 4) and not (tmp_path / "a" / "metadata.yaml").exists()
+    writer.close()
+    with Recording(tmp_path / "a") as recording:
+        assert recording.cut_off
+        saved, lost = recording.count, writer.count - recording.count
+    assert saved > 0 and f"{saved} messages are safe, the last {lost} are lost" in str(caught.value)
+    assert not (tmp_path / "a" / "metadata.yaml").exists()
 
 
 def test_nothing_is_written_elsewhere_through_a_link_or_over_a_file(tmp_path):
@@ -273,23 +225,6 @@ def test_a_silent_graph_has_one_clock_and_its_messages_are_on_the_disk_before_th
             writer.tick(0.1 * tenth)
         assert len(log_times(tmp_path / "none")) >= 8
     assert log_times(tmp_path / "none") == [("/s", WALL + tenth) for tenth in range(11)]
-
-
-def test_what_waits_for_a_stamp_is_bounded_and_nothing_of_it_is_lost(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "HOLD_SIZE", 1000)
-    with opened(tmp_path / "a", "/s") as writer:
-        for number in range(40):
-            writer.write("/s", text(f"{number:080}"), WALL + number)
-        assert writer.count == 40
-    assert log_times(tmp_path / "a") == [("/s", WALL + number) for number in range(40)]
-
-
-def test_stamps_a_little_apart_are_of_one_clock_and_years_apart_of_two():
-    times = LogTimes()
-    assert times.of(POSE, 10, WALL) == 10
-    assert times.of(POSE, 10 + YEAR - 1, WALL) == 9 + YEAR
-    assert times.of(POSE, 10, WALL) == 10
-    assert times.of(POSE, 3 * YEAR, WALL) == 9 + YEAR
 
 
 def count(stamps, period=None) -> GapCounter:

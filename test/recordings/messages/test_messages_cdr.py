@@ -1,10 +1,13 @@
-"""Stamps, texts, series and trajectories out of serialised bytes, in both byte orders and from damaged ones."""
+"""Serialised bytes, in both byte orders and damaged: stamps, series, trajectories, and definitions of types."""
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
+import json
 import struct
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,14 +15,19 @@ import recording_samples as made
 from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap_ros2._dynamic import generate_dynamic
 from recording_samples import JOINTS, PATH, POSE, STORE, TWIST, WRENCH, joints, pose, raw
+from rosbags.typesys import get_types_from_msg
 
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder, store_for
 from kr270_milling.recordings.bag.export import rows
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series, stamped
 from kr270_milling.recordings.bag.writer import BagWriter
-from kr270_milling.recordings.messages.cdr import Cursor, stamp_of
+from kr270_milling.recordings.messages import definitions
+from kr270_milling.recordings.messages.cdr import stamp_of
+from kr270_milling.recordings.messages.definitions import definition, plain, starts_with_stamp, store_of, type_hash
 from kr270_milling.recordings.messages.trajectory import read_trajectory
 
 
@@ -34,26 +42,6 @@ def test_every_stamped_topic_of_the_table_gives_its_stamp_and_other_bytes_give_n
     version_2 = b"\0\x07" + data[2:]
     for wrong in (data[:11], b"", b"\0\x01\0\0" + seconds, b"\0\x01\0\0" + nanoseconds, version_2):
         assert stamp_of(wrong) is None
-
-
-def test_cursor_reads_strings_and_numbers_at_their_alignment():
-    message = joints(7, [1.5, 2.5], names=["a", "bcd"])
-    for little in (True, False):
-        data = bytes(STORE.serialize_cdr(message, JOINTS, little_endian=little))
-        cursor = Cursor(data)
-        assert (cursor.number("i"), cursor.number("I"), cursor.string(), cursor.strings()) == (0, 7, "", ("a", "bcd"))
-        assert [cursor.number("I"), cursor.number("d"), cursor.number("d")] == [2, 1.5, 2.5]
-        assert [cursor.number("I"), cursor.number("I"), cursor.offset] == [0, 0, len(data)]
-
-
-@given(st.binary(max_size=60))
-def test_cursor_refuses_bytes_that_end_too_early_and_never_reads_beyond(data):
-    try:
-        cursor = Cursor(data)
-        cursor.number("i"), cursor.number("I"), cursor.string(), cursor.strings(), cursor.number("d")
-    except ValueError:
-        return
-    assert cursor.offset <= len(data)
 
 
 # --- trajectories ---
@@ -82,19 +70,6 @@ def test_every_number_of_a_trajectory_comes_out(points, bodies):
         assert (actual.stamp, actual.frame_id, actual.names) == (77, "workpiece", names)
 
 
-@given(st.lists(st.booleans(), min_size=1, max_size=60))
-def test_points_with_and_without_velocities_may_mix(with_speed):
-    message, times, (position, _, velocity) = random_path(len(with_speed))
-    for i, speed in enumerate(with_speed):
-        if not speed:
-            message.points[i].velocities.clear()
-            velocity[i] = np.nan
-    actual = read_trajectory(raw(message))
-    np.testing.assert_array_equal(actual.time, times)
-    np.testing.assert_array_equal(actual.position, position)
-    np.testing.assert_array_equal(actual.velocity, velocity)
-
-
 def test_200000_points_take_less_than_a_second():
     """The bytes are laid out here point by point: 128 bytes each from the second on."""
     count = 200_000
@@ -119,14 +94,18 @@ def test_a_damaged_trajectory_is_refused_or_read_within_its_bytes(cut, tail):
     assert 20 * len(actual.time) <= len(data)
 
 
-def test_a_message_made_to_change_its_layout_all_the_time_costs_no_more_than_its_size():
-    message, times, _ = random_path(6000)
-    for point in message.points[::2]:
-        point.velocities.clear()
+def test_points_with_and_without_velocities_may_mix_and_cost_no_more_than_their_size():
+    message, times, (position, _, velocity) = random_path(6000)
+    for i in np.flatnonzero(np.random.default_rng(2).random(6000) < 0.5):
+        message.points[i].velocities.clear()
+        velocity[i] = np.nan
     data = raw(message)
     begin = time.process_time()
-    assert read_trajectory(data).time.tolist() == times.tolist()
+    actual = read_trajectory(data)
     assert time.process_time() - begin < 2.0
+    np.testing.assert_array_equal(actual.time, times)
+    np.testing.assert_array_equal(actual.position, position)
+    np.testing.assert_array_equal(actual.velocity, velocity)
 
 
 def test_points_without_content_for_many_bodies_are_refused_before_room_is_made_for_them():
@@ -195,15 +174,6 @@ def test_joint_states_with_and_without_velocities(tmp_path):
         np.testing.assert_array_equal(np.transpose(columns), expected)
 
 
-def test_trajectories_of_a_recording_are_tables_up_to_one_that_is_none(tmp_path):
-    messages = [random_path(2)[0], random_path(5)[0], raw(pose(100, np.zeros(7)))]
-    with Recording(written(tmp_path / "a", PATH, messages)) as recording:
-        actual = rows(recording, "/t")
-        assert [next(actual)[1][0] for _ in range(7)] == [0, 0, 1, 1, 1, 1, 1]  # number of the message
-        with pytest.raises(RecordingError, match="is not a trajectory_msgs"):
-            next(actual)
-
-
 def test_a_topic_without_messages_has_empty_arrays_and_other_topics_are_refused(tmp_path):
     with Recording(written(tmp_path / "a", POSE, [])) as recording:
         actual = series(recording, "/t")
@@ -216,21 +186,94 @@ def test_a_topic_without_messages_has_empty_arrays_and_other_topics_are_refused(
         series(recording, "/t")
 
 
-@given(data=st.binary(max_size=120), kind=st.sampled_from([POSE, WRENCH, TWIST, JOINTS]), cut=st.integers(0, 200))
+@given(data=st.binary(max_size=120), kind=st.sampled_from([POSE, WRENCH, TWIST, JOINTS, PATH]), cut=st.integers(0, 200))
 @settings(max_examples=budget(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_bytes_that_are_no_message_are_one_sentence(tmp_path_factory, data, kind, cut):
     good = raw(joints(1, [1, 2, 3])) if kind == JOINTS else raw(pose(1, np.arange(7)))
     with Recording(written(tmp_path_factory.mktemp("x") / "a", kind, [good[:cut] + data])) as recording:
         try:
-            list(rows(recording, "/t")) if kind == JOINTS else series(recording, "/t")
+            list(rows(recording, "/t")) if kind in (JOINTS, PATH) else series(recording, "/t")
         except RecordingError as error:
             assert "\n" not in str(error)
 
 
-def test_30000_poses_are_read_in_less_than_a_second(tmp_path):
-    body = raw(pose(0, np.arange(7)))
-    with Recording(written(tmp_path / "a", POSE, [body] * 30_000)) as recording:
-        begin = time.process_time()
-        actual = series(recording, "/t")
-        assert time.process_time() - begin < 1.0
-    np.testing.assert_array_equal(actual.values, np.tile(np.arange(7.0), (30_000, 1)))
+# --- definitions, against installed message packages and the parser of mcap-ros2-support ---
+
+
+KINDS = sorted(set(made.TOPICS.values()))
+
+
+def installed(name: str, ending: str) -> Path:
+    """A type's file as its ROS package installs it."""
+    package, _, short = name.split("/")
+    spec = importlib.util.find_spec(package)
+    if spec is None:
+        pytest.skip("the message definitions of ROS are not installed")
+    for root in Path(spec.submodule_search_locations[0]).parents:
+        if (root / "share" / package / "msg" / (short + ending)).is_file():
+            return root / "share" / package / "msg" / (short + ending)
+    pytest.skip(f"no {short}{ending} is installed")
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_definition_and_hash_are_those_of_the_installed_package(name):
+    text = installed(name, ".msg").read_text()
+    assert get_types_from_msg(definition(name), name)[name][1] == get_types_from_msg(text, name)[name][1]
+    hashes = json.loads(installed(name, ".json").read_text())["type_hashes"]
+    assert type_hash(name) == next(entry["hash_string"] for entry in hashes if entry["type_name"] == name)
+    assert starts_with_stamp(definition(name)) is (name != "std_msgs/msg/String")
+
+
+def test_the_definition_is_enough_for_mcap_ros2_to_decode_a_message():
+    for topic, kind in made.TOPICS.items():
+        decoded = generate_dynamic(kind, definition(kind))[kind](raw(made.sample(topic, 2)))
+        assert hasattr(decoded, next(iter(made.sample(topic, 2).__dataclass_fields__)))
+
+
+def test_a_type_that_the_store_lacks_is_read_from_the_files_of_its_package(tmp_path, monkeypatch):
+    folder = tmp_path / "share" / "shop_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Order.msg").write_text("std_msgs/Header header\nItem[] items # all\nint32 MOST=3\n")
+    (folder / "Item.msg").write_text("string<=10 name\nfloat64[3] size\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    text = definition("shop_msgs/msg/Order")
+    assert "MSG: shop_msgs/Item\nstring<=10 name\nfloat64[3] size\n" in text and "int32 MOST=3" in text
+    assert type_hash("shop_msgs/msg/Order").startswith("RIHS01_") and starts_with_stamp(text)
+    about = RecordedTopic("shop_msgs/msg/Order", 1, "cdr", text, "ros2msg", {})
+    data = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0\1\0\0\0\2\0\0\0a\0" + bytes(6 + 24)
+    assert plain(make_decoder("f", "/t", about)(data))["items"] == [{"name": "a", "size": [0.0, 0.0, 0.0]}]
+    definitions.definition.cache_clear()
+
+
+def test_a_name_without_definition_is_one_sentence():
+    for name in ("geometry_msgs/PoseStamped", "../msg/Secret", "geometry_msgs/msg/../../x", "no_msgs/msg/Thing", ""):
+        with pytest.raises(RecordingError) as error:
+            definition(name)
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("text, stamped", [
+    ("# first\nint32 A=3\nHeader header\n", True), ("string<=10 name\nHeader header\n", False), ("", False),
+    ("builtin_interfaces/Time[2] times\n", False), ("std_msgs/Header header # of all\n", True),
+    ("int32 A=1\n" + "=" * 80 + "\nMSG: a/B\nHeader header\n", False),
+])  # fmt: skip
+def test_a_stamp_is_the_first_field_alone(text, stamped):
+    assert starts_with_stamp(text) is stamped
+
+
+@pytest.mark.parametrize("name, text", [
+    ("a/msg/B", "a/C[1000000000] items\n" + "=" * 80 + "\nMSG: a/C\nuint8 x\n"),
+    ("a/msg/B", "string[100000] items\n"), ("a/msg/B", "uint8[0] items\n"), ("a/msg/B", "uint8[-1] items\n"),
+    ("a/msg/B", "B again\n"), ("a/msg/B", "B[] again\n"), ("a/msg/B", "Missing x\n"), ("a/msg/B", "float64 X=1e999\n"),
+    ("a/msg/B", "float64 x\nfloat64 x\n"), ("a/msg/B", "no definition at all"), ("a/msg/1B", "int8 x\n"),
+    ("__import__('os')", "int8 x\n"), ("a/msg/B", "x" * 300_000),
+])  # fmt: skip
+def test_a_definition_that_cannot_be_used_is_one_sentence(name, text):
+    with pytest.raises(RecordingError, match="cannot be used|is not a"):
+        make_decoder("f", "/t", RecordedTopic(name, 1, "cdr", text, "ros2msg", {}))(b"\0\1\0\0" + bytes(64))
+
+
+def test_a_known_definition_is_that_of_the_store_and_another_one_its_own():
+    name = "geometry_msgs/msg/Point"
+    assert store_for(name, definition(name)) is store_of(name)
+    assert store_for(name, "float32 x\n") is not store_of(name)
