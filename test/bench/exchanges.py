@@ -24,9 +24,8 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
-from kr270_milling.base.parameter_file import find_file
+from kr270_milling import read_cell
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph
@@ -115,7 +114,7 @@ def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float
 
 def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
     """Rates of each composition, one a round [1/s]."""
-    cell = read_cell(find_file("paper.yaml"))
+    cell = read_cell("paper.yaml")
     kinds = {
         "bare round trips": bare,
         "bare, on one core": lambda: bare("taskset", "-c", "0"),  # where ``run`` keeps robot and cut

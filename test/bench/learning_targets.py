@@ -9,8 +9,8 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling import read_cell
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
 
@@ -35,7 +35,7 @@ class Row:
 
     @property
     def cell(self) -> Cell:
-        return read_cell(find_file("paper.yaml"), [*INERTIA, *self.model])
+        return read_cell("paper.yaml", *INERTIA, *self.model)
 
     def plant(self, model: Cell) -> Plant:
         arm = model.arm.replace(

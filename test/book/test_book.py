@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from book import check
 
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling import read_cell
 from kr270_milling.cell.jobs import compensated, mean_force, simulate
 from kr270_milling.show.report.tables import TABLE_2
 
@@ -64,7 +63,7 @@ ORIGINAL, LINEAR = TABLE_2["original"], TABLE_2["linear"]
 
 @functools.cache
 def _cell():
-    return read_cell(find_file("paper.yaml"))
+    return read_cell("paper.yaml")
 
 
 @functools.cache

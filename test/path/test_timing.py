@@ -298,7 +298,6 @@ def test_rough_motions_end_up_within_all_limits_and_no_step_gets_shorter(seed):
 
 # --- The shipped test piece has the dimensions that its comments claim ---
 CUTTER = 10.0  # mm, radius
-STOCK = 50.0  # mm, half of its side
 LEAN = np.radians(3.0)  # of the inclined side
 
 
@@ -342,20 +341,6 @@ def test_the_square_has_round_corners_the_circle_54_mm_and_every_feature_is_cut_
     assert np.all(piece.curvature <= 0) and len(piece.features) == 6
     np.testing.assert_allclose(piece.spindle_speed, 8000 * 2 * np.pi / 60)
     np.testing.assert_allclose(piece.feed[~piece.rapid], 4 / 60)
-
-
-def test_rapid_moves_and_the_starts_of_cuts_keep_clear_of_the_material(piece):
-    """Below the top of the stock the tool only plunges where all is air or was cut at a deeper level."""
-    xyz = piece.position * 1e3
-    down = np.flatnonzero(piece.rapid[1:] & (xyz[1:, 2] < 0)) + 1
-    assert len(down) == 5
-    cleared = {"clearing": 40.0, "circle": STOCK, "diamond": STOCK, "inclined_side": STOCK, "square": STOCK}
-    for k in down:
-        assert np.array_equal(xyz[k, :2], xyz[k - 1, :2])  # straight down
-        half = cleared[piece.features[piece.feature[k]]]
-        assert np.abs(xyz[k, :2]).max() >= half + CUTTER
-    level = piece.rapid[1:] & (xyz[1:, 2] == xyz[:-1, 2])
-    assert np.all(xyz[1:][level, 2] >= 5)
 
 
 def test_nothing_but_the_part_and_the_base_is_left_standing(piece):

@@ -11,8 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lsim
 from splines import spline
 
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation import arm_fit, response
@@ -43,13 +42,13 @@ def correction(smooth: bool) -> Trajectory:
        "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)", "m",
        cases=("kind damping", [(kind, zeta) for kind in ("spline", "lines") for zeta in (0.04, 0.182)]))  # fmt: skip
 def test_lifted_response(kind, damping):
-    run, time = correction(kind == "spline"), FINE
-    shift = run.sample(time)[:, 1]
+    run = correction(kind == "spline")
+    shift = run.sample(FINE)[:, 1]
     top, bottom = [2 * damping * OMEGA, OMEGA**2], [1.0, 2 * damping * OMEGA, OMEGA**2]
-    expected = lsim((top, bottom), shift - shift[0], time * 1e-9)[1] + shift[0]
+    expected = lsim((top, bottom), shift - shift[0], FINE * 1e-9)[1] + shift[0]
     obtained = one_mode(damping=damping).follow(SEGMENTS, cubic_coefficients(KNOTS, run.position, run.velocity))
     assert obtained[..., 0] == pytest.approx(run.sample(SEGMENTS.middle_ns)[..., 0], abs=1e-18)  # rigid there
-    middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
+    middle = np.interp(SEGMENTS.middle_ns.ravel(), FINE, expected)
     return 0.0, np.abs(obtained[..., 1].ravel() - middle).max(), 1e-9  # 50 us steps of lsim: 2e-5 of 50 um
 
 
@@ -57,11 +56,10 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     force = 80.0
     wrench = np.zeros((len(SEGMENTS), 16, 6))
     wrench[4:, :, 1] = force
-    time = FINE
-    step = np.where(time >= KNOTS[4], force, 0.0)
-    expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, time * 1e-9)[1]
+    step = np.where(KNOTS[4] <= FINE, force, 0.0)
+    expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, FINE * 1e-9)[1]
     obtained = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
-    middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
+    middle = np.interp(SEGMENTS.middle_ns.ravel(), FINE, expected)
     assert obtained == pytest.approx(middle, abs=1e-3 * force / OMEGA**2)  # a cubic over parts of up to 5 ms
     stiff = one_mode(damping=0.9).scaled(2.0, 1.0, softness=1.5).deflect(SEGMENTS, wrench)[-1, -1, 1]
     assert stiff == pytest.approx(1.5 * force / OMEGA**2, rel=1e-3)  # softness alone changes it, not the frequency
@@ -105,7 +103,7 @@ MEASURED = (
 def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
     """In the air the pass knows nothing but the inertia of the arm: correction and path against the lifted model."""
     short = ("path.length_mm=12", "stock.min_mm=[50,-1,-1]", "stock.max_mm=[51,1,0]", "timing.controller_step_ms=20")
-    cell = read_cell(find_file("paper.yaml"), [*sets, *short, "dynamics.reference_inertia=true"])
+    cell = read_cell("paper.yaml", *sets, *short, "dynamics.reference_inertia=true")
     target = cell.target()
     shift = np.random.default_rng(1).normal(0.0, 50e-6, (len(target), 3))
     smooth = spline(target.time_ns, target.position + shift, target.quaternion)
@@ -120,7 +118,7 @@ def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
 
 
 def test_eq_1_as_printed_moves_the_tool_with_the_reference():
-    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=12"])
+    cell = read_cell("paper.yaml", "path.length_mm=12")
     arm = arm_response(cell, cell.target())
     run = correction(True)
     segments = Segments.of(cell.target().time_ns)
@@ -135,9 +133,9 @@ SMOOTH = 1e-3
 WEIGHTS = np.where(EIGHTH.middle_ns < 150_000_000, 0.05**2, 1.0)[..., None, None] * np.diag([0.1, 1.0, 0.5])
 
 
-def course(smooth=True, resting=(), held=()) -> KnotConditions:
+def course(smooth=True, stops=(), rests=()) -> KnotConditions:
     still, rest = np.zeros(M + 1, bool), np.zeros(M, bool)
-    still[list(resting)], rest[list(held)] = True, True
+    still[list(stops)], rest[list(rests)] = True, True
     return KnotConditions(smooth, still, rest)
 
 

@@ -10,9 +10,8 @@ from cuttings import LAWS, fitted_order
 from milled_part import POCKET, small_cell
 from small_part import GCODE, small_part
 
+from kr270_milling import read_cell
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
@@ -222,7 +221,7 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
 
 
 def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
-    cells = [read_cell(find_file("test_piece.yaml"), [f"cutting.detail={name}"]) for name in ("teeth", "engagement")]
+    cells = [read_cell("test_piece.yaml", f"cutting.detail={name}") for name in ("teeth", "engagement")]
     passes = [simulate(cell) for cell in cells]
     teeth, mean = (ran.result for ran in passes)
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
@@ -252,24 +251,24 @@ def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under
 
 def test_the_detail_is_that_of_the_key_or_of_the_length_with_a_finer_map_for_a_small_cutter(tmp_path):
     for value, detail in (("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")):
-        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
+        cell = read_cell("test_piece.yaml", f"cutting.detail={value}")
         assert cell.cutting.detail == detail
         assert isinstance(cell.cut(), EngagementCut if detail == "engagement" else Cut)
-    small = read_cell(find_file("test_piece.yaml"), ["cutting.detail=engagement", "tool.diameter_mm=2"])
+    small = read_cell("test_piece.yaml", "cutting.detail=engagement", "tool.diameter_mm=2")
     assert small.stock.grid_step == pytest.approx(1e-3 / 50)
-    assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
+    assert read_cell("paper.yaml").cutting.detail == "teeth"
     with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
-        read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
+        read_cell("paper.yaml", "cutting.detail=engagement")
     program = tmp_path / "long.nc"
     moves = "".join(f"G1 X{40 * (-1) ** k} Y{k % 40 - 20}\n" for k in range(60))
     program.write_text(f"G21 G90 G17\nS8000 M3\nG0 X60 Y0 Z5\nG0 Z-0.5\nG1 X40 F4000\n{moves}G0 Z5\nM30\n")
     words = [f"path.file={program}"]
-    cell = read_cell(find_file("test_piece.yaml"), words)
+    cell = read_cell("test_piece.yaml", *words)
     assert cell.by_engagement
     assert cell.clock.period == pytest.approx(4e-3) and cell.clock.micro_steps == 192
     assert cell.stock.grid_step == pytest.approx(2e-4)
     assert "engagement" in cell.cut_text
-    assert not read_cell(find_file("test_piece.yaml"), [*words, "cutting.detail=teeth"]).by_engagement
+    assert not read_cell("test_piece.yaml", *words, "cutting.detail=teeth").by_engagement
 
 
 @pytest.mark.parametrize(
@@ -289,13 +288,13 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
     rate = 60 * feed * TEETH * SPEED / (2 * math.pi)
     words = [f"path.feed_rate_m_per_min={rate}", f"stock.grid_step_um={grid_um}"]
     words += [f"exchange.micro_step_deg={micro_step}", "exchange.period_ms=7.5", "path.length_mm=1"]
-    stated = "the force of thin chips is too low" in read_cell(find_file("paper.yaml"), words).cut_text
+    stated = "the force of thin chips is too low" in read_cell("paper.yaml", *words).cut_text
     assert stated == (share < 0.95)
     assert ratio < share if stated else ratio == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
-    cell = read_cell(find_file("test_piece.yaml"), ["cutting.detail=engagement"])
+    cell = read_cell("test_piece.yaml", "cutting.detail=engagement")
     target = cell.target()
     free = cell.arm_model(target)
     monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)

@@ -11,9 +11,8 @@ from scipy import interpolate, signal
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.cell.jobs import compensated, mirrored, simulate
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
@@ -31,7 +30,7 @@ from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.physics.motion.milling_pass import CompliantArm, follow
 from kr270_milling.physics.robot import cartesian_mass, compliance, equilibrium, mode_frequencies, rotate_matrix
 
-PAPER = read_cell(find_file("paper.yaml"))
+PAPER = read_cell("paper.yaml")
 RANDOM = np.random.default_rng(5)
 ZETA = 0.18
 STILL = np.zeros(0)  # a reference that does not move
@@ -108,14 +107,6 @@ def test_static_limit(inertia):
     return 0.0, np.abs(deflections[-1] / (COMPLIANCE @ WRENCH) - 1).max(), 1e-10
 
 
-def energies(model, states):
-    """Kinetic and potential energy [J], (n,)."""
-    r = model.frequency.size
-    x, v = states[:, :r], states[:, r:]
-    kinetic = 0.5 * np.einsum("ni,ij,nj->n", v, model.mass, v)
-    return kinetic, 0.5 * np.sum((x @ model.mass @ model.shape * model.frequency) ** 2, axis=1)
-
-
 def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_stay_after_the_last():
     models = [modes(COMPLIANCE * s, TRANSLATIONS) for s in (1.0, 1.3, 0.8)]
     arm = arm_model(models, ZETA, 5e-4, 4.0)
@@ -138,9 +129,7 @@ def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_s
     *((COMPLIANCE, mass) for mass in (
         np.zeros((6, 6)), np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0]), np.full((6, 6), np.nan),
         np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) + np.eye(6, k=2) + np.eye(6, k=-2))),
-    *((softness, TRANSLATIONS) for softness in (
-        -COMPLIANCE, np.zeros((6, 6)), np.full((6, 6), np.nan), np.diag([1e-6, 0.0, 1e-6, 1e-6, 1e-6, 1e-6]))),
-    (np.diag([1e-6, -1e-6, 1e-6, 1e-6, 1e-6, 1e-6]), MASS),
+    *((softness, TRANSLATIONS) for softness in (-COMPLIANCE, np.zeros((6, 6)), np.full((6, 6), np.nan))),
 ])  # fmt: skip
 def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
     with pytest.raises(DynamicsError):
@@ -193,7 +182,7 @@ def test_moving_reference(inertia, zeta):
     followed = np.column_stack([signal.lsim(one, modal[:, k], time)[1] for k, one in enumerate(filters)])
     expected = (followed - modal) @ model.shape.T @ model.output.T
     obtained, _ = deflections(model, reference, 400, zeta)
-    return 0.0, np.abs(obtained - expected).max() / np.abs(expected).max(), 1e-10
+    return 0.0, np.abs(obtained - expected).max() / np.abs(expected).max(), 1e-11
 
 
 def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
@@ -238,7 +227,8 @@ def test_work_of_the_motors():
     rate[1:, :3] = reference.sample_velocity(Clock(PERIOD, 1).stamp(np.arange(401)), "left")[1:]
     rate[0] = rate[1]
     absolute = states[:, 6:] + rate  # z' before the corner, which it does not notice
-    energy = sum(energies(model, np.hstack([states[:, :6], absolute])))
+    kinetic = 0.5 * np.einsum("ni,ij,nj->n", absolute, model.mass, absolute)
+    energy = kinetic + 0.5 * np.sum((states[:, :6] @ model.mass @ model.shape * model.frequency) ** 2, axis=1)
     work = np.einsum("ni,ij,nj->n", rate[1:], model.mass, np.diff(absolute, axis=0))
     np.testing.assert_allclose(np.diff(energy), work, atol=1e-9 * np.abs(work).max())
     assert np.abs(work).max() > 1e-12
@@ -272,15 +262,13 @@ def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_i
     jump = reference_motion(corrected, stamps, approach(target))[0, :6]
     np.testing.assert_allclose(jump, [0, 1e-3, 0, 0, 0, 0], atol=1e-15)
     assert not PAPER.dynamics.reference_inertia and not PAPER.arm_model(PAPER.target()).reference.size
-    assert read_cell(find_file("test_piece.yaml")).dynamics.reference_inertia
+    assert read_cell("test_piece.yaml").dynamics.reference_inertia
     assert Dynamics("lumped", 0.1).reference_inertia
 
 
 # --- compensated by (1) as printed, milled with the term ---
 def compensated_as_printed(method):
-    printed, moving = (
-        read_cell(find_file("paper.yaml"), (f"dynamics.reference_inertia={on}",)) for on in ("false", "true")
-    )
+    printed, moving = (read_cell("paper.yaml", f"dynamics.reference_inertia={on}") for on in ("false", "true"))
     return moving, compensated(printed, simulate(printed), method).reference
 
 
@@ -327,6 +315,9 @@ def test_frequencies_and_static_limit_are_those_of_the_loaded_arm_in_workpiece_a
         np.testing.assert_allclose(static + model.feedthrough, turn.T @ soft[0] @ turn, rtol=1e-8, atol=1e-14)
 
 
+CUT = ("path.length_mm=24", "stock.grid_step_um=40", "stock.max_mm=[24,12,0]")
+
+
 # --- Measured modes against the arm whose modes they are, closed forms, and what a file may say of them ---
 GROUPS = """/**:
   ros__parameters:
@@ -340,9 +331,7 @@ GROUPS = """/**:
 
 
 def test_the_modes_of_an_arm_in_the_place_of_the_arm_give_the_same_pass():
-    cell = read_cell(
-        find_file("paper.yaml"), ("path.length_mm=14.4", "dynamics.mass_model=rigid", "dynamics.reference_inertia=true")
-    )
+    cell = read_cell("paper.yaml", *CUT, "dynamics.mass_model=rigid", "dynamics.reference_inertia=true")
     target = cell.target()
     bent = target.with_position(target.position + np.outer(np.arange(len(target)) % 2 * 2e-5, [1.0, 1.0, 0.5]))
     arm = cell.modal_model  # whose modes an experiment without errors gives
@@ -407,18 +396,17 @@ def test_lists_that_do_not_fit_each_other_and_a_stiffness_with_a_stick_out_are_r
     for lists in (("[7.0]", "[0.1, 0.2]", "[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]"), ("[7.0]", "[0.1]", "[1.0, 2.0]")):
         names = ("frequency_hz", "damping_ratio", "shape")
         with pytest.raises(ConfigError, match="for 1 modes"):
-            read_cell(find_file("paper.yaml"), [f"dynamics.modes.{k}={v}" for k, v in zip(names, lists, strict=True)])
+            read_cell("paper.yaml", *[f"dynamics.modes.{k}={v}" for k, v in zip(names, lists, strict=True)])
     with pytest.raises(ConfigError, match=r"tool\.stiffness_n_per_um.*stick_out_mm"):
         cell(SOFT, "tool.stick_out_mm=40")
 
 
 # --- A tool that bends: the closed form of a cantilever, and a spring in series with the arm ---
 SOFT = "tool.stiffness_n_per_um=2"
-CUT = ("path.length_mm=24", "stock.grid_step_um=40", "stock.max_mm=[24,12,0]")
 
 
 def cell(*settings):
-    return read_cell(find_file("paper.yaml"), (*CUT, *settings))
+    return read_cell("paper.yaml", *CUT, *settings)
 
 
 @pytest.mark.parametrize("settings, expected", [

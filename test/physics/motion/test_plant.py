@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
 from kr270_milling.decide.compensation import compensate
@@ -29,7 +28,7 @@ SHORT = ("path.length_mm=12", "stock.grid_step_um=80", "exchange.micro_step_deg=
 
 @pytest.fixture(scope="module")
 def cell():
-    return read_cell(find_file("paper.yaml"), SHORT)
+    return read_cell("paper.yaml", *SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +180,7 @@ def test_keys_of_earlier_versions_are_refused_with_their_new_name():
         ("uncertainty.backlash_deg", "uncertainty.backlash is a multiple"),
     ):
         with pytest.raises(ConfigError, match=new):
-            read_cell(find_file("paper.yaml"), [f"{old}=[0.01, 0.01, 0.01, 0.01, 0.01, 0.01]"])
+            read_cell("paper.yaml", f"{old}=[0.01, 0.01, 0.01, 0.01, 0.01, 0.01]")
 
 
 def test_the_compensator_receives_the_wrench_of_a_sensor(cell):
