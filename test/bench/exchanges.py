@@ -123,19 +123,19 @@ def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
         "composed, recorded": lambda: exchanges(cell, Graph, composed=True),
         "composed, not recorded": lambda: exchanges(cell, Unrecorded, composed=True),
     }
-    found: dict[str, list[float]] = {name: [] for name in kinds}
+    rates: dict[str, list[float]] = {name: [] for name in kinds}
     for number in range(rounds):
         for name in list(kinds) if number % 2 == 0 else reversed(kinds):
-            found[name].append(kinds[name]())
-    return found
+            rates[name].append(kinds[name]())
+    return rates
 
 
-def table(found: dict[str, list[float]]) -> list[str]:
-    yardstick = statistics.median(found["bare round trips"])
+def table(rates: dict[str, list[float]]) -> list[str]:
+    yardstick = statistics.median(rates["bare round trips"])
     lines = [f"{'a second':24} {'min':>7} {'median':>7} {'max':>7} {'over bare':>10}"]
-    for name, rates in found.items():
-        middle = statistics.median(rates)
-        lines.append(f"{name:24} {min(rates):7.0f} {middle:7.0f} {max(rates):7.0f} {middle / yardstick:10.2f}")
+    for name, values in rates.items():
+        middle = statistics.median(values)
+        lines.append(f"{name:24} {min(values):7.0f} {middle:7.0f} {max(values):7.0f} {middle / yardstick:10.2f}")
     return lines
 
 

@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from book import check
 from budget import budget
 from cuttings import PAPER_LAW
 from hypothesis import example, given, settings
@@ -331,21 +330,6 @@ def new_cut(size=(30e-3, 24e-3), grid_step=10e-6, law=PAPER_LAW, **kwargs):
     low = np.array([0.0, -size[1] / 2, -5e-3])
     stock = Stock(min=low, max=np.array([size[0], size[1] / 2, 0.0]), grid_step=grid_step)
     return Cut(tool, law, stock, np.radians(1.0), **kwargs)
-
-
-@check("removed area of an oblique slot 6 mm long, grid of {step} um", "2 R L + pi R^2: a half disc at both ends",
-       "m^2", cases=("step", [(40,), (10,)]))  # fmt: skip
-def test_area(step):
-    """The tool turns once at both ends, so that every tooth reaches them."""
-    cut = new_cut(grid_step=1e-6 * step)
-    ends = np.array([11.5e-3, 0.7e-3, Z]), np.array([17.5e-3, -0.3e-3, Z])
-    cut.sweep(ends[0], ends[0], 0, 360)
-    cut.sweep(ends[0], ends[1], 360, 12 * 360)
-    cut.sweep(ends[1], ends[1], 13 * 360, 360)
-    assert cut.removed_volume == pytest.approx(cut.removed_area * 1e-3, rel=1e-9)
-    length = np.hypot(6e-3, 1e-3)
-    border = 2 * np.pi * 10e-3 + 2 * length
-    return np.pi * 1e-4 + 20e-3 * length, cut.removed_area, 0.05 * border * 1e-6 * step
 
 
 def test_restore_brings_back_the_very_same_grid_and_force_also_after_a_jump_to_a_deeper_level():
