@@ -9,7 +9,6 @@ import json
 import numpy as np
 import pages
 import pytest
-from book import check
 from small_part import small_part
 
 from kr270_milling import read_cell
@@ -223,16 +222,6 @@ def test_learning_identifies_the_plant_leaves_less_than_a_hundredth_and_changes_
     copied = copy.copy(by)
     copied.revise(record_of(cell, original))
     assert by.learner is None and by.errors == () and len(copied.learner.passes) == 1
-
-
-@check("pass with reference inertia, zeta 0.04, linear / none",
-       "97 um / 79 um; here the sampled displacement is a mean over a revolution")  # fmt: skip
-def test_linear_excites_the_arm():
-    """The paper's method makes the part worse."""
-    cell = read_cell("paper.yaml", "dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04")
-    original = simulate(cell)
-    linear = compensated(cell, original, "linear")
-    return 97.0 / 79.2, linear.scores.max_deviation / original.scores.max_deviation, 0.1
 
 
 SHALLOW = "G21 G90 S8000 M3\nG0 X-14 Y0 Z5\n(slot)\nG0 Z-0.4\nG1 X30 F4000\nG0 Z5\nM30\n"

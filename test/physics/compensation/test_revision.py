@@ -10,7 +10,6 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 from small_part import GCODE, assignments, small_part
 
-from kr270_milling import read_cell
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
 from kr270_milling.cli import main
@@ -267,20 +266,6 @@ def test_a_corner_out_of_reach_says_at_which_feed_it_is_in_reach(tmp_path, capsy
     main(["compensate", "paper.yaml", "--no-verdict", "--out", str(tmp_path / "out"), *words])
     text = capsys.readouterr().out
     assert "is too large at points" in text and "% of the programmed feed there" in text
-
-
-@check(
-    "order in the controller step of the pass compensated by lines", "2: interpolation; the teeth's ripple taken off"
-)
-def test_controller_order():
-    """What a spline at the shortest step leaves is the vibration at tooth passing, which no reference can follow."""
-    steps, errors = np.array([50.0, 25.0, 12.5]), []
-    for step in steps:
-        cell = read_cell("paper.yaml", f"timing.controller_step_ms={step}")
-        original = simulate(cell)
-        errors.append(compensated(cell, original, "linear").scores.max_deviation)
-    ripple = compensated(cell, original, "spline").scores.max_deviation
-    return 2.0, np.polyfit(np.log(steps), np.log(np.array(errors) - ripple), 1)[0], 0.4
 
 
 # --- The static mirror (30)-(32): under load the modified target ends where the target is ---
