@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_oracle import ARM, ARMS, PAPER, TURNED, arm_of, pinocchio_arm, postures
+from arm_oracle import ARM, ARMS, PAPER, POSTURES, TURNED, arm_of, pinocchio_arm
 from book import check
 
 from kr270_milling.base.errors import ParameterError
@@ -18,8 +18,6 @@ from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.physics.robot.inverse import branches
 from kr270_milling.physics.robot.kinematics import check_regular, singularity_measures, status_turn
-
-POSTURES = postures()
 
 
 @check("{name}: flange position", "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]", "m",
@@ -94,7 +92,7 @@ def test_status_tells_overhead_elbow_and_wrist_and_turn_the_negative_axes(degree
 @check("inverse kinematics, every branch", "self-consistent: forward kinematics of every solution", "m, rad")
 def test_inverse_round_trip():
     worst = 0.0
-    for arm, q in itertools.product(map(arm_of, ARMS), postures(20)):
+    for arm, q in itertools.product(map(arm_of, ARMS), POSTURES[:20]):
         target = pose(arm, TURNED, q)
         joints, _ = branches(arm, TURNED, target, q)
         back = pose(arm, TURNED, joints[np.isfinite(joints).all(-1)])
@@ -143,8 +141,6 @@ def test_what_the_arm_does_not_reach_is_refused_with_place_distance_limits_and_s
     centre = position[2] - 0.23 * path.rotation[2, :, 0]
     away = np.hypot(np.hypot(centre[0], centre[1]) - 0.35, centre[2] - 0.75)
     assert caught.value.distance == pytest.approx(away)
-    with pytest.raises(ReachError):
-        inverse_near(ARM, BARE, Pose(position[2], path.rotation[2]), PAPER)
     path = PAPER + np.linspace(0, 1, 11)[:, None] * np.radians([0, 0, 0, 0, 0, 200])
     with pytest.raises(JointLimitError, match="joint 6 would be at 360.000 deg") as caught:
         inverse_near(ARM, TURNED, pose(ARM, TURNED, path), PAPER)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_oracle import ARM, PAPER, SPINDLE, TURNED, pinocchio_arm, postures
+from arm_oracle import ARM, ON_BASE, PAPER, POSTURES, SPINDLE, TURNED, UNEVEN, pinocchio_arm
 from book import check
 
 from kr270_milling.base.errors import ParameterError
@@ -17,8 +17,6 @@ from kr270_milling.physics.robot.urdf import urdf
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
 BEAM = beam_mass(MASS, LENGTH, *RHO_I)
-UNEVEN = ARM.replace(link_mass_centre=np.array([0.4, 0.3, 0.6, 0.45, 0.5, 0.7]))
-POSTURES = postures()
 
 
 def rigid(x: float) -> np.ndarray:
@@ -145,9 +143,6 @@ def test_frequencies_follow_a_closed_form_with_a_massless_mode_condensed_and_bat
 
 
 # --- a base that tilts ---
-ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
-
-
 @pytest.mark.parametrize("model, of_joints", [("rigid", rigid_joint_mass), ("consistent", joint_mass)])
 def test_the_first_modes_are_those_of_the_whole_chain(model, of_joints):
     """All springs with their inertias, against the reduction to the tool, which can only be stiffer.
