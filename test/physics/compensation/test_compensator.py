@@ -238,9 +238,6 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
     )  # fmt: skip
     original, by = simulate(cell), jobs.compensator(cell, cell.target(), "inverse")
     by.revise(record_of(cell, original))
-    model = by.learner.model.frequency[0] / (2 * np.pi)
-    assert by.identified.frequency_hz == pytest.approx(model[np.array(by.identified.mode) - 1], rel=0.01)
-    assert by.identified.damping_ratio == pytest.approx([0.04] * len(by.identified.mode), rel=0.1)
     (evidence,), scored = by.learner.passes, by.learner.scored
     rigid = deviated_cut(cell, cell.target(), np.zeros(1, np.int64), np.zeros((1, 3)))
     exact = by.learner.segments.mean(rigid.time_ns - 125_000, rigid.wrench)[scored]  # each is of the period before

@@ -119,11 +119,10 @@ def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
 
 def test_eq_1_as_printed_moves_the_tool_with_the_reference():
     cell = read_cell("paper.yaml", "path.length_mm=12")
-    arm = arm_response(cell, cell.target())
-    run = correction(True)
-    segments = Segments.of(cell.target().time_ns)
+    segments, run = Segments.of(cell.target().time_ns), correction(True)
     cubic = cubic_coefficients(KNOTS, run.position, run.velocity)[: len(segments)]
-    assert arm.follow(segments, cubic) == pytest.approx(segments.powers @ cubic, abs=1e-18)
+    obtained = arm_response(cell, cell.target()).follow(segments, cubic)
+    assert obtained == pytest.approx(segments.powers @ cubic, abs=1e-18)
 
 
 # --- The correction by dynamic programming, against the dense least squares of the same lifted model ---
@@ -179,18 +178,6 @@ def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
     difference = np.abs(obtained.cubic[:, :, 1] - expected)[:, : scale.size]
     assert np.all(difference.max(axis=0) < 1e-5 * scale)
-
-
-@check("lifted model: deviation left of one that knots can make", "least squares reach 0, however slowly the arm rings",
-       "m")  # fmt: skip
-def test_lifted_inverse():
-    """d0 = -H c for a c of the same kind; without noise and smoothness nothing is left."""
-    arm = one_mode(damping=0.005)
-    cubic = np.zeros((M, 4, 3))
-    cubic[:, :, 1] = spline_numbers(np.random.default_rng(1).normal(0, 1e-5, M + 3) * ([1] * (M + 1) + [10, 10]))
-    obtained = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), WEIGHTS, 1e-14)
-    assert np.abs(cubic[:, 0, 1]).max() > 1e-5
-    return 0.0, np.abs(obtained.left[..., 1]).max(), 1e-9
 
 
 def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_even_peaks():

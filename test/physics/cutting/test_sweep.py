@@ -18,7 +18,7 @@ from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError, lanes
 from kr270_milling.physics.cutting.fill import clear_quad
-from kr270_milling.physics.cutting.grid import TILE, tile_count
+from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.cutting.lanes import LANES, NODE, build_lanes, lower_lanes, lower_one_by_one
 from kr270_milling.physics.cutting.state import make_params, make_state
 
@@ -42,12 +42,6 @@ def test_teeth_stand_at_their_pitch_clockwise_at_cos_phi_minus_sin_phi_and_a_mic
     for degrees in (0.0, -1.0, 0.7, 16.0, float("nan")):
         with pytest.raises(ParameterError, match="micro_step"):
             make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(degrees))
-
-
-def test_stock_counts_its_nodes_and_tiles():
-    stock = build(Stock, {**BOX, "grid_step_um": 10.0})
-    assert stock.nodes == (10000, 2400) and tile_count(stock) == (40, 10)
-    assert stock.level_step * 65535 == pytest.approx(10e-3)
 
 
 @pytest.mark.parametrize(("kind", "change"), [
