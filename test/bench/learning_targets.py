@@ -60,21 +60,16 @@ def _rows() -> list[Row]:
         Row("as the model, zeta 0.04, rigid masses, knots every 12 ms",
             (*_damping(0.04), "dynamics.mass_model=rigid", "timing.controller_step_ms=12"), inverse=4e-6),
     ]  # fmt: skip
-    for name, factors in (
-        ("compliance x 1.2", {"compliance": 1.2}),
-        ("forces x 1.2", {"force": 1.2}),
-        ("both x 1.2", {"compliance": 1.2, "force": 1.2}),
-    ):
+    for name, names in (("compliance", ["compliance"]), ("forces", ["force"]), ("both", ["compliance", "force"])):
         for ratio in (0.182, 0.04):
-            rows.append(Row(f"{name}, zeta {ratio:g}", _damping(ratio), learned=0.5e-6, **factors))
+            factors = dict.fromkeys(names, 1.2)
+            rows.append(Row(f"{name} x 1.2, zeta {ratio:g}", _damping(ratio), learned=0.5e-6, **factors))
     for ratio in (0.182, 0.08, 0.04):
         for frequency in (0.8, 0.9, 1.1, 1.2):
             model = (*_damping(ratio), "dynamics.follow_pose=true")
-            name = f"zeta {ratio:g} / 2, frequency x {frequency:g}, posture followed"
-            rows.append(Row(name, model, frequency=frequency, damping=0.5))
-            for noise, left in ((5e-6, 2e-6), (20e-6, 6e-6)):
-                more = {"damping": 0.5, "noise": noise, "learned": left}
-                rows.append(Row(f"  with noise {1e6 * noise:.0f} um", model, frequency, **more))
+            for noise, left in ((0.0, 1e-6), (5e-6, 2e-6), (20e-6, 6e-6)):
+                name = f"zeta {ratio:g} / 2, frequency x {frequency:g}, posture followed, noise {1e6 * noise:.0f} um"
+                rows.append(Row(name, model, frequency, damping=0.5, noise=noise, learned=left))
     return rows
 
 

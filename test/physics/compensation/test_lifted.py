@@ -76,7 +76,7 @@ def test_postures_hand_the_displacement_over_whatever_their_modes_are_called_and
     )  # fmt: skip
     assert turned.follow(SEGMENTS, cubic) == pytest.approx(arm.follow(SEGMENTS, cubic), abs=1e-16)
     # three postures of five, four and three segments, beside an arm with a row of each segment
-    rng, m = np.random.default_rng(3), len(SEGMENTS)
+    rng = np.random.default_rng(3)
     posture = np.repeat([0, 1, 2], [5, 4, 3])
     shared = ArmResponse(
         rng.uniform(30.0, 60.0, (3, 2)), rng.uniform(0.02, 0.2, (3, 2)), rng.normal(size=(3, 2, 3)),
@@ -85,8 +85,7 @@ def test_postures_hand_the_displacement_over_whatever_their_modes_are_called_and
     names = ("frequency", "damping", "inward", "outward", "push")
     carry = np.where((posture == np.append(posture[1:], 2))[:, None, None], np.eye(2), shared.carry[posture])
     single = ArmResponse(*(getattr(shared, name)[posture] for name in names), carry)
-    run, wrench = correction(True), rng.normal(size=(m, SEGMENTS.parts, 6))
-    cubic = cubic_coefficients(KNOTS, run.position, run.velocity)
+    wrench = rng.normal(size=(len(SEGMENTS), SEGMENTS.parts, 6))
     assert np.array_equal(shared.follow(SEGMENTS, cubic), single.follow(SEGMENTS, cubic))
     assert np.array_equal(shared.deflect(SEGMENTS, wrench), single.deflect(SEGMENTS, wrench))
     for part in (slice(3, 7), slice(8, 12), np.array([1, 4, 11])):

@@ -112,11 +112,8 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
         cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS[immersion]), MICRO_STEP)
         path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)  # through the stock
         volume = cut.along(path, steps)[2]
-        assert path[-1, 0] > 40e-3
         assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-9)
-        past = path[:, 0] < 38e-3
         assert cut.removed_volume == pytest.approx((high - low) * RADIUS * 40e-3 * DEPTH, rel=0.01)
-        assert (volume[past] >= 0.0).all()
     cut = EngagementCut(tool(), AXIAL, block(-1.5, 1.5), MICRO_STEP)
     path, steps = straight(4e-3, 20e-3, start=12e-3)
     path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
@@ -124,7 +121,6 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
     x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
     lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
     inside = x + RADIUS < path[-1, 0]
-    assert np.ptp(path[:, 0]) > 19e-3
     assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 

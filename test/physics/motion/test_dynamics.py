@@ -33,7 +33,6 @@ from kr270_milling.physics.robot import cartesian_mass, compliance, equilibrium,
 PAPER = read_cell("paper.yaml")
 RANDOM = np.random.default_rng(5)
 ZETA = 0.18
-STILL = np.zeros(0)  # a reference that does not move
 
 
 def spd(scale):
@@ -46,12 +45,6 @@ COMPLIANCE = spd([4e-4] * 3 + [4e-4] * 3)  # about 1e-6 m/N
 MASS = spd([12.0] * 3 + [5.0] * 3)
 TRANSLATIONS = np.diag([790.4] * 3 + [0.0] * 3)
 WRENCH = np.array([100.0, -50.0, 30.0, 4.0, -7.0, 5.0])
-STIFFNESS, OMEGA = 1.4e6, np.sqrt(1.4e6 / 790.4)  # [N/m], [rad/s]: the paper's arm across the feed
-
-
-def one_degree():
-    """Only y moves."""
-    return modes(np.diag([1e-9, 1 / STIFFNESS] + [1e-9] * 4), np.diag([0, 790.4, 0, 0, 0, 0.0]))
 
 
 def system(model, zeta, more):
@@ -90,7 +83,7 @@ def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_s
         place = min(step / 4.0, 2.0)
         k = min(int(place), 1)
         mixed = [(1 - place + k) * m[k] + (place - k) * m[k + 1] for m in arm.arrays[:4]]
-        advance(step, state, WRENCH, STILL, arm.arrays, out, deflection)
+        advance(step, state, WRENCH, np.zeros(0), arm.arrays, out, deflection)
         np.testing.assert_allclose(out, mixed[0] @ state + mixed[1] @ WRENCH, rtol=1e-12, atol=1e-18)
         np.testing.assert_allclose(deflection, mixed[2] @ out + mixed[3] @ WRENCH, rtol=1e-12, atol=1e-18)
     rng = np.random.default_rng(4)
@@ -113,19 +106,14 @@ def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
 
 # --- The term -M r'' against transfer functions, closed forms, exact integration and energy ---
 LIGHT, PERIOD = 0.07, 1e-3
-DAMPED = OMEGA * np.sqrt(1 - LIGHT**2)
 
 
 def deflections(model, reference, periods, zeta=LIGHT, period=PERIOD):
-    """Deflection (periods + 1, 6) and state (periods + 1, 2r) of the arm that follows a reference, without a cut."""
+    """Deflection (periods + 1, 6) and last state (2r,) of the arm that follows a reference, without a cut."""
     stamps = Clock(period, 1).stamp(np.arange(periods + 1))
     arm = arm_model([model], zeta, period, reference_inertia=True)
     side = CompliantArm(arm, arm.push(reference, stamps))
-    out, states = np.zeros((periods + 1, 6)), np.zeros((periods + 1, arm.order))
-    for n in range(periods):
-        out[n + 1] = side.correct(np.zeros(6))
-        states[n + 1] = side.state
-    return out, states
+    return np.array([np.zeros(6), *(side.correct(np.zeros(6)) for _ in range(periods))]), side.state
 
 
 def knots(times, positions, velocity=None, quaternion=TOOL_DOWN):
@@ -136,18 +124,13 @@ def along_y(values):
     return np.outer(values, [0.0, 1.0, 0.0])
 
 
-def polygon(periods=400, every=20, size=1e-4):
-    """A reference of straight lines with corners in all three directions."""
-    times = np.arange(0, periods + 1, every) * PERIOD
-    return knots(times, RANDOM.normal(size=(times.size, 3)) * size)
-
-
 @check("M delta'' + C delta' + K delta = -M r'', straight lines with corners, {inertia} inertias, zeta {zeta}",
        "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2) in each mode, exact for lines, relative",
        cases=("inertia zeta", [("six", 0.001), ("six", 0.04), ("six", 0.182), ("three", 0.04)]))  # fmt: skip
 def test_moving_reference(inertia, zeta):
     """The filter comes in along the first line, at its speed."""
-    model, reference = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia]), polygon()
+    model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
+    reference = knots(0.02 * np.arange(21), RANDOM.normal(size=(21, 3)) * 1e-4)
     stamps = Clock(PERIOD, 1).stamp(np.arange(401))
     time = stamps * 1e-9
     path = np.zeros((401, 6))
@@ -165,7 +148,7 @@ def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
     model = modes(COMPLIANCE, MASS)
     times = np.arange(5) * 0.04
     positions, rates = RANDOM.normal(size=(5, 3)) * 1e-4, RANDOM.normal(size=(5, 3)) * 1e-3
-    obtained, states = deflections(model, knots(times, positions, rates), 160)
+    obtained, last = deflections(model, knots(times, positions, rates), 160)
     state = np.zeros(12)
     for k in range(4):
         h, move = 0.04, positions[k + 1] - positions[k]
@@ -176,20 +159,22 @@ def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
         matrix[13, 12] = 1.0  # 1 and t as further states: t' = 1
         state = (expm(matrix * h) @ np.concatenate([state, [1.0, 0.0]]))[:12]
         np.testing.assert_allclose(obtained[(k + 1) * 40], state[:6], atol=1e-9 * np.abs(obtained).max())
-    np.testing.assert_allclose(states[-1], state, atol=1e-9 * np.abs(states).max())
+    np.testing.assert_allclose(last, state, atol=1e-9 * np.abs(state).max())
 
 
 def test_a_corner_within_a_period_costs_an_error_of_second_order_in_the_period():
     """Impulse and first moment of the corner are met; the second moment is wrong by less than dv H^2 / 4."""
-    gaps = []
+    model = modes(np.diag([1e-9, 1 / 1.4e6] + [1e-9] * 4), np.diag([0, 790.4, 0, 0, 0, 0.0]))  # only y moves
+    w, gaps = np.sqrt(1.4e6 / 790.4), []
+    damped = w * np.sqrt(1 - LIGHT**2)
     for period in (4e-3, 2e-3, 1e-3):
         corner = 0.052 + 0.35 * period
         reference = knots([0.0, corner, 0.4], along_y([0.0, 0.0, 1e-3 * (0.4 - corner)]))
-        obtained, _ = deflections(one_degree(), reference, round(0.4 / period), period=period)
+        obtained, _ = deflections(model, reference, round(0.4 / period), period=period)
         t = np.arange(len(obtained)) * period - corner
-        exact = np.where(t < 0, 0.0, -1e-3 / DAMPED * np.exp(-LIGHT * OMEGA * t) * np.sin(DAMPED * t))
+        exact = np.where(t < 0, 0.0, -1e-3 / damped * np.exp(-LIGHT * w * t) * np.sin(damped * t))
         gaps.append(np.abs(obtained[:, 1] - exact)[t > period].max())
-        assert gaps[-1] < 1e-3 * OMEGA * period**2 / 4
+        assert gaps[-1] < 1e-3 * w * period**2 / 4
     assert np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(gaps), 1)[0] == pytest.approx(2.0, abs=0.15)
 
 
