@@ -76,29 +76,26 @@ def _rows() -> list[Row]:
 ROWS = _rows()
 
 
-def measure(row: Row) -> tuple[float, float, float, list[float]]:
-    """Largest deviation [m] without, with ``inverse`` and with ``learned``; of each pass of the latter."""
-    cell = row.cell
-    cell = cell.replace(compensation=cell.compensation.replace(max_passes=row.passes))
-    plant = row.plant(cell)
-    original = simulate(cell, plant=plant)
-    inverse = compensated(cell, original, "inverse", plant=plant)
-    true, by = [original.scores.max_deviation], compensator(cell, cell.target(), "learned")
-    learned = compensated(cell, original, "learned", by=by, plant=plant)
-    return original.scores.max_deviation, inverse.scores.max_deviation, learned.scores.max_deviation, by.errors or true
-
-
 def main() -> int:
     missed = 0
-    print(f"{'plant':62} {'none':>7} {'inverse':>8} {'target':>7} {'learned':>8} {'target':>7}")
+    print(f"{'plant':64} {'none':>7} {'inverse':>8} {'target':>7} {'learned':>8} {'target':>7}")
     for row in ROWS:
-        none, inverse, learned, errors = measure(row)
+        cell = row.cell
+        cell = cell.replace(compensation=cell.compensation.replace(max_passes=row.passes))
+        plant = row.plant(cell)
+        original, by = simulate(cell, plant=plant), compensator(cell, cell.target(), "learned")
+        passes = (
+            original,
+            compensated(cell, original, "inverse", plant=plant),
+            compensated(cell, original, "learned", by=by, plant=plant),
+        )
+        none, inverse, learned = (one.scores.max_deviation for one in passes)
         wanted = none if row.inverse is None else row.inverse
         good = inverse <= wanted and learned <= row.learned
         missed += not good
         pairs = f"{1e6 * inverse:8.3f} {1e6 * wanted:7.2f} {1e6 * learned:8.3f} {1e6 * row.learned:7.2f}"
-        measured = ", ".join(f"{1e6 * e:.3g}" for e in errors)
-        print(f"{row.name:62} {1e6 * none:7.2f} {pairs} {'' if good else 'MISSED'}  measured {measured}", flush=True)
+        measured = ", ".join(f"{1e6 * e:.3g}" for e in by.errors or [none])
+        print(f"{row.name:64} {1e6 * none:7.2f} {pairs} {'' if good else 'MISSED'}  measured {measured}", flush=True)
     return 1 if missed else 0
 
 

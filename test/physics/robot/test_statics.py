@@ -112,13 +112,9 @@ def test_what_has_no_equilibrium_or_no_stiffness_is_an_error_with_joint_base_and
         equilibrium(HINGE, BARE, np.zeros(6), [0, 0, -0.5 * CRITICAL, 0, 0, 0], gravity=False)
     theta, share = caught.value.deflection, caught.value.load_factor
     assert theta == pytest.approx(share * 0.5 * np.cos(theta)) and theta > 0.2
-    impossible = (UnstableLoadError, EquilibriumError, DeflectionError)
-    for load in [1e7, 1e12, 1e30]:
-        for axis in [*np.eye(6), *-np.eye(6)]:
-            with pytest.raises(impossible, match="load"):
-                equilibrium(ARM, SPINDLE, PAPER, load * axis)
-    with pytest.raises(impossible, match="load"):  # too soft for its own weight
-        equilibrium(ARM.replace(joint_compliance=np.full(6, 1e-2)), SPINDLE, PAPER * [1, 1, 1, 1, 1, 0])
+    soft = ARM.replace(joint_compliance=np.full(6, 1e-2))  # too soft for its weight
+    with pytest.raises((UnstableLoadError, EquilibriumError, DeflectionError), match="load"):
+        equilibrium(soft, SPINDLE, PAPER * [1, 1, 1, 1, 1, 0])
     with pytest.raises(EquilibriumError):
         equilibrium(ARM, SPINDLE, PAPER, [np.nan, 0, 0, 0, 0, 0])
     away = pose(ARM, SPINDLE, PAPER)
@@ -258,7 +254,7 @@ def test_the_analysis_has_lumped_mode_condition_number_and_warnings_and_reads_ar
     assert arm.name == "KR 270-2" and mount.mass == 12.0
 
 
-def test_both_frames_tell_the_same_story():
+def test_the_answers_in_both_frames_are_the_same_physics():
     base = analyse(ARM, SPINDLE, PAPER, WRENCH, "base", gravity=True)
     both = np.kron(np.eye(2), Rotation.from_quat(base["quaternion_xyzw"]).as_matrix().T)
     tool = analyse(ARM, SPINDLE, PAPER, both @ WRENCH, "tool", gravity=True)
