@@ -130,17 +130,16 @@ def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
     return rates
 
 
-def table(rates: dict[str, list[float]]) -> list[str]:
+def print_table(rates: dict[str, list[float]]) -> None:
     yardstick = statistics.median(rates["bare round trips"])
-    lines = [f"{'a second':24} {'min':>7} {'median':>7} {'max':>7} {'over bare':>10}"]
+    print(f"{'a second':24} {'min':>7} {'median':>7} {'max':>7} {'over bare':>10}")
     for name, values in rates.items():
         middle = statistics.median(values)
-        lines.append(f"{name:24} {min(values):7.0f} {middle:7.0f} {max(values):7.0f} {middle / yardstick:10.2f}")
-    return lines
+        print(f"{name:24} {min(values):7.0f} {middle:7.0f} {max(values):7.0f} {middle / yardstick:10.2f}")
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] in (["ask"], ["answer"]):
         trips(*sys.argv[1:])
     else:
-        print("\n".join(table(bench_exchanges(*map(int, sys.argv[1:])))))
+        print_table(bench_exchanges(*map(int, sys.argv[1:])))

@@ -118,14 +118,13 @@ def test_speed_and_feed_come_from_program_or_cell_and_may_not_contradict_each_ot
 def test_a_straight_cut_and_a_program_answer_the_same_questions(tmp_path):
     program, straight = programmed(tmp_path, PROGRAM, *SILENT).programmed, PAPER.programmed
     stamps = np.linspace(0, program.target.duration_ns, 50).astype(np.int64)
-    assert straight.straight and not program.straight
-    assert (straight.name, program.name) == ("straight cut of 80 mm", "part.nc")
-    assert (straight.files, program.files) == ((), (tmp_path / "part.nc",))
+    of_line = (straight.straight, straight.name, straight.files, straight.length, straight.sha256)
+    assert of_line == (True, "straight cut of 80 mm", (), 0.08, "")
+    of_program = (program.straight, program.name, program.files, len(program.sha256))
+    assert of_program == (False, "part.nc", (tmp_path / "part.nc",), 64) and program.length == pytest.approx(0.092)
     assert not straight.line_at(stamps).any() and not straight.rapid_at(stamps).any()
     assert set(program.line_at(stamps)) == {4, 5, 6}
     assert np.array_equal(program.rapid_at(stamps), program.line_at(stamps) != 5)
-    assert straight.length == 0.08 and program.length == pytest.approx(0.092)
-    assert straight.sha256 == "" and len(program.sha256) == 64
 
 
 # --- effort ---

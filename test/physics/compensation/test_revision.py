@@ -23,9 +23,9 @@ from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.robot import Mount, equilibrium, pose
 
 
-def line(step_ns=50_000_000, duration_ns=1_200_000_000):
-    """A straight cut with knots at the controller step."""
-    knots = np.arange(0, duration_ns + 1, step_ns)
+def line(step_ns=50_000_000):
+    """A straight cut of 1.2 s with knots at the controller step."""
+    knots = np.arange(0, 1_200_000_001, step_ns)
     return Trajectory(knots, np.outer(knots * 1e-9, [0.0667, 0.0, 0.0]), (1.0, 0.0, 0.0, 0.0), frame="fixture")
 
 
@@ -52,12 +52,6 @@ def left(target, reference, displacement):
     return np.abs(record.position - target.sample(record.time_ns))[:, 1].max()
 
 
-def knot_displacement(target, smooth):
-    """Random 50 um at the target's knots, in all three axes: a C2 spline without slope at its ends, or lines."""
-    values = np.random.default_rng(4).normal(0, 50e-6, (len(target), 3))
-    return CubicSpline(target.time, values, bc_type="clamped") if smooth else make_interp_spline(target.time, values, 1)
-
-
 def ringing(t, frequency=6.69, damping=0.18):
     """What the paper's arm does when it is loaded in 0.15 s."""
     w = 2 * np.pi * frequency
@@ -68,8 +62,9 @@ def ringing(t, frequency=6.69, damping=0.18):
 
 def test_a_displacement_that_the_knots_can_make_is_taken_away_and_not_twice_in_a_second_pass():
     target = line()
-    for smooth in (False, True):
-        displacement = knot_displacement(target, smooth)
+    values = np.random.default_rng(4).normal(0, 50e-6, (len(target), 3))  # [m], at the knots
+    lines, c2 = make_interp_spline(target.time, values, 1), CubicSpline(target.time, values, bc_type="clamped")
+    for smooth, displacement in ((False, lines), (True, c2)):
         reference, cut_off = sampled(smooth, target, target, ran(target, displacement))
         assert left(target, reference, displacement) < 1e-16 and cut_off == ()
         assert (reference.velocity is None) != smooth

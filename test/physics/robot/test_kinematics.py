@@ -37,8 +37,6 @@ def test_arm_files_have_table_1_its_posture_and_a_bare_flange_and_an_impossible_
     tree = read_tree(find_file("kr270_2.yaml"))["arm"]
     with pytest.raises(ConfigError, match="joint_upper_deg.*above joint_lower_deg"):
         build(Arm, tree | {"joint_upper_deg": [185.0, -200.0, 155.0, 350.0, 125.0, 350.0]})
-    with pytest.raises(ParameterError, match="joint_compliance_urad_per_n_m"):
-        ARM.replace(joint_compliance=np.zeros(6))
     with pytest.raises(ParameterError, match="none is larger than the others' sum"):
         Mount(inertia=np.array([1.0, 0.2, 0.2]))
 
