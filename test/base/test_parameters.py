@@ -46,7 +46,7 @@ GOOD = {"speed_rpm": 60.0, "teeth": 3, "on": True, "mode": "plain", "angles_deg"
 
 
 def refused(change: dict, key: str, drop: str = "") -> ConfigError:
-    """The error about GOOD with a change; it names file, key and stands on one line."""
+    """The error about GOOD with a change; its one line has file and key."""
     tree = merge(GOOD, change)
     tree.pop(drop, None)
     with pytest.raises(ConfigError) as caught:

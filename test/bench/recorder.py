@@ -121,7 +121,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as directory:
         seconds, _, lost = recorded(Path(directory, "small"), SMALL_RATE, count, 0)
         rates |= {"recorder_small_per_s": count / seconds, "recorder_small_lost": lost}
-        _, seconds, lost = recorded(Path(directory, "large"), 0, LARGE_COUNT, LARGE)  # as fast as they are taken
+        _, seconds, lost = recorded(Path(directory, "large"), 0, LARGE_COUNT, LARGE)  # at full speed
         rates |= {"recorder_large_mb_per_s": (LARGE_COUNT - lost) * LARGE * 1e-6 / seconds, "recorder_large_lost": lost}
     rates["recorder_large_share_of_plain"] = rates["recorder_large_mb_per_s"] / rates["plain_large_mb_per_s"]
     for key, value in rates.items():

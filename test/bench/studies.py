@@ -84,7 +84,7 @@ def bench_rows(millions: int) -> None:
         grid = ["--x=1200:1800/50", "--y=-600:600/50", f"--tool-turn=-180:180/{50 * millions}"]  # 8 branches each
         line = [sys.executable, "-m", "kr270_milling.cli", "map", "paper.yaml", *grid, "--json", "--out", place]
         driver, peaks = psutil.Popen(line, stdout=subprocess.PIPE, text=True), [0.0, 0.0]
-        print("rows | driver [MB] | largest worker [MB] | peaks until then")
+        print("rows | driver [MB] | largest worker [MB] | peaks so far")
         shown = 1
         while driver.poll() is None:
             now = memory(driver)

@@ -278,19 +278,7 @@ def test_a_sweep_is_taken_back_with_the_loads_that_it_left_to_later_micro_steps(
     np.testing.assert_allclose(np.mean(parts, axis=0), whole, rtol=1e-9)
 
 
-# --- the oracle of chips between two trochoids, and orders of convergence ---
-def test_exact_chips_tend_to_the_cosine_and_those_of_a_revolution_add_up_to_the_area_fed():
-    """2 R f of slot a revolution, but for the scallops between the teeth's marks on both walls."""
-    phi = np.radians([-80.0, -30.0, 0.0, 45.0, 85.0])
-    assert slot_chip(PAPER, 1e-8, phi) / 1e-8 == pytest.approx(np.cos(phi), abs=1e-5)
-    assert not slot_chip(PAPER, FEED, np.radians([100.0, 180.0, -120.0])).any()
-    phi = np.linspace(-np.pi, np.pi, 200_001)[:-1]
-    for feed in (0.02e-3, 0.125e-3, 0.5e-3):
-        way = 10e-3 - 4 * feed / (2 * np.pi) * np.sin(phi)  # of a tooth's tip a radian
-        area = 4 * np.sum(way * slot_chip(PAPER, feed, phi)) * 2 * np.pi / phi.size
-        assert area == pytest.approx(2 * 10e-3 * 4 * feed - 2 * 4 * feed**3 / (24 * 10e-3), rel=1e-6)
-
-
+# --- orders of convergence ---
 converged = functools.cache(convergence)
 
 

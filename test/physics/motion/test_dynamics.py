@@ -209,30 +209,6 @@ def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_i
     assert Dynamics("lumped", 0.1).reference_inertia
 
 
-# --- compensated by (1) as printed, milled with the term ---
-@check("compensated by (1) as printed, milled with -M r'': spline, largest deviation",
-       "transfer function (2 z w s + w^2) / (s^2 + 2 z w s + w^2) of one mode, spline by scipy, lsim", "m")  # fmt: skip
-def test_spline_without_the_reference():
-    """The mode follows the correction, and answers the change of the force; both are added to the original pass.
-
-    All links are at the tool, so one mode of 790.4 kg moves the tool across the feed.
-    """
-    printed, moving = (read_cell("paper.yaml", f"dynamics.reference_inertia={on}") for on in ("false", "true"))
-    reference = compensated(printed, simulate(printed), "spline").reference
-    before, after = simulate(moving), simulate(moving, reference)
-    ran, time = before.result, before.result.time
-    offset = (reference.position - moving.target().position)[:, 1]
-    correction = interpolate.CubicSpline(reference.time, offset, bc_type=((1, 0.0), (1, 0.0)))(time)
-    w, z = 2 * np.pi * moving.low_frequency, moving.dynamics.damping_ratio
-    mode = [1.0, 2 * z * w, w**2]
-    _, followed, _ = signal.lsim(([2 * z * w, w**2], mode), correction, time)
-    change = (after.result.wrench - ran.wrench)[:, 1] / moving.arm.link_mass.sum()
-    _, pushed, _ = signal.lsim(([1.0], mode), change, time)
-    scored = time >= moving.full_engagement - 1e-9
-    deviation = (ran.deflection[:, 1] + followed + pushed)[scored]
-    return np.abs(deviation).max(), after.scores.max_deviation, 0.5e-6
-
-
 # --- Modes of the arm in workpiece axes, from its elastostatics and mass ---
 def test_frequencies_and_static_limit_are_those_of_the_loaded_arm_in_workpiece_axes():
     arm, mount, joints = PAPER.arm, PAPER.mount, PAPER.joints(PAPER.target())[:1]
