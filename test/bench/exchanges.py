@@ -24,9 +24,8 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
-from kr270_milling.base.parameter_file import find_file
+from kr270_milling import read_cell
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph
@@ -115,7 +114,7 @@ def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float
 
 def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
     """Rates of each composition, one a round [1/s]."""
-    cell = read_cell(find_file("paper.yaml"))
+    cell = read_cell("paper.yaml")
     kinds = {
         "bare round trips": bare,
         "bare, on one core": lambda: bare("taskset", "-c", "0"),  # where ``run`` keeps robot and cut
@@ -124,24 +123,23 @@ def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
         "composed, recorded": lambda: exchanges(cell, Graph, composed=True),
         "composed, not recorded": lambda: exchanges(cell, Unrecorded, composed=True),
     }
-    found: dict[str, list[float]] = {name: [] for name in kinds}
+    rates: dict[str, list[float]] = {name: [] for name in kinds}
     for number in range(rounds):
         for name in list(kinds) if number % 2 == 0 else reversed(kinds):
-            found[name].append(kinds[name]())
-    return found
+            rates[name].append(kinds[name]())
+    return rates
 
 
-def table(found: dict[str, list[float]]) -> list[str]:
-    yardstick = statistics.median(found["bare round trips"])
-    lines = [f"{'a second':24} {'min':>7} {'median':>7} {'max':>7} {'over bare':>10}"]
-    for name, rates in found.items():
-        middle = statistics.median(rates)
-        lines.append(f"{name:24} {min(rates):7.0f} {middle:7.0f} {max(rates):7.0f} {middle / yardstick:10.2f}")
-    return lines
+def print_table(rates: dict[str, list[float]]) -> None:
+    yardstick = statistics.median(rates["bare round trips"])
+    print(f"{'a second':24} {'min':>7} {'median':>7} {'max':>7} {'over bare':>10}")
+    for name, values in rates.items():
+        middle = statistics.median(values)
+        print(f"{name:24} {min(values):7.0f} {middle:7.0f} {max(values):7.0f} {middle / yardstick:10.2f}")
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] in (["ask"], ["answer"]):
         trips(*sys.argv[1:])
     else:
-        print("\n".join(table(bench_exchanges(*map(int, sys.argv[1:])))))
+        print_table(bench_exchanges(*map(int, sys.argv[1:])))

@@ -15,8 +15,8 @@ from math import ceil, cos, floor, pi, sin, sqrt
 import numpy as np
 from numba import njit
 
-from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling import read_cell
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.show.commands.bench import POSTURES, posture_job
 
@@ -108,7 +108,7 @@ def timed(job: Callable[[], object]) -> float:
 
 def bench_models(rounds: int = 5) -> dict[str, float]:
     """Medians of the ratios to the yardsticks: the plain pass, and numpy's SVD of as many 6 x 6 matrices."""
-    cell = read_cell(find_file("paper.yaml"))
+    cell = read_cell("paper.yaml")
     steps = simulate(cell).result.micro_steps
     postures, matrices = posture_job(), np.random.default_rng(1).uniform(-1.0, 1.0, (POSTURES, 6, 6))
     plain_pass(cell, steps), postures()  # compiled

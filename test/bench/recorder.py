@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
@@ -106,15 +105,9 @@ def bag_writer(file: Path, type_name: str, bodies: list[bytes]) -> float:
     return time.perf_counter() - begin
 
 
-def header(step: int) -> bytes:
-    """The begin of a message: little-endian CDR, a stamp of ``step`` half milliseconds, the frame "base_link"."""
-    return struct.pack("<4BiII10s2x", 0, 1, 0, 0, step // 2000, step % 2000 * 500_000, 10, b"base_link\0")
-
-
 def bench_writer(small: int = 100_000, large: int = 200) -> dict[str, float]:
     """Small messages a second and MB/s of 1 MB messages, of mcap's writer ("plain") and of BagWriter ("bag")."""
-    pad, grid = struct.pack("<7d", *(0.1 * i for i in range(7))), bytes(i * 7 % 101 for i in range(1_000_000))
-    poses, grids = [header(i) + pad for i in range(small)], [header(i) + grid for i in range(large)]
+    poses, grids = bodies(small, 0), bodies(large, LARGE)
     rates: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as directory:
         for name, run in (("plain", plain_writer), ("bag", bag_writer)):
@@ -128,7 +121,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as directory:
         seconds, _, lost = recorded(Path(directory, "small"), SMALL_RATE, count, 0)
         rates |= {"recorder_small_per_s": count / seconds, "recorder_small_lost": lost}
-        _, seconds, lost = recorded(Path(directory, "large"), 0, LARGE_COUNT, LARGE)  # as fast as they are taken
+        _, seconds, lost = recorded(Path(directory, "large"), 0, LARGE_COUNT, LARGE)  # at full speed
         rates |= {"recorder_large_mb_per_s": (LARGE_COUNT - lost) * LARGE * 1e-6 / seconds, "recorder_large_lost": lost}
     rates["recorder_large_share_of_plain"] = rates["recorder_large_mb_per_s"] / rates["plain_large_mb_per_s"]
     for key, value in rates.items():

@@ -6,7 +6,7 @@ Prints a Markdown table. Run it in ``test/``; it takes some ten minutes.
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from unittest import mock
 
 from bench.learning_targets import Row
 from kr270_milling.cell.jobs import compensated, compensator, simulate
@@ -23,15 +23,10 @@ NUMBERS = {arm_fit: ("OFFSET", "MODEL_ERROR", "DIFFERENCE_ERROR", "MATTERS", "RE
 FACTORS = (0.5, 2.0)
 
 
-@contextmanager
 def scaled(module, name: str, key: str | None, factor: float):
     """A threshold, or an entry of PRIOR, times a factor."""
     before = getattr(module, name)
-    setattr(module, name, before * factor if key is None else {**before, key: before[key] * factor})
-    try:
-        yield
-    finally:
-        setattr(module, name, before)
+    return mock.patch.object(module, name, before * factor if key is None else {**before, key: before[key] * factor})
 
 
 def main() -> None:

@@ -38,10 +38,10 @@ def bench_sweep(rounds: int) -> None:
     sweep(0)  # loads what is compiled
     for _ in range(rounds):
         numbers = range(0, sweep.chunks - 1, SHARE)
-        begun = time.monotonic()
+        start = time.monotonic()
         for number in numbers:
             sweep(number)
-        one = (time.monotonic() - begun) / (len(numbers) * sweep.chunk)
+        one = (time.monotonic() - start) / (len(numbers) * sweep.chunk)
         with tempfile.TemporaryDirectory() as place:
             result = json.loads(subprocess.run([*line, place], check=True, capture_output=True, text=True).stdout)
         shares.append(result["rows"] / result["wall_s"] * one / cores)
@@ -84,7 +84,7 @@ def bench_rows(millions: int) -> None:
         grid = ["--x=1200:1800/50", "--y=-600:600/50", f"--tool-turn=-180:180/{50 * millions}"]  # 8 branches each
         line = [sys.executable, "-m", "kr270_milling.cli", "map", "paper.yaml", *grid, "--json", "--out", place]
         driver, peaks = psutil.Popen(line, stdout=subprocess.PIPE, text=True), [0.0, 0.0]
-        print("rows | driver [MB] | largest worker [MB] | peaks until then")
+        print("rows | driver [MB] | largest worker [MB] | peaks so far")
         shown = 1
         while driver.poll() is None:
             now = memory(driver)
@@ -94,9 +94,9 @@ def bench_rows(millions: int) -> None:
                 print(f"{rows:9} | {now[0]:.0f} | {now[1]:.0f} | {peaks[0]:.0f}, {peaks[1]:.0f}", flush=True)
                 shown += 1
             time.sleep(0.2)
-        found = json.loads(driver.stdout.read())
+        summary = json.loads(driver.stdout.read())
         peak = f"{peaks[0]:.0f}, {peaks[1]:.0f}"
-        print(f"{found['rows']} rows, {found['postures_per_s']:.3g} postures/s, peaks with the summary {peak} MB")
+        print(f"{summary['rows']} rows, {summary['postures_per_s']:.3g} postures/s, peaks with the summary {peak} MB")
 
 
 def memory(driver) -> list[float]:

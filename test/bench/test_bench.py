@@ -5,8 +5,7 @@ import pytest
 
 from bench.models import plain_pass
 from bench.recorder import bench_writer
-from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling import read_cell
 
 
 def test_the_writer_is_not_much_slower_than_that_of_mcap():
@@ -17,7 +16,7 @@ def test_the_writer_is_not_much_slower_than_that_of_mcap():
 
 def test_the_yardstick_of_the_pass_does_the_same_work():
     """The static deviation is the 58.1 um of the paper, and the slot is the same."""
-    cell = read_cell(find_file("paper.yaml"))
+    cell = read_cell("paper.yaml")
     grid, deflection = plain_pass(cell, 57_600)
     assert 1e6 * deflection[-14_400:, 1].mean() == pytest.approx(58.1, rel=0.01)
     removed = np.count_nonzero(grid == 0) * cell.stock.grid_step**2

@@ -12,7 +12,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.physics.robot import Mount
 from kr270_milling.physics.robot.analysis import read_arm
 
-__all__ = ["ARM", "ARMS", "PAPER", "SPINDLE", "TURNED", "arm_of", "pinocchio_arm", "postures"]
+__all__ = ["ARM", "ARMS", "ON_BASE", "PAPER", "POSTURES", "SPINDLE", "TURNED", "UNEVEN", "arm_of", "pinocchio_arm"]
 
 ARMS = ("kr270_2", "kr270_r2700_ultra")
 PAPER = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])  # [Klimchik2014], Table 1
@@ -27,11 +27,11 @@ def arm_of(name: str = ARMS[0]):
 
 
 ARM = arm_of()
-
-
-def postures(n: int = 100) -> np.ndarray:
-    """The same n postures (n, 6) [rad] within the limits, every time."""
-    return np.random.default_rng(5).uniform(ARM.joint_lower, ARM.joint_upper, (n, 6))
+#: weights that are not in the middle of the links
+UNEVEN = ARM.replace(link_mass_centre=np.array([0.4, 0.3, 0.6, 0.45, 0.5, 0.7]))
+#: a base that tilts
+ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
+POSTURES = np.random.default_rng(5).uniform(ARM.joint_lower, ARM.joint_upper, (100, 6))  #: [rad], within the limits
 
 
 def tube(mass: float, vector: np.ndarray, radius: float) -> np.ndarray:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from small_part import GCODE, small_part
 
+from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError, InputError, MillingError, ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints, simulate
 from kr270_milling.cell.path import MOST_VISITS, check_effort, check_postures, sinking
 from kr270_milling.physics.robot import Mount, equilibrium, pose
@@ -36,23 +36,19 @@ def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
     sagging = PAPER.replace(compensation=PAPER.compensation.replace(sag_compensated=False), mount=spindle)
     target = PAPER.target()
     joints = commanded_joints(sagging, target)
-    found = sagging.workpiece.pose.inverse() @ equilibrium(sagging.arm, spindle, joints, gravity=True).pose
-    np.testing.assert_allclose(found.position, target.position, atol=1e-9)
+    tool = sagging.workpiece.pose.inverse() @ equilibrium(sagging.arm, spindle, joints, gravity=True).pose
+    np.testing.assert_allclose(tool.position, target.position, atol=1e-9)
     plain = PAPER.replace(mount=spindle)
     np.testing.assert_array_equal(commanded_joints(plain, target), plain.joints(target))
 
 
-@pytest.mark.parametrize(("assignments", "key", "says"), [
+@pytest.mark.parametrize(("assignments", "key", "text"), [
     (["exchange.micro_step_deg=7"], "exchange.micro_step_deg", "whole part of 360"),
     (["exchange.period_ms=0.3333"], "exchange.period_ms", "whole number of micro-steps"),
     (["tool.spindle_speed_rpm=8001"], "exchange.period_ms", "for example"),
-    (["tool.spindle_speed_rpm=0"], "tool.spindle_speed_rpm", "above 0"),
-    (["path.start_mm=[1e9, 0]"], "path.start_mm", "at most"),
     (["stock.max_mm=[1, -20, -20]"], "stock.max_mm", "above min_mm"),
     (["tool.pitch_deg=[90, 90]"], "tool.pitch_deg", "4 teeth"),
-    (["compensation.method=fastest"], "compensation.method", "one of best"),
     (["path.file=nowhere.nc"], "", "no such file"),
-    (["path=3"], "path", "a group of keys"),
     (["tool.spindle_speed_rpm=200000", "tool.teeth=99", "exchange.micro_step_deg=.01"], "exchange.micro_step_deg",
      "larger"),
     (["exchange.iterations=20", "tool.teeth=16", "path.feed_rate_m_per_min=0.002"], "exchange.micro_step_deg",
@@ -60,30 +56,30 @@ def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
     (["stock.min_mm=[-1e5,-1e5,-10]", "stock.max_mm=[1e5,1e5,0]"], "stock.grid_step_um", "larger"),
     (["path.feed_rate_m_per_min=1e-7"], "path.feed_rate_m_per_min", "faster"),
 ])  # fmt: skip
-def test_a_cell_that_cannot_be_and_a_pass_of_days_are_refused_with_their_key(assignments, key, says):
+def test_a_cell_that_cannot_be_and_a_pass_of_days_are_refused_with_their_key(assignments, key, text):
     with pytest.raises(ConfigError) as caught:
-        read_cell(FILE, assignments)
-    assert caught.value.key == key and says in str(caught.value) and str(caught.value).isprintable()
+        read_cell(FILE, *assignments)
+    assert caught.value.key == key and text in str(caught.value) and str(caught.value).isprintable()
     assert "np.float64" not in str(caught.value)
 
 
 def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border_and_a_tool_path_has_no_low_frequency(tmp_path):
     for start, diameter, seconds in ((-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)):
         words = [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"]
-        cell = read_cell(FILE, words)
+        cell = read_cell(FILE, *words)
         assert cell.full_engagement == pytest.approx(seconds, abs=1e-12) and cell.scored_from_ns == round(1e9 * seconds)
     file = tmp_path / "turned.nc"
     file.write_text("G21 G90 S8000 M3\nG0 X0 Y-15 Z5\nG1 Z-0.5 F1000\nG1 Y15 F4000\n")
-    cell = read_cell(find_file("test_piece.yaml"), [f"path.file={file}"])
+    cell = read_cell("test_piece.yaml", f"path.file={file}")
     assert np.isnan(cell.low_frequency)
 
 
 # --- where the workpiece is ---
 def test_the_start_joints_place_the_workpiece_and_numbers_may_move_it_without_a_contradiction(tmp_path):
     q = "start_joints_deg=[80,-50,120,180,25,180]"
-    turned = read_cell(FILE, [q])
+    turned = read_cell(FILE, q)
     np.testing.assert_allclose(np.degrees(turned.joints(turned.target())[0]), [80, -50, 120, 180, 25, 180], atol=1e-6)
-    moved = read_cell(FILE, ["workpiece.xyz_mm=[0,-1600,500]"])
+    moved = read_cell(FILE, "workpiece.xyz_mm=[0,-1600,500]")
     np.testing.assert_allclose(moved.workpiece.xyz, [0.0, -1.6, 0.5])
     np.testing.assert_allclose(moved.workpiece.pose.rotation, PAPER.workpiece.pose.rotation, atol=1e-12)
     placed = "at_start_joints: true"
@@ -92,17 +88,17 @@ def test_the_start_joints_place_the_workpiece_and_numbers_may_move_it_without_a_
     with pytest.raises(ConfigError, match="workpiece.xyz_mm.*at_start_joints places the workpiece"):
         read_cell(tmp_path / "cell.yaml")
     with pytest.raises(ConfigError, match="posture_hint_deg.*six joint positions"):
-        read_cell(find_file("test_piece.yaml"), ["posture_hint_deg=[]"])
+        read_cell("test_piece.yaml", "posture_hint_deg=[]")
 
 
-# --- what the program says ---
+# --- what the program sets ---
 PROGRAM = "G21 G90\nM3 S6000\nG0 X-40 Y0 Z5\nG0 Z-1\nG1 X40 F900\nG0 Z5\nM30\n"
 SILENT = ["exchange.period_ms=0.25", "tool.spindle_speed_rpm=0"]
 
 
 def programmed(folder, program, *sets):
     (folder / "part.nc").write_text(program)
-    return read_cell(find_file("test_piece.yaml"), [f"path.file={folder / 'part.nc'}", *sets])
+    return read_cell("test_piece.yaml", f"path.file={folder / 'part.nc'}", *sets)
 
 
 def test_speed_and_feed_come_from_program_or_cell_and_may_not_contradict_each_other(tmp_path):
@@ -122,14 +118,13 @@ def test_speed_and_feed_come_from_program_or_cell_and_may_not_contradict_each_ot
 def test_a_straight_cut_and_a_program_answer_the_same_questions(tmp_path):
     program, straight = programmed(tmp_path, PROGRAM, *SILENT).programmed, PAPER.programmed
     stamps = np.linspace(0, program.target.duration_ns, 50).astype(np.int64)
-    assert straight.straight and not program.straight
-    assert (straight.name, program.name) == ("straight cut of 80 mm", "part.nc")
-    assert (straight.files, program.files) == ((), (tmp_path / "part.nc",))
+    of_line = (straight.straight, straight.name, straight.files, straight.length, straight.sha256)
+    assert of_line == (True, "straight cut of 80 mm", (), 0.08, "")
+    of_program = (program.straight, program.name, program.files, len(program.sha256))
+    assert of_program == (False, "part.nc", (tmp_path / "part.nc",), 64) and program.length == pytest.approx(0.092)
     assert not straight.line_at(stamps).any() and not straight.rapid_at(stamps).any()
     assert set(program.line_at(stamps)) == {4, 5, 6}
     assert np.array_equal(program.rapid_at(stamps), program.line_at(stamps) != 5)
-    assert straight.length == 0.08 and program.length == pytest.approx(0.092)
-    assert straight.sha256 == "" and len(program.sha256) == 64
 
 
 # --- effort ---
@@ -148,7 +143,7 @@ def test_the_effort_of_a_path_file_is_reckoned_with_its_ramps_and_postures(tmp_p
     with pytest.raises(ParameterError, match=r"grid_step_um.*sinking"):
         small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5", "cutting.detail=teeth").target()
     slow = ["dynamics.follow_pose=true", "dynamics.posture_spacing_mm=1e-9", "path.feed_rate_m_per_min=0.05"]
-    cell = read_cell(FILE, slow)
+    cell = read_cell(FILE, *slow)
     with pytest.raises(ParameterError, match="posture_spacing_mm"):
         cell.arm_model(cell.target())
     check_postures(100_000, 1e-3)
@@ -173,7 +168,7 @@ def test_what_a_footprint_swept_as_a_whole_costs():
 def test_an_arm_that_would_fly_off_gives_no_numbers(stiffness):
     short = ["path.length_mm=14", "stock.grid_step_um=50", f"cutting.fractional.stiffness_n_per_m={stiffness}"]
     with pytest.raises(MillingError, match="would push the tool"):
-        simulate(read_cell(FILE, short))
+        simulate(read_cell(FILE, *short))
 
 
 # --- Tool paths that a cell refuses because their spindle, their tool axis or their moves cannot be meant ---
@@ -182,7 +177,7 @@ def table(directory, a=0.0, b=0.0, c=180.0):
     path = directory / "slot.csv"
     rows = "".join(f"{x},0,-0.5,{a},{b},{c},3000\n" for x in range(-14, 20, 2))
     path.write_text("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + rows)
-    return read_cell(find_file("paper.yaml"), [f"path.file={path}", "stock.max_mm=[40,14,0]"])
+    return read_cell("paper.yaml", f"path.file={path}", "stock.max_mm=[40,14,0]")
 
 
 @pytest.mark.parametrize(("program", "rotation", "reason", "line"), [

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import time
+import timeit
 from pathlib import Path
 
 import numpy as np
@@ -309,13 +311,6 @@ def test_a_program_with_several_tools_is_refused_with_their_list_and_a_tool_that
 MOST = 7.0
 
 
-def spent(job) -> float:
-    """[s] of this process, whatever else the machine does."""
-    began = time.process_time()
-    job()
-    return time.process_time() - began
-
-
 def test_a_block_takes_a_few_times_what_finding_its_words_takes(tmp_path):
     lines = ["G21 G90 G17 G54", "T1 M6", "S8000 M3", "G0 X40 Y0 Z5", "G1 Z0 F800"]
     for k in range(6000):
@@ -324,6 +319,7 @@ def test_a_block_takes_a_few_times_what_finding_its_words_takes(tmp_path):
     lines += ["M30", ""]
     word, ratios = re.compile(r"([A-Z])([-+]?[0-9]*\.?[0-9]+)"), []
     (tmp_path / "long.nc").write_text("\n".join(lines))
+    spent = functools.partial(timeit.timeit, timer=time.process_time, number=1)  # [s] of this process
     while len(ratios) < 12 and not (ratios and min(ratios) < MOST):  # other processes slow one side of a try
         words = spent(lambda: [[(a, float(b)) for a, b in word.findall(line)] for line in lines])
         ratios.append(spent(lambda: read_gcode(tmp_path / "long.nc")) / words)

@@ -1,4 +1,4 @@
-"""The sampled trajectory: its interpolation, its file, and where a tool stands still."""
+"""The sampled trajectory: its interpolation, its file, and the stops of the tool."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_spoilt_file_is_refused_with_its_line(tmp_path, old, new, line):
     assert caught.value.line == line
 
 
-# --- Where a tool stands still ---
+# --- Stops of the tool ---
 STOP = 5  #: knot of the corner
 
 
@@ -127,8 +127,8 @@ def corner(rest_speed: float = 0.0) -> Trajectory:
 
 def rounded_off(rest_speed: float) -> list:
     """What is rounded off of the same corner as one knot, corrected by 50 um, less than the 88 um of blending."""
-    run, kept = corner(rest_speed), np.delete(np.arange(12), 6)
-    run = Trajectory(np.arange(11) * 12_000_000, run.position[kept], TOOL_DOWN, run.velocity[kept])
+    run, rows = corner(rest_speed), np.delete(np.arange(12), 6)
+    run = Trajectory(np.arange(11) * 12_000_000, run.position[rows], TOOL_DOWN, run.velocity[rows])
     return corner_blending(run, run.with_position(run.position + [0.0, 0.0, 50e-6], run.velocity), 1e-3)
 
 

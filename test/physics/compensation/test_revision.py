@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
+from kr270_milling.cli import main
 from kr270_milling.decide.path_limits import correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, remaining_error
@@ -24,9 +23,9 @@ from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.robot import Mount, equilibrium, pose
 
 
-def line(step_ns=50_000_000, duration_ns=1_200_000_000):
-    """A straight cut with knots at the controller step."""
-    knots = np.arange(0, duration_ns + 1, step_ns)
+def line(step_ns=50_000_000):
+    """A straight cut of 1.2 s with knots at the controller step."""
+    knots = np.arange(0, 1_200_000_001, step_ns)
     return Trajectory(knots, np.outer(knots * 1e-9, [0.0667, 0.0, 0.0]), (1.0, 0.0, 0.0, 0.0), frame="fixture")
 
 
@@ -53,12 +52,6 @@ def left(target, reference, displacement):
     return np.abs(record.position - target.sample(record.time_ns))[:, 1].max()
 
 
-def knot_displacement(target, smooth):
-    """Random 50 um at the target's knots, in all three axes: a C2 spline without slope at its ends, or lines."""
-    values = np.random.default_rng(4).normal(0, 50e-6, (len(target), 3))
-    return CubicSpline(target.time, values, bc_type="clamped") if smooth else make_interp_spline(target.time, values, 1)
-
-
 def ringing(t, frequency=6.69, damping=0.18):
     """What the paper's arm does when it is loaded in 0.15 s."""
     w = 2 * np.pi * frequency
@@ -69,8 +62,9 @@ def ringing(t, frequency=6.69, damping=0.18):
 
 def test_a_displacement_that_the_knots_can_make_is_taken_away_and_not_twice_in_a_second_pass():
     target = line()
-    for smooth in (False, True):
-        displacement = knot_displacement(target, smooth)
+    values = np.random.default_rng(4).normal(0, 50e-6, (len(target), 3))  # [m], at the knots
+    lines, c2 = make_interp_spline(target.time, values, 1), CubicSpline(target.time, values, bc_type="clamped")
+    for smooth, displacement in ((False, lines), (True, c2)):
         reference, cut_off = sampled(smooth, target, target, ran(target, displacement))
         assert left(target, reference, displacement) < 1e-16 and cut_off == ()
         assert (reference.velocity is None) != smooth
@@ -101,9 +95,9 @@ def test_interpolation_order(method, expected, low, high):
         target = line(int(step))
         reference = revised(method, target, ran(target, displacement), "least_squares")
         errors.append(left(target, reference, displacement))
-    found = np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert low < found < high
-    return expected, found, high - expected
+    order = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert low < order < high
+    return expected, order, high - expected
 
 
 def test_knots_without_samples_stay_bounded_and_a_pass_that_shows_nothing_is_refused():
@@ -131,8 +125,8 @@ def test_the_mean_wrench_belongs_to_the_nearest_knot_and_the_displacement_is_fre
     moved = np.column_stack([np.zeros(time_ns.size), slow + ripple, np.zeros(time_ns.size)])
     record = PassRecord(time_ns, target.sample(time_ns) + moved, revolution_ns=revolution)
     inner = target.time_ns[(target.time_ns > revolution) & (target.time_ns < 10**9 - revolution)]
-    found = record.sampled_displacement(target, inner)[:, 1]
-    assert np.abs(found - (50e-6 + 20e-6 * inner * 1e-9)).max() < 1e-8  # the ripple alone is 15e-6
+    smooth = record.sampled_displacement(target, inner)[:, 1]
+    assert np.abs(smooth - (50e-6 + 20e-6 * inner * 1e-9)).max() < 1e-8  # the ripple alone is 15e-6
 
 
 # --- Compensation along a tool path ---
@@ -148,11 +142,11 @@ def cell(tmp_path_factory):
 def passes(cell):
     """The original pass, and for each method its compensator and the pass along its reference."""
     original = simulate(cell)
-    found = {"original": (None, original)}
+    runs = {"original": (None, original)}
     for method in METHODS:
         by = compensator(cell, cell.target(), method)
-        found[method] = by, compensated(cell, original, method, by=by)
-    return found
+        runs[method] = by, compensated(cell, original, method, by=by)
+    return runs
 
 
 def test_every_method_takes_the_error_away_by_a_c2_reference_at_rest_in_stops_and_near_in_the_air(cell, passes):
@@ -219,16 +213,16 @@ def test_a_limit_shortens_the_turn_alike_bounds_a_spline_between_its_knots_and_s
     run, limited = corrected(way, shift, False, Bounds(1e-4), quaternion=np.tile(whole, (len(way), 1)))
     turned = Rotation.from_quat(run.quaternion) * Rotation.from_quat(TOOL_DOWN).inv()
     assert turned.as_rotvec() == pytest.approx(np.tile([0, 0.5e-3, 0], (len(way), 1)), abs=1e-9)
-    (found,) = limited
-    assert (found.kind, found.first, found.last) == ("size", 1, len(way))
-    assert found.wanted == pytest.approx(4e-4) and found.missing == pytest.approx(3e-4)
+    (part,) = limited
+    assert (part.kind, part.first, part.last) == ("size", 1, len(way))
+    assert part.wanted == pytest.approx(4e-4) and part.missing == pytest.approx(3e-4)
     way = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.012)
     step = np.outer(np.where(np.arange(len(way)) < 40, 0.0, 80e-6), [0.0, 1.0, 0.0])
-    run, (found,) = corrected(way, step, False, Bounds(max_change=10e-6, tick=12e-3))
+    run, (part,) = corrected(way, step, False, Bounds(max_change=10e-6, tick=12e-3))
     y = run.position[:, 1]
     assert np.diff(y).max() == pytest.approx(10e-6) and np.all(np.diff(y) >= 0)
     assert y[:40] + y[79:39:-1] == pytest.approx(np.full(40, 80e-6)) and y[31] == 0 and y[33] > 0
-    assert found.kind == "change" and found.first <= 40 <= found.last
+    assert part.kind == "change" and part.first <= 40 <= part.last
     for kind, bounds in (("size", Bounds(20e-6)), ("change", Bounds(max_change=6e-6))):
         target = line()
         reference, limited = sampled(True, target, target, ran(target, ringing), bounds)
@@ -236,11 +230,11 @@ def test_a_limit_shortens_the_turn_alike_bounds_a_spline_between_its_knots_and_s
         correction = reference.sample(ticks) - target.sample(ticks)
         values, most = (correction, 20e-6) if kind == "size" else (np.diff(correction, axis=0), 6e-6)
         largest = np.linalg.norm(values, axis=1).max()
-        assert {part.kind for part in limited} == {kind} and 0.97 * most < largest <= most * (1 + 1e-6)
+        assert {one.kind for one in limited} == {kind} and 0.97 * most < largest <= most * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, method):
+def test_limits_hold_along_the_path_and_what_they_took_is_stated(cell, passes, method):
     most, change = 40e-6, 4e-6
     own = cell.replace(compensation=cell.compensation.replace(max_correction=most, max_change_per_tick=change))
     by = compensator(own, cell.target(), method)
@@ -251,38 +245,22 @@ def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, met
     free = compensator(cell, target, method)
     free.revise(record_of(cell, passes["original"][1].result))
     missing = np.linalg.norm(free.reference.position - by.reference.position, axis=1)
-    assert {found.kind for found in by.limited} == {"size", "change"} and free.limited == ()
-    told = np.zeros(len(target), bool)
-    for found in by.limited:
-        assert found.first <= found.worst <= found.last and found.missing <= found.wanted + most
-        assert found.time == target.time[found.worst - 1] and f"at point {found.worst} (" in found.sentence
-        told[found.first - 1 : found.last] = True
-    assert not np.any((missing > 1e-8) & ~told)
+    assert {part.kind for part in by.limited} == {"size", "change"} and free.limited == ()
+    stated = np.zeros(len(target), bool)
+    for part in by.limited:
+        assert part.first <= part.worst <= part.last and part.missing <= part.wanted + most
+        assert part.time == target.time[part.worst - 1] and f"at point {part.worst} (" in part.sentence
+        stated[part.first - 1 : part.last] = True
+    assert not np.any((missing > 1e-8) & ~stated)
 
 
 def test_a_corner_out_of_reach_says_at_which_feed_it_is_in_reach(tmp_path, capsys):
     """The arm's own inertia asks for the correction at a corner, the load for that of a straight cut."""
-    from kr270_milling.cli import main
-
     sets = assignments(tmp_path, GCODE, "compensation.method=inverse", "dynamics.reference_inertia=true")
     words = [part for pair in (*sets, "compensation.max_correction_mm=0.03") for part in ("--set", pair)]
     main(["compensate", "paper.yaml", "--no-verdict", "--out", str(tmp_path / "out"), *words])
     text = capsys.readouterr().out
     assert "is too large at points" in text and "% of the programmed feed there" in text
-
-
-@check(
-    "order in the controller step of the pass compensated by lines", "2: interpolation; the teeth's ripple taken off"
-)
-def test_controller_order():
-    """What a spline at the shortest step leaves is the vibration at tooth passing, which no reference can follow."""
-    steps, errors = np.array([50.0, 25.0, 12.5]), []
-    for step in steps:
-        cell = read_cell(find_file("paper.yaml"), (f"timing.controller_step_ms={step}",))
-        original = simulate(cell)
-        errors.append(compensated(cell, original, "linear").scores.max_deviation)
-    ripple = compensated(cell, original, "spline").scores.max_deviation
-    return 2.0, np.polyfit(np.log(steps), np.log(np.array(errors) - ripple), 1)[0], 0.4
 
 
 # --- The static mirror (30)-(32): under load the modified target ends where the target is ---
@@ -307,21 +285,21 @@ def gap(first: Pose, second: Pose) -> tuple[float, float]:
 )  # fmt: skip
 def test_mirror_target(load, relaxation):
     force = WRENCH * LOADS[load]
-    found = mirror(ARM, SPINDLE, TARGET, force, PAPER, relaxation=relaxation, sag_compensated=False)
-    loaded = equilibrium(ARM, SPINDLE, found.joints, np.tile(force, (5, 1)), gravity=True).pose
+    solution = mirror(ARM, SPINDLE, TARGET, force, PAPER, relaxation=relaxation, sag_compensated=False)
+    loaded = equilibrium(ARM, SPINDLE, solution.joints, np.tile(force, (5, 1)), gravity=True).pose
     assert gap(loaded, TARGET)[1] < 1e-8
-    assert gap(pose(ARM, SPINDLE, found.joints), found.pose)[0] < 1e-12  # the joints command the modified target
+    assert gap(pose(ARM, SPINDLE, solution.joints), solution.pose)[0] < 1e-12  # the joints command the modified target
     return 0.0, gap(loaded, TARGET)[0], 1e-9
 
 
 def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs_turns_and_states_what_is_left():
-    found = mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER)
+    solution = mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER)
     heavy, light = (
-        equilibrium(ARM, SPINDLE, found.joints, w * np.ones((5, 1)), gravity=True).pose for w in (WRENCH, 0 * WRENCH)
+        equilibrium(ARM, SPINDLE, solution.joints, w * np.ones((5, 1)), gravity=True).pose for w in (WRENCH, 0 * WRENCH)
     )
-    moved = found.pose.position + heavy.position - light.position
+    moved = solution.pose.position + heavy.position - light.position
     np.testing.assert_allclose(moved, TARGET.position, atol=1e-9)
-    turned = heavy.rotation @ np.swapaxes(light.rotation, -1, -2) @ found.pose.rotation
+    turned = heavy.rotation @ np.swapaxes(light.rotation, -1, -2) @ solution.pose.rotation
     assert gap(Pose(moved, turned), TARGET)[1] < 1e-8
     wrenches = WRENCH * np.linspace(-1, 1, 5)[:, None]
     whole = mirror(ARM, SPINDLE, TARGET, wrenches, PAPER).pose
@@ -329,10 +307,10 @@ def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs
         one = mirror(ARM, SPINDLE, Pose(TARGET.position[k : k + 1], TARGET.rotation[:1]), wrenches[k], PAPER).pose
         assert gap(one, Pose(whole.position[k : k + 1], whole.rotation[k : k + 1]))[0] < 2e-9
     moment = np.array([0, 0, 0, 0, 0, 30.0])
-    found = mirror(ARM, SPINDLE, TARGET, moment, PAPER)
+    solution = mirror(ARM, SPINDLE, TARGET, moment, PAPER)
     tilted = loaded_pose(ARM, SPINDLE, np.tile(PAPER, (1, 1)), moment[None], True)
     shift, turn = gap(tilted, Pose(START.position[None], START.rotation[None]))
-    assert found.history[0] == pytest.approx(shift + LEVER * turn, rel=0.05)
+    assert solution.history[0] == pytest.approx(shift + LEVER * turn, rel=0.05)
     for relaxation, iterations in ((0.01, 60), (0.9, 3), (1.0, 1)):
         with pytest.raises(MirrorError, match="did not converge") as caught:
             mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=iterations)

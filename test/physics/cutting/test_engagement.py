@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,14 +10,12 @@ from cuttings import LAWS, fitted_order
 from milled_part import POCKET, small_cell
 from small_part import GCODE, small_part
 
+from kr270_milling import read_cell
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import find_file, parameter
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.cutting.engagement import BINS, FLOORS_KNOWN
-from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.motion.milling_pass import run_pass
 
 RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
@@ -28,25 +24,7 @@ VELOCITY = FEED * TEETH * SPEED / (2.0 * math.pi)
 MICRO_STEP = math.radians(1.0)
 AXIAL = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=2e3))
 
-
-def kienzle(h, c):
-    """F_t / a_p = k_c1.1 h (h / 1 mm)^-m_c [Kienzle1952], F_r = k_r F_t, each per depth of cut [N/m]."""
-    tangential = c[0] * h * (h / 1e-3) ** -c[1] if h > 0.0 else 0.0
-    return tangential, c[2] * tangential, 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class KienzleLaw(ForceLaw):
-    specific_force: float = parameter(700e6)  # ordinary aluminium
-    exponent: float = parameter(0.25)
-    radial_ratio: float = parameter(0.35)
-
-    force = staticmethod(kienzle)
-
-
-THIRD = KienzleLaw()
-THIRD_CUTTING = SimpleNamespace(active=THIRD, coefficients=THIRD.coefficients, moments=True, end_ratio=1.0)
-CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL, "kienzle": THIRD_CUTTING}
+CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL}
 #: y of the material as shares of R: the tool turns clockwise and feeds along +x
 IMMERSIONS = {"slot": (-1.1, 1.1), "half up": (-1.1, 0.0), "half down": (0.0, 1.1), "5 % up": (-1.1, -0.9),
               "5 % down": (0.9, 1.1)}  # fmt: skip
@@ -134,11 +112,8 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
         cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS[immersion]), MICRO_STEP)
         path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)  # through the stock
         volume = cut.along(path, steps)[2]
-        assert path[-1, 0] > 40e-3
         assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-9)
-        past = path[:, 0] < 38e-3
         assert cut.removed_volume == pytest.approx((high - low) * RADIUS * 40e-3 * DEPTH, rel=0.01)
-        assert (volume[past] >= 0.0).all()
     cut = EngagementCut(tool(), AXIAL, block(-1.5, 1.5), MICRO_STEP)
     path, steps = straight(4e-3, 20e-3, start=12e-3)
     path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
@@ -146,7 +121,6 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
     x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
     lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
     inside = x + RADIUS < path[-1, 0]
-    assert np.ptp(path[:, 0]) > 19e-3
     assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
@@ -218,9 +192,9 @@ def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and
     scatter = [float(forces(AXIAL, "slot", grid_step=step).std(axis=0).max()) for step in steps]
     assert fitted_order(steps, scatter) > 0.8
     assert scatter[2] < 0.006 * np.linalg.norm(closed_form(AXIAL, -1.0, 1.0))
-    errors = [error(THIRD_CUTTING, "half down", bins=count) for count in bins]
+    errors = [error(AXIAL, "half up", bins=count) for count in bins]
     assert fitted_order(1.0 / np.array(bins), errors) > 1.7
-    assert error(THIRD_CUTTING, "half down") < errors[-1] / 4
+    assert error(AXIAL, "half up") < errors[-1] / 4
     assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
 
 
@@ -243,7 +217,7 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
 
 
 def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
-    cells = [read_cell(find_file("test_piece.yaml"), [f"cutting.detail={name}"]) for name in ("teeth", "engagement")]
+    cells = [read_cell("test_piece.yaml", f"cutting.detail={name}") for name in ("teeth", "engagement")]
     passes = [simulate(cell) for cell in cells]
     teeth, mean = (ran.result for ran in passes)
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
@@ -272,25 +246,22 @@ def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under
 
 
 def test_the_detail_is_that_of_the_key_or_of_the_length_with_a_finer_map_for_a_small_cutter(tmp_path):
-    for value, detail in (("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")):
-        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
-        assert cell.cutting.detail == detail
-        assert isinstance(cell.cut(), EngagementCut if detail == "engagement" else Cut)
-    small = read_cell(find_file("test_piece.yaml"), ["cutting.detail=engagement", "tool.diameter_mm=2"])
+    for value, kind in (("auto", Cut), ("engagement", EngagementCut)):
+        assert type(read_cell("test_piece.yaml", f"cutting.detail={value}").cut()) is kind
+    small = read_cell("test_piece.yaml", "cutting.detail=engagement", "tool.diameter_mm=2")
     assert small.stock.grid_step == pytest.approx(1e-3 / 50)
-    assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
     with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
-        read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
+        read_cell("paper.yaml", "cutting.detail=engagement")
     program = tmp_path / "long.nc"
     moves = "".join(f"G1 X{40 * (-1) ** k} Y{k % 40 - 20}\n" for k in range(60))
     program.write_text(f"G21 G90 G17\nS8000 M3\nG0 X60 Y0 Z5\nG0 Z-0.5\nG1 X40 F4000\n{moves}G0 Z5\nM30\n")
     words = [f"path.file={program}"]
-    cell = read_cell(find_file("test_piece.yaml"), words)
+    cell = read_cell("test_piece.yaml", *words)
     assert cell.by_engagement
     assert cell.clock.period == pytest.approx(4e-3) and cell.clock.micro_steps == 192
     assert cell.stock.grid_step == pytest.approx(2e-4)
     assert "engagement" in cell.cut_text
-    assert not read_cell(find_file("test_piece.yaml"), [*words, "cutting.detail=teeth"]).by_engagement
+    assert not read_cell("test_piece.yaml", *words, "cutting.detail=teeth").by_engagement
 
 
 @pytest.mark.parametrize(
@@ -310,13 +281,13 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
     rate = 60 * feed * TEETH * SPEED / (2 * math.pi)
     words = [f"path.feed_rate_m_per_min={rate}", f"stock.grid_step_um={grid_um}"]
     words += [f"exchange.micro_step_deg={micro_step}", "exchange.period_ms=7.5", "path.length_mm=1"]
-    stated = "the force of thin chips is too low" in read_cell(find_file("paper.yaml"), words).cut_text
+    stated = "the force of thin chips is too low" in read_cell("paper.yaml", *words).cut_text
     assert stated == (share < 0.95)
     assert ratio < share if stated else ratio == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
-    cell = read_cell(find_file("test_piece.yaml"), ["cutting.detail=engagement"])
+    cell = read_cell("test_piece.yaml", "cutting.detail=engagement")
     target = cell.target()
     free = cell.arm_model(target)
     monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)

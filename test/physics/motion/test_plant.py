@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError
-from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
 from kr270_milling.decide.compensation import compensate
@@ -29,7 +28,7 @@ SHORT = ("path.length_mm=12", "stock.grid_step_um=80", "exchange.micro_step_deg=
 
 @pytest.fixture(scope="module")
 def cell():
-    return read_cell(find_file("paper.yaml"), SHORT)
+    return read_cell("paper.yaml", *SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +38,15 @@ def ran(cell):
 
 def test_repeatability_is_that_of_iso_9283_and_each_seed_and_number_of_a_pass_has_its_shift_and_noise():
     # ISO 9283: mean distance from the barycentre of many passes + 3 standard deviations of that distance
-    how = Imperfections(repeatability=60 * UM)
-    shifts = np.array([how.shift(n) for n in range(4000)])
+    shifts = np.array([Imperfections(repeatability=60 * UM).shift(n) for n in range(4000)])
     distance = np.linalg.norm(shifts - shifts.mean(axis=0), axis=1)
     assert distance.mean() + 3 * distance.std() == pytest.approx(60 * UM, rel=0.03)
-    how, zero = Imperfections(5 * UM, 60 * UM, seed=3), np.zeros((1000, 3))
-    assert np.array_equal(how.measured(zero, 2), how.measured(zero, 2)) and np.array_equal(how.shift(2), how.shift(2))
-    assert not np.any(how.measured(zero, 2) == how.measured(zero, 3)) and not np.any(how.shift(2) == how.shift(3))
-    other = how.replace(seed=4)
-    assert not np.any(other.shift(2) == how.shift(2))
-    assert how.measured(zero, 2).std() == pytest.approx(5 * UM, rel=0.05)
-    assert abs(np.corrcoef(how.measured(zero, 1)[:, 0], how.measured(zero, 2)[:, 0])[0, 1]) < 0.15
+    plant, zero = Imperfections(5 * UM, 60 * UM, seed=3), np.zeros((1000, 3))
+    for drawn in (plant.shift, lambda number: plant.measured(zero, number)):
+        assert np.array_equal(drawn(2), drawn(2)) and not np.any(drawn(2) == drawn(3))
+    assert not np.any(plant.replace(seed=4).shift(2) == plant.shift(2))
+    assert plant.measured(zero, 2).std() == pytest.approx(5 * UM, rel=0.05)
+    assert abs(np.corrcoef(plant.measured(zero, 1)[:, 0], plant.measured(zero, 2)[:, 0])[0, 1]) < 0.15
 
 
 def test_a_plant_is_its_cell_but_for_the_noise_of_its_tracker_the_place_of_its_pass_and_its_arm(cell, ran):
@@ -181,13 +178,13 @@ def test_keys_of_earlier_versions_are_refused_with_their_new_name():
         ("uncertainty.backlash_deg", "uncertainty.backlash is a multiple"),
     ):
         with pytest.raises(ConfigError, match=new):
-            read_cell(find_file("paper.yaml"), [f"{old}=[0.01, 0.01, 0.01, 0.01, 0.01, 0.01]"])
+            read_cell("paper.yaml", f"{old}=[0.01, 0.01, 0.01, 0.01, 0.01, 0.01]")
 
 
 def test_the_compensator_receives_the_wrench_of_a_sensor(cell):
     """Noise while the tool cuts, its moments by a lever of 0.1 m; another one in each pass; the part is not noisy."""
     exact, noisy, none = (
-        simulate(cell, plant=Plant(cell, cell, Imperfections(wrench=how))) for how in ("exact", "noisy", "none")
+        simulate(cell, plant=Plant(cell, cell, Imperfections(wrench=wrench))) for wrench in ("exact", "noisy", "none")
     )
     true = exact.record.wrench
     assert np.array_equal(true, exact.result.wrench) and none.record.wrench is None
@@ -195,8 +192,7 @@ def test_the_compensator_receives_the_wrench_of_a_sensor(cell):
     assert not np.any(sensed[~cuts]) and cuts.sum() > 100
     assert (sensed - true)[cuts].std(axis=0) == pytest.approx([2.0, 2.0, 2.0, 0.2, 0.2, 0.2], rel=0.2)
     assert np.array_equal(noisy.result.actual, exact.result.actual)
-    how = Imperfections()
-    assert not np.any(how.sensed(true, 0)[cuts] == how.sensed(true, 1)[cuts])
+    assert not np.any(Imperfections().sensed(true, 0)[cuts] == Imperfections().sensed(true, 1)[cuts])
 
 
 @pytest.mark.parametrize("frequency, delay", [(10.0, 0.0), (40.0, 0.012), (0.0, 0.004)])
@@ -205,8 +201,8 @@ def test_motors_follow_a_step_of_the_correction_as_a_second_order_after_a_dead_t
     time_ns = np.array([0, 100, 101, 1000]) * 1_000_000
     target = Trajectory(time_ns, np.outer(time_ns * 1e-9, [0.05, 0.0, 0.0]), TOOL_DOWN)
     step = np.outer([0.0, 0.0, 1.0, 1.0], [0.0, 100 * UM, 0.0])
-    how = Imperfections(servo_frequency=frequency, servo_delay=delay)
-    course = how.lagged(target.with_position(target.position + step), target)
+    servo = Imperfections(servo_frequency=frequency, servo_delay=delay)
+    course = servo.lagged(target.with_position(target.position + step), target)
     stamps = np.arange(0, 1000, 3) * 1_000_000
     t = np.maximum(stamps * 1e-9 - 0.1005 - delay, 0.0)
     w, z = 2 * np.pi * frequency, 0.7
@@ -215,7 +211,7 @@ def test_motors_follow_a_step_of_the_correction_as_a_second_order_after_a_dead_t
     moved = course.sample(stamps) - target.sample(stamps)
     settled = np.abs(stamps * 1e-9 - 0.1005 - delay) > 0.001
     assert moved[settled, 1] == pytest.approx(100 * UM * expected[settled], abs=0.6 * UM)
-    assert np.abs(moved[:, [0, 2]]).max() < 1e-15 and how.lagged(target, target) is target
+    assert np.abs(moved[:, [0, 2]]).max() < 1e-15 and servo.lagged(target, target) is target
 
 
 def test_what_is_in_no_model_spoils_what_inverse_plans(cell, ran):

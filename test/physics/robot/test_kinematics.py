@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_oracle import ARM, ARMS, PAPER, TURNED, arm_of, pinocchio_arm, postures
+from arm_oracle import ARM, ARMS, PAPER, POSTURES, TURNED, arm_of, pinocchio_arm
 from book import check
 
 from kr270_milling.base.errors import ParameterError
@@ -19,8 +19,6 @@ from kr270_milling.physics.robot.errors import JointLimitError, ReachError, Sing
 from kr270_milling.physics.robot.inverse import branches
 from kr270_milling.physics.robot.kinematics import check_regular, singularity_measures, status_turn
 
-POSTURES = postures()
-
 
 @check("{name}: flange position", "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]", "m",
        cases=("name expected", zip(ARMS, ((0, -1.6407, 0.4924), (0, -1.6308, 0.2446)), strict=True)))  # fmt: skip
@@ -28,7 +26,7 @@ def test_flange_position(name, expected):
     return 0.0, np.abs(pose(arm_of(name), BARE, PAPER).position - expected).max(), 5.1e-5
 
 
-def test_arm_files_have_table_1_its_posture_and_a_bare_flange_and_an_impossible_arm_or_mount_is_refused(tmp_path):
+def test_arm_files_have_table_1_its_posture_and_a_bare_flange_and_an_impossible_arm_or_mount_is_refused():
     for name in ARMS:
         arm, mount = read_arm(find_file(f"{name}.yaml"))
         assert np.all((arm.joint_lower <= PAPER) & (arm.joint_upper >= PAPER))
@@ -39,15 +37,8 @@ def test_arm_files_have_table_1_its_posture_and_a_bare_flange_and_an_impossible_
     tree = read_tree(find_file("kr270_2.yaml"))["arm"]
     with pytest.raises(ConfigError, match="joint_upper_deg.*above joint_lower_deg"):
         build(Arm, tree | {"joint_upper_deg": [185.0, -200.0, 155.0, 350.0, 125.0, 350.0]})
-    with pytest.raises(ParameterError, match="joint_compliance_urad_per_n_m"):
-        ARM.replace(joint_compliance=np.zeros(6))
-    with pytest.raises(ParameterError, match="mass_kg"):
-        Mount(mass=float("nan"))
     with pytest.raises(ParameterError, match="none is larger than the others' sum"):
         Mount(inertia=np.array([1.0, 0.2, 0.2]))
-    (tmp_path / "arm.yaml").write_text(find_file("kr270_2.yaml").read_text().replace("d1_m:", "d_1_m:"))
-    with pytest.raises(ConfigError, match="arm.d_1_m is not a known key|d_1_m.*not a known key"):
-        read_arm(tmp_path / "arm.yaml")
 
 
 @check("pose at 100 postures", "pinocchio", "m, rad")
@@ -99,18 +90,18 @@ def test_status_tells_overhead_elbow_and_wrist_and_turn_the_negative_axes(degree
 @check("inverse kinematics, every branch", "self-consistent: forward kinematics of every solution", "m, rad")
 def test_inverse_round_trip():
     worst = 0.0
-    for arm, q in itertools.product(map(arm_of, ARMS), postures(20)):
+    for arm, q in itertools.product(map(arm_of, ARMS), POSTURES[:20]):
         target = pose(arm, TURNED, q)
-        found, _ = branches(arm, TURNED, target, q)
-        back = pose(arm, TURNED, found[np.isfinite(found).all(-1)])
+        joints, _ = branches(arm, TURNED, target, q)
+        back = pose(arm, TURNED, joints[np.isfinite(joints).all(-1)])
         worst = max(worst, np.abs(back.position - target.position).max(), np.abs(back.rotation - target.rotation).max())
     return 0.0, worst, 1e-9
 
 
 def test_all_eight_branches_are_different_and_each_pose_of_a_batch_goes_to_its_seed():
     q = np.array([0.4, -1.7, 1.9, 0.7, 0.6, -0.3])  # near axis 1, so that the arm reaches it leaning back too
-    found, _ = branches(ARM, BARE, pose(ARM, BARE, q), q)
-    reached = found[np.isfinite(found).all(-1)]
+    joints, _ = branches(ARM, BARE, pose(ARM, BARE, q), q)
+    reached = joints[np.isfinite(joints).all(-1)]
     assert len(reached) == len(np.unique(np.round(reached, 6), axis=0)) == 8
     rng = np.random.default_rng(3)
     q = rng.uniform(ARM.joint_lower, ARM.joint_upper, (40, 5, 6))
@@ -125,11 +116,11 @@ def test_all_eight_branches_are_different_and_each_pose_of_a_batch_goes_to_its_s
 def test_a_path_through_wrist_singularity_and_half_turn_is_followed_and_a_stretch_with_axis_5_at_zero_keeps_axis_4():
     share = np.linspace(0, 1, 5001)[:, None]  # A5 passes through 0 at a point of the path
     path = np.radians([90, -50, 120, 100, -25, 180]) + share * np.radians([-50, 10, -20, 160, 50, -400])
-    found = inverse_near(ARM, TURNED, pose(ARM, TURNED, path), path[0] + 0.01)
+    joints = inverse_near(ARM, TURNED, pose(ARM, TURNED, path), path[0] + 0.01)
     regular = np.arange(5001) != 2500  # there A5 = 0 and A4 stays at its last value
-    np.testing.assert_allclose(found[regular], path[regular], atol=1e-7)
-    assert found[2500, 3] == found[2499, 3]
-    back, wanted = pose(ARM, TURNED, found), pose(ARM, TURNED, path)
+    np.testing.assert_allclose(joints[regular], path[regular], atol=1e-7)
+    assert joints[2500, 3] == joints[2499, 3]
+    back, wanted = pose(ARM, TURNED, joints), pose(ARM, TURNED, path)
     assert np.abs(back.position - wanted.position).max() < 1e-10 > np.abs(back.rotation - wanted.rotation).max()
     path = np.radians([20, -70, 90, 33, 0, 10]) + np.linspace(0, 1, 50)[:, None] * np.radians([40, 10, -10, 0, 0, 80])
     np.testing.assert_allclose(inverse_near(ARM, TURNED, pose(ARM, TURNED, path), path[0]), path, atol=1e-9)
@@ -148,8 +139,6 @@ def test_what_the_arm_does_not_reach_is_refused_with_place_distance_limits_and_s
     centre = position[2] - 0.23 * path.rotation[2, :, 0]
     away = np.hypot(np.hypot(centre[0], centre[1]) - 0.35, centre[2] - 0.75)
     assert caught.value.distance == pytest.approx(away)
-    with pytest.raises(ReachError):
-        inverse_near(ARM, BARE, Pose(position[2], path.rotation[2]), PAPER)
     path = PAPER + np.linspace(0, 1, 11)[:, None] * np.radians([0, 0, 0, 0, 0, 200])
     with pytest.raises(JointLimitError, match="joint 6 would be at 360.000 deg") as caught:
         inverse_near(ARM, TURNED, pose(ARM, TURNED, path), PAPER)

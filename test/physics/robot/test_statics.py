@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_oracle import ARM, ARMS, PAPER, SPINDLE, TURNED, arm_of, pinocchio_arm, postures
+from arm_oracle import ARM, ARMS, ON_BASE, PAPER, POSTURES, SPINDLE, TURNED, UNEVEN, arm_of, pinocchio_arm
 from book import check
 from scipy.spatial.transform import Rotation
 
@@ -24,10 +24,6 @@ from kr270_milling.physics.robot.loads import link_loads, load_hessian, load_tor
 from kr270_milling.studies.maps.postures import postures as reaching
 
 RNG = np.random.default_rng(11)
-#: weights that are not in the middle of the links
-UNEVEN = ARM.replace(link_mass_centre=np.array([0.5, 0.4, 0.7, 0.3, 0.5, 0.9]))
-ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
-POSTURES = postures()
 NEAR = PAPER + RNG.uniform(-0.3, 0.3, (50, 6))
 LOADS = RNG.normal(size=(50, 6)) * [600, 600, 600, 100, 100, 100]
 #: an arm with only joint 2 soft, 1e6 N m/rad, stretched along x; its critical load [N]
@@ -116,13 +112,9 @@ def test_what_has_no_equilibrium_or_no_stiffness_is_an_error_with_joint_base_and
         equilibrium(HINGE, BARE, np.zeros(6), [0, 0, -0.5 * CRITICAL, 0, 0, 0], gravity=False)
     theta, share = caught.value.deflection, caught.value.load_factor
     assert theta == pytest.approx(share * 0.5 * np.cos(theta)) and theta > 0.2
-    impossible = (UnstableLoadError, EquilibriumError, DeflectionError)
-    for load in [1e7, 1e12, 1e30]:
-        for axis in [*np.eye(6), *-np.eye(6)]:
-            with pytest.raises(impossible, match="load"):
-                equilibrium(ARM, SPINDLE, PAPER, load * axis)
-    with pytest.raises(impossible, match="load"):  # too soft for its own weight
-        equilibrium(ARM.replace(joint_compliance=np.full(6, 1e-2)), SPINDLE, PAPER * [1, 1, 1, 1, 1, 0])
+    soft = ARM.replace(joint_compliance=np.full(6, 1e-2))  # too soft for its weight
+    with pytest.raises((UnstableLoadError, EquilibriumError, DeflectionError), match="load"):
+        equilibrium(soft, SPINDLE, PAPER * [1, 1, 1, 1, 1, 0])
     with pytest.raises(EquilibriumError):
         equilibrium(ARM, SPINDLE, PAPER, [np.nan, 0, 0, 0, 0, 0])
     away = pose(ARM, SPINDLE, PAPER)
@@ -218,21 +210,6 @@ def energy(angle: float) -> float:
     return 0.5 * SPRING.stiffness * (length(angle) - free) ** 2
 
 
-@check(
-    "gravity compensator: its share of the spring of joint 2, upper arm at {degrees} deg",
-    "k a L ((s_0 / s) (a L sin^2 / s^2 - cos) + cos) of [Klimchik2013b], by the angle at axis 2 [derived]", "N m/rad",
-    cases=("degrees", [(-140,), (-95,), (-50,), (-5,)]),
-)  # fmt: skip
-def test_equivalent_spring(degrees):
-    angle = math.radians(degrees)
-    base, hinge = np.array([SPRING.base_x, SPRING.base_z]), np.array([math.cos(angle), -math.sin(angle)])
-    product = np.linalg.norm(base) * SPRING.arm_length
-    cosine = base @ hinge / np.linalg.norm(base)
-    s, free = length(angle), length(-math.pi / 2) - SPRING.preload / SPRING.stiffness
-    eta = free / s * (product * (1 - cosine**2) / s**2 - cosine) + cosine
-    return SPRING.stiffness * product * eta, -float(SPRING.moment_slope(math.cos(angle), math.sin(angle))), 1e-5
-
-
 def test_the_moment_of_the_compensator_is_the_slope_of_its_energy_acts_on_joint_2_alone_and_is_in_the_hessian():
     for angle in np.radians(np.linspace(-140.0, -5.0, 4)):
         slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
@@ -260,11 +237,11 @@ WRENCH = np.array([300.0, -150.0, 80.0, 20.0, -10.0, 5.0])
 
 
 def test_the_analysis_has_lumped_mode_condition_number_and_warnings_and_reads_arm_and_mount_of_a_cell(tmp_path):
-    found = json.loads(json.dumps(analyse(ARM, BARE, PAPER, np.zeros(6))))
-    assert found["deflection"] == [0.0] * 6 and found["warnings"] == []
-    assert found["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # facts.md
-    values = np.linalg.svd(found["jacobian"], compute_uv=False)
-    assert found["condition_number"] == pytest.approx(values[0] / values[-1])
+    answer = json.loads(json.dumps(analyse(ARM, BARE, PAPER, np.zeros(6))))
+    assert answer["deflection"] == [0.0] * 6 and answer["warnings"] == []
+    assert answer["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # facts.md
+    values = np.linalg.svd(answer["jacobian"], compute_uv=False)
+    assert answer["condition_number"] == pytest.approx(values[0] / values[-1])
     with pytest.raises(ParameterError, match="base, tool"):
         analyse(ARM, SPINDLE, PAPER, WRENCH, "world")
     (limit,) = analyse(ARM, BARE, np.radians([190, -50, 120, 180, 25, 180]), np.zeros(6))["warnings"]
@@ -277,7 +254,7 @@ def test_the_analysis_has_lumped_mode_condition_number_and_warnings_and_reads_ar
     assert arm.name == "KR 270-2" and mount.mass == 12.0
 
 
-def test_both_frames_tell_the_same_story():
+def test_the_answers_in_both_frames_are_the_same_physics():
     base = analyse(ARM, SPINDLE, PAPER, WRENCH, "base", gravity=True)
     both = np.kron(np.eye(2), Rotation.from_quat(base["quaternion_xyzw"]).as_matrix().T)
     tool = analyse(ARM, SPINDLE, PAPER, both @ WRENCH, "tool", gravity=True)
@@ -286,5 +263,5 @@ def test_both_frames_tell_the_same_story():
     np.testing.assert_allclose(tool["jacobian"], both @ base["jacobian"], atol=1e-12)
     for key, unit in (("stiffness", 1e-2), ("compliance", 1e-18)):
         np.testing.assert_allclose(tool[key], both @ base[key] @ both.T, rtol=1e-9, atol=unit)
-    modes = (found["mode_frequencies_hz"]["consistent"] for found in (tool, base))
+    modes = (one["mode_frequencies_hz"]["consistent"] for one in (tool, base))
     np.testing.assert_allclose(*modes, rtol=1e-9)
