@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Callable, Iterable, Sequence
 
 from kr270_milling.base.samples import PoseSample, WrenchSample
@@ -14,10 +15,9 @@ from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.stamps import PassCounter
 
-__all__ = ["MOST_AHEAD", "CutFeed", "RobotFeed"]
+__all__ = ["CutFeed", "RobotFeed"]
 
 MID_PASS = "the recording begins in the middle of a pass, whose state is not known"
-MOST_AHEAD = 10  # exchange periods that a message may precede its cause in the file
 
 Stop = Callable[[int, str], None]  # (stamp [ns], reason)
 
@@ -155,7 +155,7 @@ class CutFeed(InputFeed):
         self.protocol = CutProtocol(cell)
         ((_, self._fresh),) = self.protocol.configure()
         self._start_ns = 0
-        self._maps: list[tuple[int, bytes]] = []
+        self._maps: list[tuple[int, bytes]] = []  # whose poses have not come, by their stamps
         self._latched = False  # the last map is that of a pass before the recording
 
     def reference(self, run: Trajectory) -> None:
@@ -188,23 +188,23 @@ class CutFeed(InputFeed):
     def workpiece(self, stamp: int, data: bytes) -> None:
         """Compare a recorded map: the fresh part at stamp 0, else the part after the last pose that was answered.
 
-        In the file the map may come shortly before or after this pose. The first map may be latched from an earlier
-        pass. Where poses are missing, no map can be compared.
+        In the file the map may come before or after this pose: a recorder that was busy takes topic by topic. A map
+        after its pose is not compared, and neither is any map where poses are missing. The first map may be latched
+        from an earlier pass.
         """
         channel = self._channels["workpiece"]
-        near, ahead = MOST_AHEAD * self.cell.exchange.period * 1e9, stamp - self.protocol.stamp_ns
         in_pass = self.protocol.step >= 0 and self.cell.clock.step(self._time(stamp)) >= 0
         if stamp == 0:
             self._latched = False
             channel.expected(0, self._fresh)
             channel.recorded(0, data)
-        elif in_pass and 0 <= ahead <= near:
-            self._maps.append((stamp, data))
+        elif in_pass and stamp >= self.protocol.stamp_ns:
+            bisect.insort(self._maps, (stamp, data))
             self._compare_maps()
         elif self.protocol.step < 0 and channel.count == 0:
             self._latched = True
             channel.take(data)
-        elif self._lack is not None or (in_pass and -near <= ahead < 0):
+        elif self._lack is not None or in_pass:
             channel.take(data)
         else:
             channel.recorded(stamp, data)

@@ -14,7 +14,6 @@ from types import MappingProxyType
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.exchange.replay.compare import Channel, Difference
-from kr270_milling.exchange.replay.feeds import MOST_AHEAD
 from kr270_milling.exchange.replay.robots import Robot, Robots, Stop
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.verify import findings
@@ -22,6 +21,7 @@ from kr270_milling.recordings.bag.verify import findings
 __all__ = ["Recomputed", "recompute"]
 
 EXCHANGE = ("tool_pose", "wrench")
+UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
 LIBRARY = re.compile(r"kr270_milling/(\d+\.\d+)\.")
 
 
@@ -121,12 +121,12 @@ def _incomplete(robot: Robot, cut_off: bool) -> Iterator[Stop]:
     if not any(robot.channels[name].compared for name in EXCHANGE if name in robot.channels):
         yield Stop(namespace, None, "no pass is in the recording: no tool_pose and no wrench was compared")
         return
-    allowed = 0 if done and not cut_off else MOST_AHEAD * exchange.iterations
+    allowed = 0 if done and not cut_off else UNDER_WAY * exchange.iterations
     for channel in robot.channels.values():
         if channel.waiting > allowed:
             reason = f"{channel.waiting} messages on {channel.topic} from {channel.leftover * 1e-9:.6f} s on were not "
             yield Stop(namespace, None, reason + "compared: no recorded input leads to these messages")
-    under_way = round(MOST_AHEAD * exchange.period * 1e9)
+    under_way = round(UNDER_WAY * exchange.period * 1e9)
     for name, channel in () if cut_off else robot.channels.items():
         count = channel.lacking(under_way, done, exchange.iterations if name in EXCHANGE else 1)
         if count:

@@ -102,6 +102,11 @@ def late(index: int) -> list[made.Message]:
     return messages
 
 
+def early_map() -> list[made.Message]:
+    """A recorder that was busy and took the last map before most of the poses."""
+    return late([m.topic for m in one_pass()].index("workpiece"))
+
+
 WHOLE = dict.fromkeys(("/tool_pose", "/wrench", "/deflection", "/joint_states"), STEPS) | {
     "/workpiece": 1, "/compensator_state": 2, "/reference_trajectory": 2}  # fmt: skip
 RECEIVED = "the compensator received 121 poses and 121 wrenches"
@@ -109,6 +114,7 @@ CASES = {  # messages, counts of channels (empty: all are 0), stops: without the
     "the whole pass": (one_pass, {"compared": WHOLE, "waiting": {}, "missing": {}, "given": {}}, ()),
     "a map that is latched from the pass before": (lambda: [*earlier_maps(), *one_pass()],
                                                {"given": {"/workpiece": 1}, "compared": WHOLE | {"/workpiece": 2}}, ()),
+    "a map before its pose": (early_map, {"compared": WHOLE, "waiting": {}, "given": {}}, ()),
     "no wrench": (lambda: without("wrench", 40), {"compared": {"/deflection": 40}},
                   ("at 0.020000 s: the wrench of this time", RECEIVED)),
     "no pose": (lambda: without("tool_pose", 40), {"compared": {"/wrench": 40}},
