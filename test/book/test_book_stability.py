@@ -14,7 +14,7 @@ import math
 import numpy as np
 import pytest
 from book import check
-from semi_discretisation import MASS, OMEGA, ZETA, directional, drifting_limit, multipliers, semi_discretisation
+from semi_discretisation import MASS, OMEGA, ZETA, directional, drifting_limit, limit, multipliers, semi_discretisation
 
 from kr270_milling.physics.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.physics.motion.arm_model import arm_model
@@ -177,9 +177,26 @@ def test_limit_depth_of_a_small_radius(case):
     return expected, limit_depth(case, expected, 0.03), SMALL[case] * expected
 
 
-def test_disturbances_grow_and_die_as_fast_as_the_multiplier_states():
+def test_disturbances_grow_and_die_as_fast_as_the_multiplier_says_and_a_drifting_delay_tends_to_the_tooth_period():
     for share in (0.9, 1.1):
         case = Milling(15000.0, "up")
         depth = share * semi_discretisation(case)[0]
         largest = np.abs(multipliers(depth, 0.002, directional("up", 160))).max()
         assert growth(case, depth) == pytest.approx(np.log(largest), rel=0.12)
+    wide, limit_of_the_period = Milling(12000.0, "slot", 100_000), semi_discretisation(SLOTS[0])[0]
+    assert drifting_limit(wide) == pytest.approx(limit_of_the_period, rel=2e-3)
+    assert drifting_limit(Milling(12000.0, "slot", 80)) > 1.05 * limit_of_the_period
+
+
+# --- the oracle itself ---
+def test_semi_discretisation_finds_the_closed_form_of_turning():
+    """Constant h: the borderline frequency w_c gives a h = (w_c^2 - w^2) / 2 + 2 (zeta w w_c)^2 / (w_c^2 - w^2)."""
+    beyond = OMEGA * 1.02
+    rise = beyond**2 - OMEGA**2
+    strength = rise / 2 + 2 * (ZETA * OMEGA * beyond) ** 2 / rise
+    for lobe in (1, 4):
+        phase = np.arctan2(rise, 2 * ZETA * OMEGA * beyond)
+        delay = 2 * (lobe * np.pi - phase) / beyond
+        depth, multiplier = limit(delay, np.full(40, 1e9), np.full(160, 1e9), np.geomspace(1e-5, 1e-2, 30))
+        assert depth * 1e9 / MASS == pytest.approx(strength, rel=2e-3)
+        assert abs(multiplier.imag) > 0.01
