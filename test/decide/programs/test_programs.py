@@ -277,7 +277,8 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
 
 def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of_the_controllers_flange(tmp_path):
     """A part straight ahead: A1, A4 and A6 start at exactly 0, and rounding would decide what T says of them."""
-    cell = read_cell(find_file("test_piece.yaml"), ['program.spindle_on=["$OUT[1]=TRUE"]'])
+    words = ['program.spindle_on=["$OUT[1]=TRUE"]', "stock.max_mm=[50,50,4]"]
+    cell = read_cell(find_file("test_piece.yaml"), words)
     time_ns, quaternion = np.arange(3) * 12_000_000, cell.target().quaternion[0]
     line = Trajectory(time_ns, np.outer(np.arange(3), [1e-3, 0.0, 0.0]), quaternion)
     for sign in (1.0, -1.0):
@@ -287,7 +288,8 @@ def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of
         for kind, run in (("ORG", line), ("CMP", beside)):
             robot = Robot(next(folder.glob("krl_spline_*")), f"MILLING_{kind}")
             above = np.array(robot.approach) / 1e3
-            assert np.linalg.norm(above[:2] - run.position[0, :2]) < 0.5e-3 and above[2] >= 0.05
+            assert np.linalg.norm(above[:2] - run.position[0, :2]) < 0.5e-3
+            assert above[2] == pytest.approx(0.054)  # 50 mm above the top of the stock
             (joints,) = cell.joints_at(above[None], quaternion[None])
             assert np.degrees(np.abs(joints)).min() > 1e-3
             assert robot.turn == sum(1 << axis for axis in range(6) if joints[axis] < 0)
