@@ -43,11 +43,13 @@ class PassCounter:
         self._starts = starts
 
     def begins(self, stamp: int) -> bool:
-        returned = stamp == 0 and self._last > 0 and (not self._starts or self._starts[0] == 0)
-        again = returned or (self._last > 0 and self._passed(stamp) > self._passed(self._last))
+        last, self._last = self._last, stamp
+        if last <= 0:
+            return False
+        returned = stamp == 0 and (not self._starts or self._starts[0] == 0)
+        again = returned or (bool(self._starts) and self._passed(stamp) > self._passed(last))
         self.number += again
         self._returns += returned
-        self._last = stamp
         return again
 
     @property
@@ -98,6 +100,8 @@ class GapCounter:
         self.latest = stamp
         if self.passes.begins(stamp) or self.last is None:
             self.last, self._gap, self._other = stamp, None, None
+        elif self._gap is self._other is None and self.period_ns and 0 < 2 * (stamp - self.last) < 3 * self.period_ns:
+            self.last, self._since = stamp, self._since + 1  # the usual message, for speed
         elif self._other is not None and stamp >= self._other:
             self._since += 1
             if self._since > LEARN:  # the series itself
@@ -123,10 +127,10 @@ class GapCounter:
 
     def _take(self, last: int, difference: int) -> None:
         if self.period_ns is not None:
-            before = Gap(last, last + difference, self.missing, self.gaps)
+            missing, gaps = self.missing, self.gaps
             self._count(difference)
-            if self.gaps > before.gaps:
-                self._gap, self._since = before, 0
+            if self.gaps > gaps:
+                self._gap, self._since = Gap(last, last + difference, missing, gaps), 0
         elif difference < 0:  # one of both is of another publisher
             self._differences.clear()
         else:

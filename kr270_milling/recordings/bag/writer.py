@@ -188,8 +188,10 @@ class BagWriter:
         self.output.add_message(channel.id, log_time, data, publish_time, sequence)
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
+        if stamp is None:
+            return
         self._starts.take(channel.topic, stamp)
-        if stamp is not None and channel.type not in SHARED:
+        if channel.type not in SHARED:
             before = channel.gaps.passes.number
             channel.gaps.add(stamp)
             if channel.gaps.passes.number > before:  # the time returned to 0: the next pass begins
