@@ -25,23 +25,11 @@ RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lif
 LEARNING = "physics/compensation/learning.py"
 IMPERFECTIONS, BACKLASH = "physics/motion/imperfections.py", "physics/motion/backlash.py"
 TESTS = {
-    LOADS: ["statics"],
-    BALANCE: ["statics"],
-    MASS: ["mass"],
-    MEASURED: ["dynamics"],
-    FRACTIONAL: ["force"],
-    EDGE: ["force"],
-    SWEEP: ["force", "sweep"],
-    LOAD: ["force"],
-    MOTION: ["dynamics"],
-    MIRROR: ["revision"],
-    REVISION: ["revision"],
-    RESPONSE: ["lifted"],
-    LIFTED: ["lifted"],
-    LEARNING: ["compensator"],
-    IMPERFECTIONS: ["plant"],
-    BACKLASH: ["plant"],
-}
+    LOADS: ["statics"], BALANCE: ["statics"], MASS: ["mass"], MEASURED: ["dynamics"], MOTION: ["dynamics"],
+    FRACTIONAL: ["force"], EDGE: ["force"], LOAD: ["force"], SWEEP: ["force", "sweep"], MIRROR: ["revision"],
+    REVISION: ["revision"], RESPONSE: ["lifted"], LIFTED: ["lifted"], LEARNING: ["compensator"],
+    IMPERFECTIONS: ["plant"], BACKLASH: ["plant"],
+}  # fmt: skip
 
 #: equation, file, a text that occurs once in the file, with <<old|new>>
 MUTATIONS = [
