@@ -189,7 +189,7 @@ def test_the_fault_table_is_that_of_the_faults():
         assert row["detected within max [s]"] == "-" or float(row["detected within max [s]"]) < 3.0
 
 
-# --- citation keys and pointers from parameter files ---
+# --- citation keys ---
 def test_every_citation_key_has_one_entry_on_the_page_of_the_numbers_and_every_entry_is_cited():
     numbers = ROOT / "kr270_milling/guide/numbers.md"
     suffixes = (".py", ".md", ".yaml", ".csv", ".html", ".txt")
@@ -201,10 +201,3 @@ def test_every_citation_key_has_one_entry_on_the_page_of_the_numbers_and_every_e
     assert len(entries) == len(set(entries))
     texts = [before, *(path.read_text(encoding="utf-8") for path in sources)]
     assert set(entries) == {cited for text in texts for cited in key.findall(text)}
-
-
-def test_a_page_that_a_parameter_file_names_exists():
-    """A pointer names a path from the root of the repository, or from the package."""
-    for path in (ROOT / "config").glob("*.yaml"):
-        for name in re.findall(r"[\w./]+\.md", path.read_text(encoding="utf-8")):
-            assert (ROOT / name).is_file() or (ROOT / "kr270_milling" / name).is_file(), f"{path.name}: {name}"
