@@ -18,21 +18,14 @@ RENDERER = ("GPU stall due to ReadPixels", "willReadFrequently", "GL Driver Mess
 PATIENCE = 120_000  # [ms]; a busy machine reads five megabytes of script slowly
 
 
-def chromium() -> str:
-    """Return the path of Chromium; skip the test where Chromium or playwright is missing."""
-    pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+@contextlib.contextmanager
+def started_browser():
+    """Yield Chromium; skip the test where Chromium or playwright is missing."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
     path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if not path:
         pytest.skip("needs a Chromium (Debian: apt-get install chromium), or its path in the variable CHROMIUM")
-    return path
-
-
-@contextlib.contextmanager
-def started_browser():
-    from playwright.sync_api import sync_playwright
-
-    path = chromium()
-    with sync_playwright() as play:
+    with playwright.sync_playwright() as play:
         running = play.chromium.launch(executable_path=path, args=FLAGS)
         try:
             yield running

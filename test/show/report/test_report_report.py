@@ -35,7 +35,6 @@ from kr270_milling.show.report.tables import fixed_text
 
 WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")
 VOID = {"meta", "br", "img", "link", "hr", "input"}
-MOST = 6_000_000  # [bytes] of a page
 
 
 class Page(HTMLParser):
@@ -80,7 +79,7 @@ def test_the_page_is_well_formed_small_complete_and_needs_nothing_from_elsewhere
         assert not [t for t in texts if re.search(r"(^|[ \[(])-\d", t)]
     page = Page(paper_page)
     assert not page.open and set(flatten(straight[0])) <= set(page.texts)  # the whole configuration
-    assert len(paper_page.encode()) < MOST
+    assert len(paper_page.encode()) < 6_000_000
     assert not any({"src", "href", "action"} & set(attributes) for _, attributes in page.tags)
     assert "default-src 'none'" in str(page.tags)
     assert sum(tag == "script" for tag, _ in page.tags) == 3  # data, plotly, our own
