@@ -18,21 +18,14 @@ RENDERER = ("GPU stall due to ReadPixels", "willReadFrequently", "GL Driver Mess
 PATIENCE = 120_000  # [ms]; a busy machine reads five megabytes of script slowly
 
 
-def chromium() -> str:
-    """Return the path of Chromium; skip the test where Chromium or playwright is missing."""
-    pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+@contextlib.contextmanager
+def started_browser():
+    """Yield Chromium; skip the test where Chromium or playwright is missing."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
     path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if not path:
         pytest.skip("needs a Chromium (Debian: apt-get install chromium), or its path in the variable CHROMIUM")
-    return path
-
-
-@contextlib.contextmanager
-def started_browser():
-    from playwright.sync_api import sync_playwright
-
-    path = chromium()
-    with sync_playwright() as play:
+    with playwright.sync_playwright() as play:
         running = play.chromium.launch(executable_path=path, args=FLAGS)
         try:
             yield running
@@ -64,23 +57,22 @@ class Visit:
     def complaints(self) -> list[str]:
         return [text for text in self.console if not any(known in text for known in RENDERER)]
 
-    @property
-    def overhang(self) -> float:
-        """[px] The width beyond the screen of the widest element that does not scroll by itself."""
-        return self.ask("""() => {
+    def settled_overhang(self, seconds: float = 20.0) -> float:
+        """[px] The width beyond the screen of the widest element that does not scroll by itself.
+
+        A busy machine takes long to draw every picture again.
+        """
+        script = """() => {
           const wide = document.documentElement.clientWidth;
           const over = [...document.querySelectorAll("body *")]
             .filter((e) => !e.closest(".wide, .js-plotly-plot, #source"))
             .map((e) => e.getBoundingClientRect().right - wide);
           return Math.max(document.documentElement.scrollWidth - wide, ...over);
-        }""")
-
-    def settled_overhang(self, seconds: float = 20.0) -> float:
-        """[px] The overhang after every picture has been drawn again; a busy machine takes long."""
+        }"""
         end = time.monotonic() + seconds
-        while (over := self.overhang) > 0.5 and time.monotonic() < end:
+        while (overhang := self.ask(script)) > 0.5 and time.monotonic() < end:
             self.page.wait_for_timeout(50)
-        return over
+        return overhang
 
     def close(self) -> None:
         self.context.close()

@@ -21,6 +21,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hostile import SHORT
 from hypothesis import settings
 from json_keys import every_answer_is_in_the_table
 from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
@@ -30,8 +31,6 @@ from kr270_milling.cell.cell import Cell
 #: every process that a test starts runs this checkout, not an installed package
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
 LIMIT = 60.0  # [s] for what does not happen, on a busy machine too
-#: a pass of 120 exchanges: air, the first touch and some teeth in the stock
-SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]", "publish.every=1")
 
 
 def pytest_addoption(parser):
@@ -151,7 +150,7 @@ def short_cell():
     from kr270_milling.base.parameter_file import find_file
     from kr270_milling.cell.cell import read_cell
 
-    return read_cell(find_file("paper.yaml"), SHORT)
+    return read_cell(find_file("paper.yaml"), [*SHORT, "publish.every=1"])
 
 
 @pytest.fixture(scope="session")

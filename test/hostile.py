@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import math
 import os
 import time
 from pathlib import Path
@@ -83,7 +82,6 @@ def refused_or_sound(*words: str, most: float = 1e15) -> Answer:
         assert refusal["exit_code"] == 2 and refusal["error"].isprintable() and answer.err == "", answer
         return answer
     for key, value in _numbers(parsed(answer)):
-        assert math.isfinite(value), f"{key} is {value}"
         if key != ".findings.value":  # a stop says how far beyond its limit, however far that is
             assert abs(value) < most, f"{key} is {value}"
     return answer

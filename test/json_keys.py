@@ -9,7 +9,6 @@ from pathlib import Path
 
 PAGE = Path(__file__).parents[1] / "kr270_milling" / "guide" / "json.md"
 RECORD = re.compile(r"\[[^]]*\]\(#([a-z0-9-]+)\)")
-ANY = "any"
 
 
 def read_page() -> dict[str, dict[str, str]]:
@@ -20,7 +19,7 @@ def read_page() -> dict[str, dict[str, str]]:
     for line in PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("### "):
             title = line[4:].strip()
-            names = [ANY] if title.startswith("Any") else title.replace(" ", "-").split(",-")
+            names = ["any"] if title.startswith("Any") else title.replace(" ", "-").split(",-")
             for name in names:
                 tables[name], above[name] = {}, []
         elif line.startswith("The keys of"):

@@ -1,6 +1,7 @@
 """A long program as CAM systems write one: rows of short blocks over a wavy surface, with retracts and features.
 
-``python long_program.py MINUTES FILE`` writes one. 420 minutes: 66,000 points and 146 m of path.
+``python long_program.py MINUTES FILE`` writes one and prints the options of its cell.
+420 minutes: 66,000 points and 146 m of path.
 """
 
 from __future__ import annotations
@@ -34,16 +35,10 @@ def program(minutes: float) -> str:
     return "\n".join([*lines, f"G0 Z{SAFE}", "M5", "M30", "%", ""])
 
 
-def assignments(path, minutes: float) -> list[str]:
-    """``key=value`` for the cell of the shipped test piece: a plate and a cutter of 10 mm."""
-    half = 0.5 * minutes * FEED / ROW * STEPOVER + 10.0
-    return [
-        f"path.file={path}", "tool.diameter_mm=10", "tool.teeth=2", "tool.spindle_speed_rpm=4000",
-        f"stock.min_mm=[-160,{-half:.0f},-25]", f"stock.max_mm=[160,{half:.0f},0]",
-    ]  # fmt: skip
-
-
 if __name__ == "__main__":
     minutes = float(sys.argv[1])
+    half = 0.5 * minutes * FEED / ROW * STEPOVER + 10.0  # [mm] of a plate
     Path(sys.argv[2]).write_text(program(minutes))
-    print(" ".join(f"--set {one}" for one in assignments(sys.argv[2], minutes)))
+    print(f"--set path.file={sys.argv[2]} --set tool.diameter_mm=10 --set tool.teeth=2", end=" ")
+    print("--set tool.spindle_speed_rpm=4000", end=" ")
+    print(f"--set stock.min_mm=[-160,{-half:.0f},-25] --set stock.max_mm=[160,{half:.0f},0]")

@@ -8,18 +8,11 @@ from kr270_milling.cell.cell import Cell, read_cell
 
 CONFIG = Path(__file__).parent.parent / "config"
 RADIUS = 5e-3  # [m] of the cutter here
-SETTINGS = {
-    "tool.diameter_mm": 10.0,
-    "tool.teeth": 2,
-    "tool.spindle_speed_rpm": 6000.0,
-    "stock.min_mm": [-20.0, -15.0, -6.5535],  # one level is 0.1 um
-    "stock.max_mm": [20.0, 15.0, 0.0],
-    "stock.grid_step_um": 50.0,
-    "stock.floor_tolerance_um": 0.2,
-    "exchange.period_ms": 0.5,
-    "exchange.micro_step_deg": 3.0,
-    "dynamics.follow_pose": "false",
-}
+SETTINGS = [  # one level of the stock is 0.1 um
+    "tool.diameter_mm=10", "tool.teeth=2", "tool.spindle_speed_rpm=6000", "stock.min_mm=[-20,-15,-6.5535]",
+    "stock.max_mm=[20,15,0]", "stock.grid_step_um=50", "stock.floor_tolerance_um=0.2", "exchange.period_ms=0.5",
+    "exchange.micro_step_deg=3", "dynamics.follow_pose=false",
+]  # fmt: skip
 RIGID = "arm.joint_compliance_urad_per_n_m=[1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9]"
 
 HEAD = "G21 G90 S6000 M3\n"
@@ -36,5 +29,4 @@ def small_cell(folder, program: str, *assignments: str) -> Cell:
     """The cell with this G-code, written into a folder."""
     path = Path(folder) / "path.nc"
     path.write_text(program)
-    known = [f"{key}={value}" for key, value in SETTINGS.items()]
-    return read_cell(CONFIG / "test_piece.yaml", [*known, f"path.file={path}", *assignments])
+    return read_cell(CONFIG / "test_piece.yaml", [*SETTINGS, f"path.file={path}", *assignments])

@@ -25,23 +25,11 @@ RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lif
 LEARNING = "physics/compensation/learning.py"
 IMPERFECTIONS, BACKLASH = "physics/motion/imperfections.py", "physics/motion/backlash.py"
 TESTS = {
-    LOADS: ["statics"],
-    BALANCE: ["statics"],
-    MASS: ["mass"],
-    MEASURED: ["dynamics"],
-    FRACTIONAL: ["force"],
-    EDGE: ["force"],
-    SWEEP: ["force", "sweep"],
-    LOAD: ["force"],
-    MOTION: ["dynamics"],
-    MIRROR: ["revision"],
-    REVISION: ["revision"],
-    RESPONSE: ["lifted"],
-    LIFTED: ["lifted"],
-    LEARNING: ["compensator"],
-    IMPERFECTIONS: ["plant"],
-    BACKLASH: ["plant"],
-}
+    LOADS: ["statics"], BALANCE: ["statics"], MASS: ["mass"], MEASURED: ["dynamics"], MOTION: ["dynamics"],
+    FRACTIONAL: ["force"], EDGE: ["force"], LOAD: ["force"], SWEEP: ["force", "sweep"], MIRROR: ["revision"],
+    REVISION: ["revision"], RESPONSE: ["lifted"], LIFTED: ["lifted"], LEARNING: ["compensator"],
+    IMPERFECTIONS: ["plant"], BACKLASH: ["plant"],
+}  # fmt: skip
 
 #: equation, file, a text that occurs once in the file, with <<old|new>>
 MUTATIONS = [
@@ -197,8 +185,6 @@ def mutate(folder: Path, file: str, pattern: str) -> str:
     """First test that fails with the mutation, "" if it survives; afterwards the folder is restored."""
     (old, new), source = texts(pattern), folder / "kr270_milling" / file
     text = source.read_text()
-    if text.count(old) != 1:
-        return "NOT APPLIED: the text does not occur exactly once"
     try:
         source.write_text(text.replace(old, new))
         forget_compiled(folder, text)
@@ -226,7 +212,7 @@ def main(wanted: str) -> int:
             return 1
         for equation, file, pattern in chosen:
             killer = mutate(folder, file, pattern)
-            alive += not killer or killer.startswith("NOT APPLIED")
+            alive += not killer
             print(f"{equation:20} {file:26} {pattern!r:80} {killer or 'SURVIVED'}", flush=True)
     print(f"{len(chosen)} mutations, {alive} survived")
     return 1 if alive else 0

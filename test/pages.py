@@ -30,8 +30,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["PAGES", "Block", "blocks", "differences", "directory_of", "run_here", "run_page"]
-
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
     ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "kr270_milling/guide").glob("*.md")),
@@ -107,10 +105,6 @@ def differences(shown: str, printed: str) -> list[str]:
     return missing
 
 
-def _beginning(line: str, words: int) -> str:
-    return "".join(re.findall(r"\s*\S+", line)[:words]) + CUT
-
-
 def _likeness(a: str, b: str) -> float:
     return difflib.SequenceMatcher(None, a, b).ratio()
 
@@ -122,7 +116,10 @@ def updated(shown: str, printed: str) -> tuple[str, list[str]]:
         if not line or line == CUT.strip():
             lines.append(line)
             continue
-        ends = [_beginning(other, len(line.split()) - 1) for other in rest] if line.endswith(CUT) else rest
+        ends = rest
+        if line.endswith(CUT):
+            words = len(line.split()) - 1
+            ends = ["".join(re.findall(r"\s*\S+", other)[:words]) + CUT for other in rest]
         ranks = [(_alike(line, other), _likeness(_signature(line), _signature(end)), _likeness(line, end))
                  for other, end in zip(rest, ends, strict=True)]  # fmt: skip
         best = max(range(len(ends)), key=ranks.__getitem__, default=None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 import shlex
-from collections.abc import Iterator
 
 import pytest
 from pages import PAGES, ROOT, blocks, differences, directory_of, run_page, updated
@@ -20,7 +19,6 @@ from kr270_milling.recordings.messages.topics import topic_table
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 #: pages whose commands another test runs in the same way
 RUN_ELSEWHERE = {"kr270_milling/studies/identification/README.md": "test_identification_commands.py"}
-NODES = ("compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player", "milling_cell")
 
 
 def shell_lines() -> list[str]:
@@ -41,10 +39,6 @@ def rows(header: str) -> list[list[str]]:
     lines = TEXT[TEXT.index(f"\n| {header}") + 1 :].splitlines()[2:]
     end = next(i for i, line in enumerate(lines) if not line.startswith("|"))
     return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[:end]]
-
-
-def numbers(text: str) -> list[float]:
-    return [float(word) for word in re.findall(r"-?\d+(?:\.\d+)?", text)]
 
 
 def name_of(page) -> str:
@@ -97,15 +91,14 @@ def test_the_commands_of_a_page_run_and_print_what_the_page_shows(page, tmp_path
 
 
 def test_a_shown_line_that_is_not_printed_is_named_and_brought_up_to_date():
-    printed = "error 12.5 um at 3 places\n┃ pass ┃  max ┃\n│ none │ 10.3 │\nas programmed: 7 um; and more\n"
-    assert differences("error 12.4 um at 3 places\n...\n│ none │ 10.4 │\nas programmed: 7 um; ...\n", printed) == []
-    first, second = "error 12.5 um at 3 places", "│ none │ 10.3 │"
-    assert differences(f"{second}\n{first}\n", printed) == [first]  # the order counts
+    printed = "error 12.5 um at 3 places\n│ none │ 10.3 │\nas programmed: 7 um; and more\n"
+    assert differences("error 12.4 um at 3 places\n...\nas programmed: 7 um; ...\n", printed) == []
+    late = "error 12.5 um at 3 places"
+    assert differences(f"│ none │ 10.3 │\n{late}\n", printed) == [late]  # the order counts
     old = "error 0.0125 mm at 3 places\n...\nas programmed: 9 um; ...\nnothing like it\n"
     assert differences(old, printed) == [line for line in old.splitlines() if line != "..."]
-    new, lost = updated(old, printed)
-    assert new == "error 12.5 um at 3 places\n...\nas programmed: 7 um; ...\nnothing like it\n"
-    assert lost == ["nothing like it"] and differences(new, printed) == lost
+    new = "error 12.5 um at 3 places\n...\nas programmed: 7 um; ...\nnothing like it\n"
+    assert updated(old, printed) == (new, ["nothing like it"])
 
 
 def test_the_key_reference_is_what_keys_prints(capsys):
@@ -125,10 +118,9 @@ def test_the_console_scripts_and_the_oldest_python_are_those_of_the_setup():
     setup = (ROOT / "setup.py").read_text()
     assert 'python_requires=">=3.10"' in setup and "Python 3.10 to 3.13" in TEXT
     (entry,) = re.findall(r"^nodes = (\[.*\])$", setup, re.MULTILINE)
-    assert sorted(ast.literal_eval(entry)) == sorted(NODES)
     nodes = TEXT[TEXT.index("# The nodes") :]
     lines = re.search(r"```sh\n(.*?)```", nodes, re.DOTALL)[1].splitlines()
-    assert sorted(shlex.split(line)[0] for line in lines) == sorted(NODES)
+    assert sorted(shlex.split(line)[0] for line in lines) == sorted(ast.literal_eval(entry))
 
 
 def test_the_nodes_have_the_parameters_that_are_set_by_hand(world, short_cell, tmp_path):
@@ -136,16 +128,14 @@ def test_the_nodes_have_the_parameters_that_are_set_by_hand(world, short_cell, t
     from kr270_milling.live.nodes.cutting_process import CuttingProcess
     from kr270_milling.live.nodes.recorder import Recorder
 
-    made = {
+    nodes = {
         "compliant_robot": world.add(CompliantRobot, cell=short_cell, directory=tmp_path),
         "cutting_process": world.add(CuttingProcess, cell=short_cell, directory=tmp_path),
         "recorder": world.add(Recorder, "-p", f"directory:={tmp_path / 'r'}"),
-    }
+    }  # milling_cell hands its parameters to the nodes in it
     given = [(line.split()[0], key) for line in shell_lines() for key in re.findall(r"-p (\w+):=", line)]
-    given = [pair for pair in given if pair[0] in made]  # milling_cell hands its parameters to the nodes in it
-    assert len(given) == 6
-    for node, key in given:
-        assert made[node].has_parameter(key), (node, key)
+    exist = {(node, key): nodes[node].has_parameter(key) for node, key in given if node in nodes}
+    assert len(exist) > 3 and all(exist.values()), exist
 
 
 # --- tables ---
@@ -164,7 +154,7 @@ GRID, MICRO_STEP = "stock.grid_step_um", "exchange.micro_step_deg"
 )
 def test_the_convergence_table_is_what_comes_out(row, place, key, value):
     _, *cells = rows("the paper's pass")[row]
-    shown = [numbers(cell)[place] for cell in cells]
+    shown = [float(re.findall(r"\d+\.?\d*", cell)[place]) for cell in cells]
     scores = simulate(read_cell(find_file("paper.yaml"), [f"{key}={value}"])).scores
     assert shown == pytest.approx([1e6 * scores.static_deviation, 1e6 * scores.max_deviation], abs=0.00051)
 
@@ -181,20 +171,6 @@ def test_little_damping_leaves_what_is_said():
         assert compensated(cell, original, method).scores.max_deviation * 1e6 == pytest.approx(float(value), abs=0.051)
 
 
-def test_what_was_identified_and_queue_and_silence_are_as_said():
-    cell = read_cell(find_file("paper.yaml"))
-    _, depth, _, damping, _, _ = numbers(re.search(r"from Table 2: a_p = .*", TEXT)[0])
-    assert (depth, damping) == (cell.path.depth_of_cut * 1e3, cell.dynamics.damping_ratio)
-    pytest.importorskip("rclpy")
-    from kr270_milling.live.ros import topics
-    from kr270_milling.live.ros.node import SILENT
-
-    text = " ".join(TEXT.split())
-    assert f"After {SILENT:g} s of silence in mid-pass the other nodes publish a warning" in text
-    (depth,) = {t.qos.depth for t in topics.BY_NAME.values() if t.qos.durability.name == "VOLATILE"}
-    assert f"a history of {depth} messages" in text
-
-
 def test_the_fault_table_is_that_of_the_faults():
     pytest.importorskip("rclpy")
     from faults.faults import FAULTS
@@ -203,37 +179,19 @@ def test_the_fault_table_is_that_of_the_faults():
     table = rows("fault |")
     assert [row[0] for row in table] == [fault.name for fault in FAULTS]
     for row in (dict(zip(COLUMNS, row, strict=True)) for row in table):
-        assert int(row["repeats"]) >= 10 and "FAILED" not in " ".join(row.values())
-        assert row["orphans"] == "0"
+        assert int(row["repeats"]) >= 10 and row["orphans"] == "0" and "FAILED" not in " ".join(row.values())
         assert row["detected within max [s]"] == "-" or float(row["detected within max [s]"]) < 3.0
 
 
-# --- citation keys and pointers from parameter files ---
-NUMBERS = ROOT / "kr270_milling/guide/numbers.md"
-KEY = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d[a-z]?|REP\d+|MCAP)(?:, [^\]]+)?\]")
-
-
-def sources() -> Iterator[str]:
-    for folder in ("kr270_milling", "config", "test"):
-        for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in (".py", ".md", ".yaml", ".csv", ".html", ".txt") and path != NUMBERS:
-                yield path.read_text(encoding="utf-8")
-    yield (ROOT / "README.md").read_text(encoding="utf-8")
-
-
+# --- citation keys ---
 def test_every_citation_key_has_one_entry_on_the_page_of_the_numbers_and_every_entry_is_cited():
-    page = NUMBERS.read_text(encoding="utf-8")
-    before, _, references = page.partition("## References")
-    entries = KEY.findall("\n".join(re.findall("^- \\[.*", references, re.MULTILINE)))
-    cited = {key for text in (*sources(), before) for key in KEY.findall(text)}
+    numbers = ROOT / "kr270_milling/guide/numbers.md"
+    suffixes = (".py", ".md", ".yaml", ".csv", ".html", ".txt")
+    paths = [path for folder in ("kr270_milling", "config", "test") for path in (ROOT / folder).rglob("*")]
+    sources = [path for path in (ROOT / "README.md", *paths) if path.suffix in suffixes and path != numbers]
+    before, _, references = numbers.read_text(encoding="utf-8").partition("## References")
+    key = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d[a-z]?|REP\d+|MCAP)(?:, [^\]]+)?\]")
+    entries = key.findall("\n".join(re.findall(r"^- \[.*", references, re.MULTILINE)))
     assert len(entries) == len(set(entries))
-    assert set(entries) == cited
-
-
-def test_a_page_that_a_parameter_file_names_exists():
-    """A pointer names a path from the root of the repository, or from the package."""
-    for path in (ROOT / "config").glob("*.yaml"):
-        text = path.read_text(encoding="utf-8")
-        assert "README" not in text, f"{path.name} points to a README: name the page and its path"
-        for name in re.findall(r"[\w./]+\.md", text):
-            assert (ROOT / name).is_file() or (ROOT / "kr270_milling" / name).is_file(), f"{path.name}: {name}"
+    texts = [before, *(path.read_text(encoding="utf-8") for path in sources)]
+    assert set(entries) == {cited for text in texts for cited in key.findall(text)}

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import io
 import json
-import os
 import re
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hostile import POSTURE, answered, ask, refused, settings
 from json_keys import TABLES
-from numba.core.compiler_lock import global_compiler_lock
 
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.base.version import __version__
 from kr270_milling.cli import COMMANDS, _parser, main
 from kr270_milling.live.nodes.start import start
 from kr270_milling.physics.robot.analysis import analyse, read_arm
@@ -56,6 +51,7 @@ def test_help_comes_within_200_ms_without_libraries_and_shows_every_command_with
     assert ran.returncode == 0, ran.stderr
     top, *helps, _ = ran.stdout.split("END\n")
     assert "SUPPRESS" not in top and all(command.text in top for command in COMMANDS.values())
+    assert set(COMMANDS) <= set(TABLES)  # the page of the JSON keys
     for name, text in zip(COMMANDS, helps, strict=True):
         example = COMMANDS[name].load(name).example
         assert name in top and "--json" in text and f"example: kr270_milling {example}" in " ".join(text.split())
@@ -108,14 +104,6 @@ def test_stiffness_prints_the_analysis_of_a_posture_under_a_wrench_in_a_frame():
     assert all(text in ask(*words).out for text in ("KR 270-2", "tool frame", "Hz", "-1.640"))
 
 
-def test_the_page_of_json_keys_has_every_command_and_no_key_that_the_source_does_not_have():
-    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "kr270_milling").rglob("*.py"))
-    words = {word.strip("_") for word in re.findall(r"\w+", source)}
-    keys = {key for rows in TABLES.values() for key in rows if "<" not in key}
-    unit = re.compile("(_n_per_mm2?|_um|_n|s)$")  # some keys are put together from a name and a unit
-    assert set(COMMANDS) <= set(TABLES) and {key for key in keys - words if unit.sub("", key) not in words} == set()
-
-
 # --- simulate, compensate, demo, bench ---
 def test_simulate_prints_steps_time_force_area_and_scores_and_paths_from_here(tmp_path, monkeypatch):
     result = answered("simulate", "paper.yaml", *settings("path.length_mm=14.4"), "--out", tmp_path)
@@ -143,17 +131,6 @@ def test_the_demo_prints_five_passes_and_writes_report_and_series(demo):
     assert list(Path(result["out"]).rglob("*.csv"))
 
 
-def test_a_second_plain_demo_prints_first_that_it_replaces_the_report(tmp_path, monkeypatch, capsys):
-    def stop(*_):
-        raise KeyboardInterrupt
-
-    (tmp_path / "report.html").write_text("old")
-    monkeypatch.setattr("kr270_milling.show.commands.demo._plain", stop)
-    assert main(["demo", "--plain", "--out", str(tmp_path)]) == 130
-    assert "holds a report already; it is replaced" in capsys.readouterr().err
-    assert (tmp_path / "report.html").read_text() == "old"
-
-
 def test_bench_times_a_step_and_a_posture(monkeypatch, tmp_path):
     for name in ("test_piece.yaml", "test_piece.nc"):  # without the features after the first
         (tmp_path / name).write_text(find_file(name).read_text().partition("(clearing)")[0])
@@ -166,30 +143,7 @@ def test_bench_times_a_step_and_a_posture(monkeypatch, tmp_path):
     assert times["engagement_real_time_factor"] > 10 * times["teeth_real_time_factor"] > 0
 
 
-# --- Completion by the shell: commands, and the options of the command that was typed ---
-def test_a_line_is_completed_and_the_version_is_that_of_the_package(tmp_path):
-    file, program = tmp_path / "file", [sys.executable, "-m", "kr270_milling"]
-    assert subprocess.check_output([*program, "-V"], text=True) == f"kr270_milling {__version__}\n"
-    pytest.importorskip("argcomplete", reason="needs the package argcomplete")
-    for line, among, other in (
-        ("kr270_milling rep", {"replay", "report"}, "demo"),
-        ("kr270_milling compensate paper.yaml --method ", {"linear", "spline"}, "--out"),
-    ):
-        asked = {
-            "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(file), "COMP_LINE": line,
-            "COMP_POINT": str(len(line)), "_ARGCOMPLETE_COMP_WORDBREAKS": " \t\n", "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
-        }  # fmt: skip
-        subprocess.run(program, env={**os.environ, **asked}, timeout=120, check=False)
-        words = {word.strip() for word in file.read_text().split("\n")}
-        assert among <= words and other not in words
-
-
 # --- progress and tables ---
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 @pytest.fixture
 def clock(monkeypatch):
     """A clock that a test sets: ``clock[0] += 1.0``."""
@@ -198,87 +152,60 @@ def clock(monkeypatch):
     return now
 
 
-def test_one_step_states_its_share_and_the_time_left_at_the_pace_of_this_run_without_compilation(clock):
+def test_one_step_states_its_share_and_the_time_left_at_the_pace_of_this_run(clock):
     shown = Progress({"sweep": 1.0})
     with shown("sweep") as count:
         clock[0] += 4.0
-        shown.look()
         assert shown.text == "4 s so far: sweep"
         count(50, 100)  # done in an earlier run, which does not count for the pace
         clock[0] += 4.0
         count(75, 100)
-        shown.look()
-        assert shown.text == "75 %, 4 s left: sweep"
-        with global_compiler_lock, ThreadPoolExecutor(1) as other:
-            for _ in range(15):
-                clock[0] += 1.0
-                other.submit(shown.look).result()
-        assert shown.text == "75 %, 4 s left: sweep, compiling"
-        shown.look()
         assert shown.text == "75 %, 4 s left: sweep"
 
 
-#: real seconds of the steps of a command of 100 s; a method takes 2 of at most 12 passes, "stock" counts nothing
-TOOK = {"original": [20.0], "method": [10.0, 10.0], "written": [16.0], "stock": [4.0], "verdict": [40.0]}
-WEIGHTS = {"original": 1.0, "method": 3.0, "written": 1.0, "stock": 0.1, "verdict": lambda each: min(3.0 * each, 50.0)}
+def test_the_time_left_of_a_command_is_that_of_all_its_steps_and_its_share_never_decreases(clock):
+    """A step of weight 1 takes 20 s; a method has 3 passes of at most 12, which begin to count at 0 of 2."""
+    shown = Progress({"original": 1.0, "method": 3.0, "verdict": lambda each: 2.0 * each})
+    with shown("original") as count:
+        count(0, 2)
+        clock[0] += 10.0
+        count(1, 2)
+        assert shown.text == "8 %, 110 s left: original"
+        clock[0] += 10.0
+        count(2, 2)
+    with shown("method", 12) as count:
+        assert shown.left == pytest.approx(60.0 + 40.0)
+        count(0, 2)
+        clock[0] += 20.0
+        count(2, 2)
+        count(0, 2)
+        assert shown.text == "33 %, 80 s left: method, pass 2 of at most 12"
+        clock[0] += 1000.0
+        assert shown.share == pytest.approx(1 / 3)
 
 
-def test_the_line_of_a_command_only_grows_and_its_time_left_is_right_within_a_factor_of_2(clock):
-    shown, start, share = Progress(WEIGHTS), clock[0], 0.0
-    for name, passes in TOOK.items():
-        with shown(name, 12 if name == "method" else None) as count:
-            for seconds in passes:
-                for part in range(1, 21):
-                    clock[0] += seconds / 20
-                    if name != "stock":
-                        count(part, 20)
-                    over, left = clock[0] - start, shown.left
-                    assert shown.share >= share
-                    share = shown.share
-                    if 20.0 < over < 97.0:
-                        assert 0.5 < left / (100.0 - over) < 2.0, (name, over, left)
-    assert share == module.MOST and "pass" not in shown.text
-
-
-def test_off_a_terminal_a_line_comes_every_few_seconds_and_none_of_what_is_quick(capsys, monkeypatch):
+@pytest.mark.parametrize("terminal", [False, True])
+def test_share_time_and_step_are_lines_or_on_a_terminal_a_bar(terminal, capsys, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     monkeypatch.setattr(module, "LINE_PERIOD", 0.05)
+    state, shown, end = r"50 %, \d+ s left: milling", "", time.monotonic() + 20.0
     with progress("milling") as report:
         report(0, 100)
         report(50, 100)
-        end = time.monotonic() + 20.0
-        shown = ""
-        while shown.count("\n") < 2 and time.monotonic() < end:
+        while len(re.findall(state, shown)) < 2 and time.monotonic() < end:
             time.sleep(0.01)
             shown += capsys.readouterr().err
-    assert all(re.fullmatch(r"50 %, \d+ s left: milling", line) for line in shown.splitlines()) and shown
-    monkeypatch.setattr(module, "LINE_PERIOD", 60.0)
-    with progress("milling") as report:
-        report(1, 100)
-    assert capsys.readouterr().err == ""
+    assert re.search(state, shown) and (terminal or re.sub(f"{state}\n", "", shown) == "")
 
 
-def test_on_a_terminal_there_is_a_bar_that_vanishes(monkeypatch):
-    monkeypatch.setattr(sys, "stderr", Terminal())
-    monkeypatch.setattr(module, "LOOK_PERIOD", 0.01)
-    monkeypatch.setenv("TERM", "xterm")
-    with progress("original") as report:
-        report(0, 100)
-        report(30, 100)
-        end = time.monotonic() + 20.0
-        while "30 %, " not in sys.stderr.getvalue() and time.monotonic() < end:
-            time.sleep(0.01)
-    assert "s left: original" in sys.stderr.getvalue()
-
-
-@pytest.mark.parametrize("width", ["20", "200"])
-def test_no_name_and_no_number_of_a_table_is_squeezed(monkeypatch, width):
-    monkeypatch.setattr(sys, "stdout", Terminal())
-    monkeypatch.setenv("COLUMNS", width)
+def test_no_name_and_no_number_of_a_table_is_squeezed_on_a_narrow_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "20")
     names = ["pass", "largest deviation [um]", "recording"]
     print_table(TextTable("Deviation", names, [["a_long_name_of_a_pass", "12.34", "x" * 60]]))
-    shown = sys.stdout.getvalue()
+    shown = capsys.readouterr().out
     assert all(word in shown for word in ("a_long_name_of_a_pass", "12.34", "x" * 60, "largest deviation [um]"))
-    assert ("│" in shown) == (width == "200") and "…" not in shown
 
 
 @pytest.mark.parametrize(

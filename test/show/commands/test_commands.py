@@ -33,12 +33,10 @@ def cell_of(tmp_path, *words):
     return read_cell(tmp_path / "my.yaml")
 
 
-@pytest.mark.parametrize(("name", "robot"), [
-    ("fusion_haas.nc", "kr270_2"), ("fusion_grbl.nc", "kr270_r2700_ultra"), ("freecad_linuxcnc.ngc", "kr270_2"),
-    ("mastercam_fanuc.nc", "kr270_r2700_ultra"), ("linuxcnc.ngc", "kr270_2"), ("sinumerik.mpf", "kr270_r2700_ultra"),
-    ("haas.nc", "kr270_r2700_ultra"),
-])  # fmt: skip
-def test_a_cell_for_each_dialect_reaches_the_whole_pocket(tmp_path, name, robot):
+@pytest.mark.parametrize(
+    ("name", "robot"), [("fusion_haas.nc", "kr270_2"), ("sinumerik.mpf", "kr270_r2700_ultra"), ("haas.nc", "kr270_2")]
+)
+def test_a_cell_of_a_program_reaches_the_whole_pocket(tmp_path, name, robot):
     tool = ["--tool", "T1"] if name == "haas.nc" else []
     cell = cell_of(tmp_path, "--gcode", PROGRAMS / name, "--robot", robot, *tool)
     assert cell.tool.spindle_speed * 30 / np.pi == pytest.approx(5000)
@@ -91,14 +89,8 @@ def test_a_cell_without_a_program_is_a_straight_cut_and_one_of_several_tools_has
     assert "tool" not in cell and [one["diameter_mm"] for one in cell["tools"].values()] == [10.0, 6.0]
     sentence = refused("init", "--gcode", str(PROGRAMS / "haas.nc"), "--tool", "T9")
     assert "does not cut with T9; it does with T1" in sentence
-
-
-def test_json_has_the_cell_with_marked_guesses_and_the_words_of_the_program():
     answer = answered("init", "--gcode", PROGRAMS / "sinumerik.mpf")
-    assert yaml.safe_load(answer["cell"])["/**"]["ros__parameters"]["tool"]["diameter_mm"] == 10.0
-    for text in ("teeth: 4                           # yours:", "# yours: the arm", "# [source: the program's S]"):
-        assert text in answer["cell"]
-    assert answer["program"]["work_offset"] == "G54"
+    assert "# yours: the arm" in answer["cell"] and answer["program"]["work_offset"] == "G54"
 
 
 # --- keys ---
@@ -173,10 +165,9 @@ def test_the_report_of_a_directory_goes_into_it_whether_it_holds_files_or_direct
         assert ask("report", str(tmp_path / place)).code == 0
     pages = [name for name in contents(tmp_path) if name.endswith("report.html")]
     assert pages == [f"{place}/report/report.html" for place in ("directories", "files", "one")]
-    of_the_run = tmp_path / "directories" / "report.html"
-    of_the_run.write_text("of the run")
-    assert ask("report", str(tmp_path / "directories")).code == 0
-    assert "of the run" not in of_the_run.read_text()[:100]
+    old = tmp_path / "directories" / "report.html"
+    old.write_text("of the run")
+    assert ask("report", str(tmp_path / "directories")).code == 0 and "of the run" not in old.read_text()[:100]
     for place, names in (("files", ("a.mcap", "b.mcap")), ("directories", ("a",))):
         listed = ", ".join(str(tmp_path / place / name) for name in names)
         assert refused("replay", str(tmp_path / place), "--recompute").endswith(f"name one of those in it: {listed}")

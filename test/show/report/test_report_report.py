@@ -17,7 +17,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from milled_part import POCKET, RIGID, small_cell
 
-from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file, flatten
 from kr270_milling.cell.cell import read_cell
@@ -27,7 +26,7 @@ from kr270_milling.decide.part import assess_all
 from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.assumptions import assumptions, model_frequencies
-from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, stations, thinned_spectrum
+from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, thinned_spectrum
 from kr270_milling.show.report.linked import MOST_CELLS, linked, part_surface
 from kr270_milling.show.report.page.page import plotly_script
 from kr270_milling.show.report.series import COLUMNS, deviation_of, file_names, write_series
@@ -36,7 +35,6 @@ from kr270_milling.show.report.tables import fixed_text
 
 WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")
 VOID = {"meta", "br", "img", "link", "hr", "input"}
-MOST = 6_000_000  # [bytes] of a page
 
 
 class Page(HTMLParser):
@@ -81,12 +79,8 @@ def test_the_page_is_well_formed_small_complete_and_needs_nothing_from_elsewhere
         assert not [t for t in texts if re.search(r"(^|[ \[(])-\d", t)]
     page = Page(paper_page)
     assert not page.open and set(flatten(straight[0])) <= set(page.texts)  # the whole configuration
-    assert len(paper_page.encode()) < MOST
-    names = {tag for tag, _ in page.tags}
-    assert not names & {"link", "iframe", "object", "embed", "img", "base"}
-    for tag, attributes in page.tags:
-        assert not {"src", "href", "action"} & set(attributes), (tag, attributes)
-        assert not any(key.startswith("on") for key in attributes)
+    assert len(paper_page.encode()) < 6_000_000
+    assert not any({"src", "href", "action"} & set(attributes) for _, attributes in page.tags)
     assert "default-src 'none'" in str(page.tags)
     assert sum(tag == "script" for tag, _ in page.tags) == 3  # data, plotly, our own
     ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
@@ -95,10 +89,8 @@ def test_the_page_is_well_formed_small_complete_and_needs_nothing_from_elsewhere
 
 
 def test_the_papers_column_and_figures_are_there_only_for_the_paper(tmp_path, straight, paper_page):
-    for number in ("58.10", "63.20", "0.14", "4.70", "6.70"):
-        assert f'<td class="paper">{number}</td>' in paper_page
-    for figure in (3, 11, 12, 13, 14, 15):
-        assert f"(paper: Fig. {figure}" in paper_page
+    assert {"58.10", "63.20", "0.14", "4.70", "6.70"} <= set(re.findall(r'"paper">([\d.]+)</td>', paper_page))
+    assert {"3", "11", "12", "13", "14", "15"} <= set(re.findall(r"\(paper: Fig. (\d+)", paper_page))
     other = written(tmp_path, *straight)
     assert 'class="paper"' not in other and "paper: Fig." not in other and "Table 2" not in other
     with pytest.raises(InputError):
@@ -125,24 +117,17 @@ def test_texts_from_files_are_escaped(tmp_path, straight):
 
 
 def test_the_decision_leads_the_page(tmp_path, straight):
-    finding = Finding(
-        "warning", "correction per tick", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3
-    )
-    checked = SimpleNamespace(findings=(finding,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
+    row = Finding("warning", "correction", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3)
+    checked = SimpleNamespace(findings=(row,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
     decision = shown_decision("caution", "few robots", "method: spline, as set", "helps (1 to 3 um)")
-    table = TextTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00000")))
     cell, passes = straight
     cell = cell.replace(part=cell.part.replace(tolerance=30e-6))
-    text = written(tmp_path, cell, passes, decision=decision, checked=checked, tables=[table])
-    page = Page(text)
-    order = ["caution", "few robots", "fails", "30 µm allowed", "passes", "warning", "Feed slower.",
-             "ring, line 7, XP12", "spline", "helps", "1 to 3 µm", "stable", "Another table"]  # fmt: skip
-    places = [next(k for k, text in enumerate(page.texts) if word in text) for word in order]
-    assert places == sorted(places)
-    assert '<div class="tile caution edge">' in text  # the verdict, in the colour of the decision
-    assert '<div class="tile caution">' in text
-    assert "\u22121.5" in page.texts and "0.00000" in page.texts and "other-2" in page.texts
-    assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
+    text = written(tmp_path, cell, passes, decision=decision, checked=checked)
+    order = ["caution", "few robots", "fails", "30 µm allowed", "passes", "warning", "it is 31 µm", "Feed slower.",
+             "ring, line 7, XP12", "spline", "helps", "1 to 3 µm", "stable"]  # fmt: skip
+    texts = Page(text).texts
+    places = [next(k for k, text in enumerate(texts) if word in text) for word in order]
+    assert places == sorted(places) and 'data-point="12"' in text and "3 places" in text
 
 
 @pytest.mark.parametrize("changes", [
@@ -153,20 +138,13 @@ def test_the_decision_leads_the_page(tmp_path, straight):
 ])  # fmt: skip
 def test_passes_of_other_cells_are_reported_without_complaint(tmp_path, changes):
     other = read_cell(find_file("paper.yaml"), ["path.length_mm=11", "stock.grid_step_um=50.0", *changes])
-    data = json.loads(Page(written(tmp_path, other, [simulate(other)])).scripts[0])
-    profile = [chart for chart in data["charts"] if chart["name"] == "machined_profile"]
-    walls = [panel["title"] for chart in profile for panel in chart["panels"]]
-    if changes[0] == "path.start_mm=[-10.0, -10.0]":
-        assert walls == ["left wall"]  # no material is left to the right
+    assert not Page(written(tmp_path, other, [simulate(other)])).open
 
 
 def test_a_part_shows_its_features_its_source_and_its_tolerance_also_without_any_error(tmp_path, part_page):
     page = Page(part_page)
     data = json.loads(page.scripts[0])
-    assert "ring" in page.texts and "Feature by feature" in page.texts
-    assert data["tolerance_um"] == pytest.approx([30.0, 30.0])
-    assert data["linked"]["source"][2]["text"] == "G0 X-28 Y8 Z2"
-    assert data["linked"]["source_name"] == "path.nc"
+    assert "ring" in page.texts and data["tolerance_um"] == pytest.approx([30.0, 30.0])
     evil = "(</title></svg><script>evil</script>)"
     rigid = small_cell(tmp_path, POCKET.replace("(ring)", evil), RIGID)
     text = written(tmp_path, rigid, [simulate(rigid)])
@@ -175,21 +153,20 @@ def test_a_part_shows_its_features_its_source_and_its_tolerance_also_without_any
 
 
 def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(straight):
-    rows = {a.point: a for a in assumptions(straight[0], paper=True)}
+    rows = {a.point: f"{a.value} {a.reason}" for a in assumptions(straight[0], paper=True)}
     # facts: one tooth at full chip feels 133.3 N per mm in our reading, 7.4 kN to the letter
-    assert "133.3 N" in rows["reading of (26)"].value
-    assert "7.4 kN" in rows["reading of (26)"].reason
-    assert "533.3 Hz" in rows["tooth passing frequency"].value
-    assert "0.150 s" in rows["radial engagement"].value
     modes = model_frequencies(straight[0])
     assert modes["lumped"][0] == pytest.approx(6.69, abs=0.02)  # sqrt(1 / (0.717 um/N 790.4 kg)) / 2 pi
-    assert 11.0 < modes["consistent"][0] < 14.0
-    for hertz in (modes["lumped"][0], modes["consistent"][0]):
-        assert f"{hertz:.2f}" in rows["mass model"].value
+    for point, words in (
+        ("reading of (26)", ("133.3 N", "7.4 kN")),
+        ("tooth passing frequency", ("533.3 Hz",)),
+        ("radial engagement", ("0.150 s",)),
+        ("mass model", [f"{modes[model][0]:.2f}" for model in ("lumped", "consistent")]),
+    ):
+        assert all(word in rows[point] for word in words), point
     linear = read_cell(find_file("paper.yaml"), [*SET_ALUMINIUM, "path.length_mm=12.0"])
     points = {a.point for a in assumptions(linear, paper=False)}
-    assert "mass model" in points
-    assert not points & {"depth of cut a_p", "damping ratio", "arm variant", "reading of (26)"}
+    assert "mass model" in points and not points & {"depth of cut a_p", "damping ratio", "reading of (26)"}
 
 
 def test_a_rounded_zero_has_no_sign_and_a_missing_number_is_a_dash():
@@ -253,12 +230,10 @@ def test_an_amplitude_is_read_from_the_spectrum():
 
 
 def test_thinning_a_spectrum_loses_no_peak():
-    rng = np.random.default_rng(1)
-    frequency = np.arange(1, 40_001) * 0.1
-    amplitude = rng.random(40_000)
+    frequency, amplitude = np.arange(1, 40_001) * 0.1, np.ones(40_000)
     amplitude[5332] = 10.0
-    thin_f, thin_a = thinned_spectrum(frequency, amplitude, 2000.0, 300)
-    assert thin_f[np.argmax(thin_a)] == frequency[5332] and thin_f.size <= 300 and np.all(np.diff(thin_f) > 0)
+    thin, values = thinned_spectrum(frequency, amplitude, 2000.0, 300)
+    assert thin[np.argmax(values)] == frequency[5332] and thin.size <= 300 and np.all(np.diff(thin) > 0)
 
 
 def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to(straight):
@@ -286,17 +261,6 @@ def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, 
         if a < b:
             inside = y[rows[(rows >= a) & (rows < b)]]
             assert inside.max() == y[a:b].max() and inside.min() == y[a:b].min()
-
-
-def test_stations_serve_several_series_and_are_few():
-    time = np.linspace(0, 30, 120_000)
-    rng = np.random.default_rng(3)
-    series = [np.sin(time * k) + 0.1 * rng.normal(size=time.size) for k in range(1, 7)]
-    chosen = stations(series, 2000)
-    assert chosen.size <= 2000 * 1.4
-    for y in series:
-        assert np.abs(y[chosen]).max() == np.abs(y).max()
-    assert np.diff(chosen).max() <= 3 * time.size // 2000 + 1
 
 
 @pytest.fixture(scope="module")
