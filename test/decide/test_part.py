@@ -123,36 +123,22 @@ def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
 
 
 # --- The shipped cell of the test piece ---
-COARSE = ("stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0")
-
-
-def piece(folder, *names: str):
-    """The cell of the test piece with some of its features only."""
-    keep, copied, path = True, [], folder / "short.nc"
+def features_of_the_test_piece(*names: str) -> str:
+    """Return the shipped program with some of its features only."""
+    lines, used = [], True
     for line in (CONFIG / "test_piece.nc").read_text().splitlines():
-        if line.startswith("("):
-            keep = line.strip("()") in names
-        if keep or line.startswith(("N540", "N550")):
-            copied.append(line.replace("M3", "M3 F4000"))
-    path.write_text("\n".join(copied) + "\n")
-    return read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
-
-
-def test_the_square_is_left_too_large_by_tens_of_micrometres(tmp_path):
-    cell = piece(tmp_path, "square", "inclined_side")
-    part = assess(cell, simulate(cell))
-    square, inclined = part.rows
-    assert (square.name, inclined.name) == ("square", "inclined_side")
-    # half immersion, 1.2 mm deep: a mean force of some 90 N at 0.5 to 0.8 um/N; climb milling pushes the tool away
-    assert 30e-6 < square.mean_wall < 80e-6 and inclined.mean_wall < square.mean_wall
-    made = part.surface.walls.error[part.surface.walls.feature == part.path.features.index("square")]
-    assert np.quantile(made, 0.02) > 0
-    assert square.cut_length == pytest.approx(385e-3, rel=0.05)  # four sides of 100 mm less what the entry leaves
+        used = line.strip("()") in names if line.startswith("(") else used
+        if used or line.startswith(("N540", "N550")):
+            lines.append(line.replace("M3", "M3 F4000"))
+    return "\n".join(lines) + "\n"
 
 
 def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):
     """Sharp corners, helix, axial force and inertia of the arm. A fifth was asked for; a coarser cut is simulated."""
-    cell = piece(tmp_path, "diamond")
+    path = tmp_path / "diamond.nc"
+    path.write_text(features_of_the_test_piece("diamond"))
+    coarse = "stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0", f"path.file={path}"
+    cell = read_cell(CONFIG / "test_piece.yaml", coarse)
     assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
     original = simulate(cell)
     before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))
@@ -166,36 +152,33 @@ def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_c
 FAR = HEAD + "(far)\nG0 X-100 Y-50 Z-1\nG1 X100 Y50 F3000\n"
 
 
-def static_and_lowest(transition, input_matrix, output, feedthrough) -> tuple[np.ndarray, float]:
-    """Deflection under a wrench that stays, (3, 3), and the angle of the slowest mode in one period [rad]."""
-    static = output @ np.linalg.solve(np.eye(len(transition)) - transition, input_matrix) + feedthrough
-    return static[:3, :3], np.abs(np.angle(np.linalg.eigvals(transition))).min()
+def static(transition, input_matrix, output, feedthrough) -> np.ndarray:
+    """Deflection under a force that stays, (3, 3)."""
+    return (output @ np.linalg.solve(np.eye(len(transition)) - transition, input_matrix) + feedthrough)[:3, :3]
 
 
-def interpolation_error(folder, spacing_mm: float) -> np.ndarray:
-    """Largest relative error of translational compliance and of the lowest frequency, over exchanges along FAR."""
+def interpolation_error(folder, spacing_mm: float) -> float:
+    """Largest relative error of the static compliance, over exchanges along FAR."""
     cell = small_cell(folder, FAR, "dynamics.follow_pose=true", f"dynamics.posture_spacing_mm={spacing_mm}")
     target = cell.target()
     model = cell.arm_model(target)
     steps = np.arange(0, cell.clock.steps(target.duration_ns), 37)  # exchanges; 37 meets every place between postures
     stamps = cell.clock.stamp(steps)
     joints = cell.joints_at(target.sample(stamps), target.sample_orientation(stamps))
-    exact = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, joints)
-    worst = np.zeros(2)
-    for step, mode in zip(steps, exact, strict=True):
-        k, part = divmod(step / model.steps_per_knot, 1.0)
-        arrays = [a[int(k)] + part * (a[int(k) + 1] - a[int(k)]) for a in model.arrays[:4]]
-        soft, lowest = static_and_lowest(*arrays)
-        right, exactly = static_and_lowest(*discretise(mode, cell.dynamics.damping_ratio, cell.clock.period))
-        worst = np.maximum(worst, [np.abs(soft - right).max() / np.abs(right).max(), abs(lowest / exactly - 1)])
+    modes = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, joints)
+    worst = 0.0
+    for step, mode in zip(steps, modes, strict=True):
+        knot, part = divmod(step / model.steps_per_knot, 1.0)
+        soft = static(*(a[int(knot)] + part * (a[int(knot) + 1] - a[int(knot)]) for a in model.arrays[:4]))
+        exact = static(*discretise(mode, cell.dynamics.damping_ratio, cell.clock.period))
+        worst = max(worst, np.abs(soft - exact).max() / np.abs(exact).max())
     return worst
 
 
-def test_postures_5_mm_apart_give_stiffness_and_frequency_to_1e_3_and_the_error_falls_with_the_square(tmp_path):
+def test_postures_5_mm_apart_give_the_stiffness_to_1e_3_and_the_error_falls_with_the_square(tmp_path):
     """5 mm is the shipped spacing; joint compliances are known to a few per cent."""
     finest, fine, coarse = (interpolation_error(tmp_path, spacing) for spacing in (5.0, 20.0, 40.0))
-    assert finest.max() < 1e-3
-    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.4)
+    assert finest < 1e-3 and coarse / fine == pytest.approx(4.0, rel=0.4)
 
 
 # --- Errors of walls and floors for deviations that are known beforehand ---
@@ -327,35 +310,26 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
 def test_the_stl_of_a_pass_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(
     cell, ran, tmp_path, monkeypatch
 ):
-    path, cut = tmp_path / "part.stl", machined(cell, ran.result.tool)
-    write_stl(path, cut, cut.map_heights())
-    swept = path.read_bytes()
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.machined", None)  # the map of the pass is fine enough
-    written = write_part(path, cell, ran.result)
+    path, stock, chips = tmp_path / "part.stl", cell.stock, 1e9 * ran.result.removed_volume
+    count = write_part(path, cell, ran.result)
     data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
-    assert data == swept
+    assert struct.unpack_from("<I", data, 80) == (count,)
+    assert len(data) == 84 + 50 * count and not data.startswith(b"solid")
     monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
-    assert 10_000 < write_stl(path, cut) <= 20_000  # a large part is coarser
-    (count,) = struct.unpack_from("<I", data, 80)
-    assert count == written and len(data) == 84 + 50 * count and not data.startswith(b"solid")
+    assert 10_000 < write_stl(path, machined(cell, ran.result.tool)) <= 20_000  # a large part is coarser
     rows = np.array([struct.unpack_from("<12f", data, 84 + 50 * k) for k in range(count)])
     corners, normals = rows[:, 3:].reshape(-1, 3, 3), rows[:, :3]
-
     _, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     number = number.reshape(-1, 3)
     edges = np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]])
     one_way, times = np.unique(edges, axis=0, return_counts=True)
     assert times.max() == 1  # two triangles share each edge, and run it in opposite directions
     np.testing.assert_array_equal(one_way, np.unique(edges[:, ::-1], axis=0))
-
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1)
     np.testing.assert_allclose(np.sum(cross * normals, axis=1), length, rtol=1e-5)
     assert length.min() > 0
-
     volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
-    chips = cut.removed_volume * 1e9
-    assert volume == pytest.approx(np.prod(cut.stock.max - cut.stock.min) * 1e9 - chips, abs=0.01 * chips)
-    assert chips > 200
-    np.testing.assert_allclose(corners.reshape(-1, 3).min(0), cut.stock.min * 1e3, atol=1e-5)
-    np.testing.assert_allclose(corners.reshape(-1, 3).max(0), cut.stock.max * 1e3, atol=1e-5)
+    assert volume == pytest.approx(np.prod(stock.max - stock.min) * 1e9 - chips, abs=0.01 * chips)
+    np.testing.assert_allclose(corners.reshape(-1, 3).min(0), stock.min * 1e3, atol=1e-5)
+    np.testing.assert_allclose(corners.reshape(-1, 3).max(0), stock.max * 1e3, atol=1e-5)

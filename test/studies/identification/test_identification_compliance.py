@@ -16,7 +16,6 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.plant import perturbed
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.physics.robot.elastostatics import equilibrium
@@ -152,27 +151,6 @@ def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
         fit_compliance(Problem(ARM, MOUNT, tests))
     with pytest.raises(SoftArmError, match="no equilibrium under the load of row"):
         Problem(ARM, MOUNT, tests).predict(np.full(6, 1e4))
-
-
-# --- Identified intervals reach the plants of the verdict ---
-SPREADS = [0.01, 0.02, 0.04, 0.08, 0.16, 0.32]
-
-
-def known(cell) -> list[float]:
-    law = cell.cutting.linear_edge
-    return [*cell.arm.joint_compliance, law.tangential_cutting, law.axial_cutting, law.axial_edge]
-
-
-@pytest.mark.parametrize(
-    ("given", "axial"), [([0.05, 0.1, 0.1, 0.1], [0.3, 0.3]), ([0.05, 0.1, 0.1, 0.1, 0.2, 0.3], [0.2, 0.3])]
-)
-def test_each_joint_and_each_coefficient_scatters_by_its_own_spread(given, axial):
-    """Log-normal of relative deviation v: ln has the deviation sqrt(ln(1 + v^2)); 400 samples know it to 3.5 %."""
-    settings = "cutting.linear_edge.axial_edge_n_per_mm=-3", "uncertainty.tool_wear=0.0"
-    spreads = f"uncertainty.joint_compliances={SPREADS}", f"uncertainty.force_coefficients={given}"
-    cell, rng = read_cell(find_file("test_piece.yaml"), [*settings, *spreads]), np.random.default_rng(6)
-    drawn = np.log(np.array([known(perturbed(cell, rng)) for _ in range(400)]) / known(cell)).std(0)
-    assert drawn == pytest.approx(np.sqrt(np.log1p(np.square([*SPREADS, 0.05, *axial]))), rel=0.12)
 
 
 # --- Plans of load tests: the design is what it claims, the exchange finds the best of what can be enumerated ---
