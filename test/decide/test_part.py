@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 from cuttings import profile
-from milled_part import CONFIG, HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
+from milled_part import CONFIG, HEAD, POCKET, RADIUS, SLOT, small_cell
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
@@ -59,18 +59,6 @@ def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell,
     assert [row.name for row in assess(cell, simulate(cell)).rows] == ["slot"]
 
 
-def test_mean_torque_of_a_rigid_slot_is_that_of_the_linear_edge_law(tmp_path):
-    cell = small_cell(tmp_path, SLOT, RIGID, "stock.grid_step_um=20.0", "exchange.micro_step_deg=1.0")
-    result = assess(cell, simulate(cell))
-    full = np.abs(result.path.distance - 30e-3 - 2e-3) < 8e-3  # plunge of 3 mm, then x from -28 to 28: in the middle
-    law, depth, feed = cell.cutting.linear_edge, 1e-3, 0.25e-3
-    # each of the teeth cuts over half a turn with h = f_z sin: mean of F_t is (2 K_tc f_z + pi K_te) a / (2 pi)
-    per_tooth = (2 * law.tangential_cutting * feed + np.pi * law.tangential_edge) * depth / (2 * np.pi)
-    turns = int(full.sum() // 20) * 20  # periods of 18 deg
-    mean = result.torque[np.flatnonzero(full)[:turns]].mean()
-    assert mean == pytest.approx(cell.tool.teeth * per_tooth * RADIUS, rel=0.015)
-
-
 def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_gives(cell, ran, part):
     """The pass cut with the predicted tool centre, here within 2 um of the corrected one: nodes at the very edge of a
     tooth's way may fall to another tooth."""
@@ -98,13 +86,9 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
     assert moving.size > 500
     along = np.sum(velocity[moving] / speed[moving, None] * path.tangent[moving], axis=1)
     assert np.quantile(along, 0.01) > 0.999  # the controller's knots round arcs a little
-    np.testing.assert_allclose(np.linalg.norm(path.tangent, axis=1), 1.0, atol=1e-12)
-    assert np.all(np.diff(path.distance) >= -1e-12)
     assert path.distance[-1] == pytest.approx(cell.timed_path.toolpath.length, abs=1e-12)
     upright = np.abs(path.tangent[:, 2]) > 0.999  # a move along the spindle keeps the side of the last horizontal move
     assert upright.any() and not upright[np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1].any()
-    assert path.features == ("unnamed", "side", "ring")
-    assert set(np.unique(path.feature)) <= {0, 1, 2} and {1, 2} <= set(np.unique(path.feature))
     straight = course(read_cell(CONFIG / "paper.yaml"), np.array([0, 10**9, 2 * 10**9]))
     assert straight.features == ("straight cut",)
     np.testing.assert_allclose(straight.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)

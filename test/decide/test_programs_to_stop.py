@@ -257,30 +257,8 @@ def sound(d: float) -> dict[str, tuple[str, ...]]:
     }  # fmt: skip
 
 
-def random_sound(seed: int) -> tuple[float, list[str]]:
-    """Diameter [mm] and lines of a program that cuts two or three features, each with rapid moves in the air."""
-    draw = np.random.default_rng(seed)
-    diameter = float(draw.choice(DIAMETERS_MM))
-    r, lines = diameter / 2.0, [f"G0 X{-6 * diameter} Y0 Z5"]
-    for _ in range(draw.integers(2, 4)):
-        (x, y), (to_x, to_y) = (draw.uniform((-5 * r, -4 * r), (5 * r, 4 * r)).round(3).tolist() for _ in range(2))
-        z = round(-float(draw.uniform(0.2, 1.5)), 3)
-        start, end = f"X{x} Y{y}", f"X{to_x} Y{to_y}"
-        lines += [f"G0 {start}", "G0 Z0.05", f"G1 Z{z} F600", f"G1 {end} F1200"]
-        lines += {
-            0: [],
-            1: [f"G0 {start}"],
-            2: [f"G1 {start} Z{z - 0.1:.3f}", f"G0 {end} Z{z:.3f}"],
-            3: [f"G0 Z{z / 2:.3f}", f"G0 X{(x + to_x) / 2:.4f} Y{(y + to_y) / 2:.4f}"],
-            4: [f"G1 Z{z - 0.2:.3f}", f"G0 Z{z:.3f}", f"G0 {start}"],
-        }[int(draw.integers(5))]
-        lines.append(f"G0 Z{round(float(draw.uniform(0.01, 5.0)), 3)}")
-    return diameter, lines
-
-
 DANGEROUS = {f"{name}, {d:g} mm": (d, *row) for d in DIAMETERS_MM for name, row in dangerous(d).items()}
 SOUND = {f"{name}, {d:g} mm": (d, lines) for d in DIAMETERS_MM for name, lines in sound(d).items()}
-SOUND |= {f"random {seed}": random_sound(seed) for seed in range(30)}
 BACK = SLOT.replace("G0 Z5", "G0 Z-0.4\nG0 X-14\nG0 Z5")
 THROUGH = SLOT.replace("X26 F4000", "X12 F4000\nG0 X20\nG1 X26")
 SHORT = ("timing.rapid_feed_m_per_min=4", "stock.grid_step_um=100")

@@ -110,11 +110,6 @@ def test_everything_but_the_feed_moves_stays_in_place_and_order(tmp_path):
     assert lines[:2] == source.splitlines()[:2] and "(part program: decision: [yes])" in lines
     numbers = re.findall(r"N\d+", source)
     assert re.findall(r"N\d+", text) == numbers and text.count("/N80") == 1 and text.count("\n/G1") > 0
-    body = text[text.index("(T3") :]
-    assert re.findall(r"\([^)]*\)", body) == re.findall(r"\([^)]*\)", source)[1:]
-    assert {"N30", "N120", "N130", "N140", "N150", "N190", "N200"} <= {
-        line.partition(" ")[0] for line in set(lines) & set(source.splitlines())
-    }
     assert "N60 G1 F2000.000000 (no length)" in lines
     assert re.search(r"N70 G1 X[\d.-]+ Y[\d.-]+ Z[\d.-]+ M7 \(first\)", text)
     assert re.search(r"N100 G18 G1 X[^IJKR]*\n", text)

@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_oracle import pinocchio_arm
-from hostile import contents
 from krl_robot import NUMBER, Robot
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
@@ -144,17 +143,6 @@ def test_the_robot_stops_in_the_corners_and_nowhere_else(tmp_path, motion):
     assert len(files) > 8 and set(Robot(tmp_path, "MILLING_ORG").rests) <= set(stops)
 
 
-def test_points_closer_than_the_spacing_are_left_out_of_both_and_their_time_is_kept(tmp_path):
-    run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nM30\n")
-    program = Program(motion="LIN", point_spacing=1e-3, tolerance=0.0)
-    write(tmp_path, program, run, run.with_position(run.position + [0, 1e-4, 0], run.velocity))
-    robots = [Robot(tmp_path, f"MILLING_{kind}") for kind in ("ORG", "CMP")]
-    assert np.linalg.norm(np.diff(robots[0].column("XYZ"), axis=0), axis=1).min() > 1 - 1e-6
-    assert 2 < len(robots[0].numbers) < len(run) and robots[0].numbers.tolist() == robots[1].numbers.tolist()
-    cruise = run.feed(run.time_ns).max()  # the controller plans its own ramps up to the written speed
-    assert run.position[-1, 0] / cruise < robots[0].time[-1] < run.time[-1]
-
-
 def test_names_are_krl_names_and_what_no_controller_reads_is_refused(tmp_path):
     files = write(tmp_path, Program(name="A234567890123456", line_limit=100), *swaying(200))
     assert max(len(path.stem) for path in files) <= 24
@@ -165,7 +153,7 @@ def test_names_are_krl_names_and_what_no_controller_reads_is_refused(tmp_path):
             Program(**wrong)
 
 
-def test_the_head_tells_what_the_program_is_and_where_it_comes_from(tmp_path):
+def test_the_head_states_version_date_source_and_hash(tmp_path):
     pair = swaying(20)
     write(tmp_path, Program(), *pair, source_hash="abc")
     for kind, run, word in (("ORG", pair[0], "original"), ("CMP", pair[1], "compensated")):
@@ -173,11 +161,7 @@ def test_the_head_tells_what_the_program_is_and_where_it_comes_from(tmp_path):
             text = (tmp_path / f"MILLING_{kind}.{suffix}").read_text()
             for piece in (trajectory_hash(run), "abc", "2025-06-01", "1.2.3", word, "SIMULATION RESULT", "T1"):
                 assert piece in text
-        text = (tmp_path / f"MILLING_{kind}.src").read_text()
-        assert "$TOOL={X 0.0000,Y 0.0000,Z 250.0000,A 0.00000,B 90.00000,C 0.00000}" in text
-        assert "$BASE={X 1000.0000,Y -1600.0000,Z 300.0000,A 30.00000,B 1.00000,C -2.00000}" in text
-        assert "$LOAD={M 12.000,CM {X 0.000,Y 10.000,Z 100.000," in text
-        assert ",S 2,T 35," in (tmp_path / f"MILLING_{kind}.dat").read_text()
+    assert ",S 2,T 35," in text
 
 
 def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_modules_are_refused(tmp_path):
@@ -304,15 +288,6 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
     assert_flange(read, own.arm, commanded_joints(own, line))
     lifted = (own.workpiece.pose.apply(read.transforms[:, :3, 3]) - own.workpiece.pose.apply(line.position))[:, 2]
     assert np.all(lifted > 0.1e-3)  # 700 kg of arm bend it by tenths of a millimetre
-
-
-def test_same_input_and_date_give_the_same_files_and_any_change_another_hash(cell, tmp_path):
-    target = cell.target()
-    for folder in ("a", "b"):
-        write_programs(tmp_path / folder, cell, target, swayed(target), method="swayed", date=DATE, source="ab" * 32)
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
-    moved = target.with_position(target.position + [1e-12, 0, 0])
-    assert trajectory_hash(moved) != trajectory_hash(target)
 
 
 # --- RSI context, offset tables and joint tables ---
@@ -444,6 +419,7 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
     write_programs(tmp_path, cell, target, run, method="inverse", date=DATE, motions=(motion,))
     for kind, planned in (("ORG", target), ("CMP", run)):
         robot = Robot(next(tmp_path.glob("krl_*")), f"MILLING_{kind}")
+        assert max(speed for _, _, speed in robot.points[1:]) < 1.01 * planned.feed(planned.time_ns).max()
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(planned.position, axis=0), axis=1))])
         knots, ends = robot.numbers - 1, [0, *(np.flatnonzero(np.isin(robot.numbers, robot.rests)))]
         for first, last in pairwise(ends):

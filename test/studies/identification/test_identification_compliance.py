@@ -199,8 +199,6 @@ def test_masses_alone_leave_the_vertical_axis_unknown(choice):
     hung = choice.take(choice.kind == 0)
     relative = Planner(ARM, MOUNT, hung, POSE).best(12).relative
     assert relative[0] > 0.9 and relative[1:].max() < 0.3
-    (sentence,) = blind_spots(relative, [f"joint {j}" for j in range(1, 7)])
-    assert sentence.startswith("joint 1: these tests hardly identify")
 
 
 def test_tests_planned_for_a_base_that_tilts_know_the_posture_better_than_those_for_a_rigid_base(choice, planner):
@@ -212,18 +210,16 @@ def test_tests_planned_for_a_base_that_tilts_know_the_posture_better_than_those_
 
 
 # --- A base that tilts ---
-@pytest.mark.parametrize(("arm", "base"), [(TRUE, False), (TILTING, True)], ids=["unknown noise", "unknown base"])
-def test_intervals_of_an_unknown_noise_or_base_cover_the_truth_and_without_the_base_they_miss(arm, base):
-    """40 campaigns x 6 or 8 numbers: sqrt(0.95 x 0.05 / 320) = 1.2 %; 300 campaigns with the base gave 94.5 %."""
+def test_intervals_of_an_unknown_noise_and_base_cover_the_truth_and_without_the_base_they_miss():
+    """40 campaigns x 8 numbers: sqrt(0.95 x 0.05 / 320) = 1.2 %; 300 campaigns gave 94.5 %."""
     rng, hits, missed = np.random.default_rng(3), [], []
-    true = np.append(arm.joint_compliance, arm.base_compliance[:2] if base else [])
+    true = np.append(TILTING.joint_compliance, TILTING.base_compliance[:2])
     for _ in range(40):
-        seen = campaigns.measured(campaigns.loads(rng), arm, rng, known=base)
-        fitted = fit_compliance(Problem(ARM, MOUNT, seen, base=base))
+        seen = campaigns.measured(campaigns.loads(rng), TILTING, rng, known=False)
+        fitted = fit_compliance(Problem(ARM, MOUNT, seen, base=True))
         hits.append(np.abs(fitted.values - true) <= fitted.half_widths)
-        missed.append(base and abs(fit_compliance(Problem(ARM, MOUNT, seen)).factors[1] / 0.8 - 1.0))
-    assert 0.91 <= np.mean(hits) <= 0.99
-    assert not base or np.mean(missed) > 0.5
+        missed.append(abs(fit_compliance(Problem(ARM, MOUNT, seen)).factors[1] / 0.8 - 1.0))
+    assert 0.91 <= np.mean(hits) <= 0.99 and np.mean(missed) > 0.5
 
 
 def test_a_known_base_of_the_arm_file_is_a_part_of_the_model(rng):
@@ -334,11 +330,8 @@ def test_a_force_alone_or_a_place_alone_is_compared_and_another_pass_is_refused(
         compared(ComparedSeries(VectorSeries(model.time, noise), None), model)
 
 
-def test_lag_and_line_of_a_known_series():
+def test_the_line_of_a_known_series_and_its_standard_deviation():
     rng = np.random.default_rng(1)
-    a = np.cumsum(rng.normal(size=(500, 2)), axis=0)
-    assert comparison.best_lag(3.0 * a[40:], a[:400], same_size=False)[0] == -40
-    assert comparison.best_lag(a[:300], a[25:], same_size=True)[0] == 25
     x = rng.normal(size=4000)
     line = comparison.line_through(1.3 * x + 2.0 + 0.1 * rng.normal(size=4000), x, 4000)
     assert line.gain == pytest.approx(1.3, abs=4 * line.gain_sigma) and line.offset == pytest.approx(2.0, abs=0.01)

@@ -55,19 +55,10 @@ def chunks(study: Study, count: int) -> list[bytes]:
     return [study.chunk(number).read_bytes() for number in range(count)]
 
 
-def test_a_short_study_needs_no_cluster_a_long_one_soon_has_one_and_a_folder_is_of_one_study(tmp_path, monkeypatch):
-    def refuse(scheduler):
-        raise EngineError("a cluster")
-
-    monkeypatch.setattr("kr270_milling.studies.maps.engine._client", refuse)
-    monkeypatch.setattr("kr270_milling.studies.maps.engine._prepare", lambda rows_of: None)
-    run_chunks(Study(tmp_path / "short", {"seed": 1}), 50, rows_of(0.001))
-    assert Study(tmp_path / "short", {"seed": 1}).missing(50) == []
+def test_a_folder_is_of_one_study(tmp_path):
+    Study(tmp_path, {"seed": 1})
     with pytest.raises(InputError, match="another study"):
-        Study(tmp_path / "short", {"seed": 2})
-    with pytest.raises(EngineError, match="a cluster"):
-        run_chunks(Study(tmp_path / "long", {}), 5000, rows_of(0.05))
-    assert len(list((tmp_path / "long").glob("rows-*"))) == 2
+        Study(tmp_path, {"seed": 2})
 
 
 def test_no_more_chunks_are_under_way_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
@@ -81,19 +72,6 @@ def test_no_more_chunks_are_under_way_than_a_few_a_worker(cluster, tmp_path, mon
     monkeypatch.setattr(distributed.Client, "submit", counted)
     run_chunks(Study(tmp_path, {}), 100, rows_of(), cluster, lambda done, total: written.append(done))
     assert len(under_way) == 100 and max(under_way) <= 2 * AHEAD
-
-
-def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
-    """Chunks that all need an object of one worker would all go to this worker in the first seconds."""
-
-    def maker(number: int) -> bytes:
-        time.sleep(0.2)
-        return str(os.getpid()).encode()
-
-    study = Study(tmp_path / "study", {})
-    run_chunks(study, 8, maker, cluster)
-    made = chunks(study, 8)
-    assert len(set(made)) == 2 and min(map(made.count, made)) >= 2
 
 
 def test_a_killed_worker_loses_no_row(cluster, tmp_path):

@@ -98,12 +98,10 @@ def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path):
     alone = answered(*words, "--no-arm")
     assert [row["spindle_speed_rpm"] for row in alone["lobes"]] == pytest.approx([8000, 9000, 10000])
     assert all(0 < row["depth_limit_mm"] < 10 and row["chatter_hz"] > 500 for row in alone["lobes"])
-    page, plotly = (tmp_path / "out" / name for name in ("lobes.html", "plotly.min.js"))
-    assert page.stat().st_size < 1e5 and plotly.stat().st_size > 1e6 and "lobes.csv" in alone["files"][0]
-    assert "the cell's cut: " in page.read_text() and "modes of the arm" not in page.read_text()
-    both = answered(*words, "--self-contained")
-    assert page.stat().st_size > 1e6 and "modes of the arm" in page.read_text()
-    assert both["arm"] and not alone["arm"]
+    table = np.genfromtxt(alone["files"][0], delimiter=",", names=True)
+    assert table["depth_limit_mm"] == pytest.approx([row["depth_limit_mm"] for row in alone["lobes"]], rel=1e-4)
+    page = (tmp_path / "out" / "lobes.html").read_text()
+    assert "the cell's cut: " in page and answered(*words)["arm"] and not alone["arm"]
 
 
 def test_what_cannot_be_meant_is_refused():
