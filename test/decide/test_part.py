@@ -68,11 +68,8 @@ def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_give
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     np.testing.assert_array_equal(heights_at(cut, points).reshape(z.shape), z)
     swept = dataclasses.replace(ran, result=dataclasses.replace(ran.result, heights=None))
-    first, again = assess_all(cell, [ran, swept])
-    assert first.table() == part.table()  # both passes share the ideal part
-    differ = np.abs(part.surface.floors.error - again.surface.floors.error)
+    differ = np.abs(part.surface.floors.error - assess(cell, swept).surface.floors.error)
     assert np.nanquantile(differ, 0.999) <= part.surface.floor_resolution
-    assert part.whole.max_floor == pytest.approx(again.whole.max_floor, abs=ran.result.correction.max())
 
 
 # --- Directions, distances and features along a pass ---

@@ -179,7 +179,6 @@ def written(folder, rows: list[dict], separator: str = ",") -> str:
 
 def identified(kind: str, table: str, *words: str) -> tuple[int, str]:
     answer = ask("identify", kind, table, *words)
-    assert "Warning" not in answer.out + answer.err
     return answer.code, answer.out + answer.err
 
 
