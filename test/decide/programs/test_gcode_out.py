@@ -45,7 +45,7 @@ N190 G28 G91 Z0
 N200 M30
 %
 """
-DIGIT = np.sqrt(3) * 0.05e-6  #: [m], half of the last digit along each axis
+INCHES = re.sub(r"([XYZIJRF])(-?[\d.]+)", lambda w: f"{w[1]}{float(w[2]) / 25.4:.6f}", PART.replace("G21", "G20"))
 
 
 def rows_of(path) -> list[np.ndarray]:
@@ -69,9 +69,10 @@ def far(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     return nearest
 
 
+@pytest.mark.parametrize(("program", "half_digit"), [(PART, 0.05e-6), (INCHES, 0.127e-6)], ids=["G21", "G20"])
 @pytest.mark.parametrize("tolerance_um", [2.0, 20.0])
-def test_the_read_program_is_the_corrected_path(tmp_path, tolerance_um):
-    cell = small_part(tmp_path, PART, f"program.tolerance_um={tolerance_um}")
+def test_the_read_program_is_the_corrected_path(tmp_path, program, half_digit, tolerance_um):
+    cell = small_part(tmp_path, program, f"program.tolerance_um={tolerance_um}")
     run = swayed(cell.target(), 0.1e-3)
     path, (written,) = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23")
     read = read_gcode(path)
@@ -80,16 +81,16 @@ def test_the_read_program_is_the_corrected_path(tmp_path, tolerance_um):
     times = np.linspace(0, run.duration_ns, 20_000).astype(np.int64)
     fine, block = run.sample(times), cell.timed_path.block_at(times)
     cut = (~cell.timed_path.toolpath.rapid & ~cell.timed_path.toolpath.drilling)[block]
-    tolerance = 1e-6 * tolerance_um
+    tolerance, digit = 1e-6 * tolerance_um, np.sqrt(3) * half_digit
     half = len(times) // 2
     for row, programmed, now in zip(rows, source, (slice(0, half), slice(half, None)), strict=True):
         planned = fine[now][cut[now]]
-        assert far(row, fine[now]).max() < 0.1e-6 + DIGIT  # each written point is on the corrected path
-        assert far(planned, row).max() < tolerance + DIGIT  # and the lines between them follow that path
+        assert far(row, fine[now]).max() < 0.1e-6 + digit  # each written point is on the corrected path
+        assert far(planned, row).max() < tolerance + digit  # and the lines between them follow that path
         assert far(planned, row).max() <= written.error + 0.1e-6
         for end in (0, -1):  # not on the programmed one
             assert 20e-6 < np.linalg.norm(row[end] - programmed[end]) < 0.2e-3
-    assert written.error < tolerance + DIGIT
+    assert written.error < tolerance + digit
     assert written.blocks == sum(len(row) - 1 for row in rows) and written.source_blocks == 8
     assert written.duration == pytest.approx(written.planned_duration, rel=0.1)
     assert written.planned_duration == pytest.approx(run.duration_ns * 1e-9, rel=0.01)  # no joint is at its limit

@@ -426,6 +426,9 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
             gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
             assert gap.max() < program.tolerance + 0.1 * UM  # frames are written to 0.1 um
     assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
+    apart = point_numbers(program.replace(point_spacing=1e-3, tolerance=0.0), target, run)
+    for planned in (target, run):
+        assert np.linalg.norm(np.diff(planned.position[apart], axis=0), axis=1).min() >= 1e-3
     coarse = np.diff(run.time_ns[point_numbers(program.replace(tolerance=1e-3), target, run)])
     assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
 
