@@ -300,10 +300,7 @@ def test_the_paper_is_helped_and_its_bands_enclose_the_model(cell, pair):
     low, middle, high = verdict.band("original")
     assert verdict.word == HELPS and low < original.scores.max_deviation < high and low < middle < high
     assert np.all(verdict.compensated < 0.7 * verdict.original)  # each one, though forces that differ by 30 % overlap
-    expected = {"samples": 12, "seed": 1, "failed": 0, "quantity": "largest path deviation", "within_tolerance": None}
-    values = verdict.as_dict()
-    assert expected.items() <= values.items()
-    assert values["original_um"] == pytest.approx([1e6 * v for v in (low, middle, high)])
+    assert verdict.as_dict()["original_um"] == pytest.approx([1e6 * v for v in (low, middle, high)])
 
 
 def test_a_seed_gives_the_same_verdict_on_any_number_of_cores_and_another_one_other_samples(cell, pair, monkeypatch):
@@ -339,10 +336,7 @@ def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
 
 
 def test_the_plants_of_a_tool_path_are_measured_by_the_walls_and_floors_of_their_parts(tmp_path):
-    """A plant that is the model leaves the model's largest wall or floor error, its share of the tolerance as well.
-
-    The stock of a plant lies a few hundredths of a millimetre beside that of the model, its grid as well.
-    """
+    """A plant that is the model leaves its largest wall or floor error and its share of the tolerance."""
     cell = small_part(tmp_path, GCODE, "part.wall_tolerance_um=30", "part.floor_tolerance_um=10")
     ran = simulate(cell)
     judged, gauge, target = tolerance_judge(cell, ran), Gauge.of(cell), cell.target()

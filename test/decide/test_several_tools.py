@@ -128,7 +128,6 @@ def test_a_tool_overrides_sections_and_one_tool_can_be_chosen(tmp_path):
     ({"T1": LARGE}, "", r"tools\.T2: is missing: the program cuts with T2"),
     ({"T1": LARGE, "T2": {"teeth": 2, "diameter": 6}}, "", r"tools\.T2\.diameter: is not a known key"),
     ({"T1": LARGE, "T2": SMALL | {"stock": {"min_mm": [0, 0, 0]}}}, "", r"tools\.T2\.stock: must not have min_mm"),
-    ({"T1": LARGE, "T2": 3}, "", r"tools: must have a group of keys for each tool"),
     ({"T1": LARGE, "T2": SMALL}, "path.tool=T9", r"path\.tool: 'T9' is not usable, it must be one of T1, T2"),
     ({"T1": LARGE, "T2": SMALL}, "program.name=LONGEST_NAME_1", r"program\.name: .*16 characters.*with the tool"),
     ({"T1": LARGE, "T2": SMALL}, "path.file=", r"tools: needs a program in path\.file"),

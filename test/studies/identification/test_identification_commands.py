@@ -106,10 +106,8 @@ SPRING = "compliance load_tests.csv --arm kr270_2.yaml --cell test_piece.yaml --
     (f"{SPRING} stiffness", "arm.compensator.stiffness_n_per_mm"),
     (f"{SPRING} colour", "one of stiffness, preload"),
     ("compliance --arm test_piece.yaml --plan 100 --postures 2", "only 8 are possible"),
-    ("compliance --arm test_piece.yaml --plan 5 --mass-kg 0 --pull-n 0", "pull"),
     ("forces cuts.csv --teeth 0 --diameter-mm 20", "teeth"),
     ("forces cuts.csv --cell test_piece.yaml --tare 5:1", "tare"),
-    ("damping cuts.csv --band 9:3", "band"),
     ("material Al7075 --row 7 --out nowhere", "row"),
     ("material wood --out nowhere", "has no material"),
 ])  # fmt: skip
@@ -229,7 +227,6 @@ def test_angles_of_another_sign_and_a_base_that_tilts_are_named(tmp_path):
     assert "the residuals look like a base that tilts by 0.3, 0.3 urad/(N m) about x, y" in text, text
     code, text = identified("compliance", tilted, "--arm", "test_piece.yaml", "--base")
     assert code == 0 and "look like a base" not in text
-    assert answered("identify", "compliance", campaign(tmp_path), "--arm", "test_piece.yaml")["doubts"] == []
 
 
 # --- The README of the folder ---
@@ -273,8 +270,6 @@ def test_the_identified_arm_coefficients_and_modes_are_those_that_the_examples_w
     for side, true in (("tangential", 767.01), ("radial", 168.8), ("axial", 222.0)):
         key = f"{side}_cutting_n_per_mm2"
         assert abs(forces[key] - true) < 1.5 * forces["ci95"][key]
-    modes = result(ran, "identify damping")["modes"]
-    assert [mode["frequency_hz"] for mode in modes] == pytest.approx([11.0, 15.0, 23.0], rel=2e-3)
     cell = ran["place"] / "rung.yaml"
     cell.write_text('/**:\n  ros__parameters:\n    includes: ["my_slot.yaml", "identified/modes.yaml"]\n')
     assert read_cell(cell).dynamics.modes.frequency == pytest.approx([11.0, 15.0, 23.0], rel=2e-3)

@@ -84,10 +84,7 @@ def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
 
 
 def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placements):
-    """Against the equilibrium with weights and compensator, and the modal model of the cell.
-
-    A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm.
-    """
+    """A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm."""
     place, whole = np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]), placements.course
     course = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
     spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
@@ -132,8 +129,7 @@ def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
     words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", tmp_path / "map"]
     result = answered(*words, *settings("path.length_mm=6", "stock.grid_step_um=40"))
     assert result["rows"] == 4 * 8 and result["rows_per_s"] > 0 and result["best"] and len(result["best"]) <= 5
-    page = (tmp_path / "map" / "map.html").read_text()
-    assert f">{result['present']['error_max_um']:.2f}<" in page
+    assert f">{result['present']['error_max_um']:.2f}<" in (tmp_path / "map" / "map.html").read_text()
     errors = [row["error_max_um"] for row in result["best"]]
     assert errors == sorted(errors)
     best = read_cell(result["best"][0]["cell"])
