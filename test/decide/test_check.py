@@ -1,19 +1,29 @@
-"""Findings of check: faults of the path and of a correction, each at the point where it was made."""
+"""Findings of check: no dangerous program or cell is released, no sound one is stopped, each finding has its place.
+
+Each row of CASES has the finding of ``check``. The programs about rapid moves start with the top of the stock at z = 0;
+their volumes are closed forms, with the radius R of the cutter, the length l of the rapid move and the depth d.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+from cuttings import SET_ALUMINIUM
 from hostile import answered, ask, settings
-from small_part import GCODE, assignments, small_part
+from small_part import assignments, small_part
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decide.check import check
+from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.findings import violations
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
-from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.physics.robot import pose
 
 
@@ -141,7 +151,6 @@ def test_a_large_or_hasty_correction_must_not_be_run_and_a_reference_of_another_
 
 
 def test_blending_is_only_a_matter_of_lin_motions(cell, ran):
-    """A correction in straight lines of a smooth path is checked as LIN motions."""
     target, strict = cell.target(), with_limits(cell, blending_share=1e-9)
     smooth = shifted(target, np.linspace(0.0, 1e-4, len(target)))
     straight = target.with_position(smooth.position)
@@ -175,29 +184,275 @@ def test_the_spindle_is_compared_with_what_the_pass_asks_for_at_a_line_of_the_pr
     assert first.where.position_mm == pytest.approx((1e3 * place).tolist())
 
 
-def test_many_findings_of_one_kind_are_gathered_under_the_worst(tmp_path):
-    zigzag = "".join(f"G1 Y{y}\nG1 X{x}\n" for x, y in zip(range(12, 24), [1, -1] * 6, strict=True))
-    checked = check(small_part(tmp_path, GCODE.replace("G1 Y10\n", zigzag + "G1 X12 Y10\n")))
-    reverses = [line for line in checked.lines() if "reverses" in line]
-    assert len(reverses) <= 6 and any("more of the kind" in line for line in reverses)  # one line an axis at most
-
-
-def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, cell):
+def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path):
     through = "G21 G90 S8000 M3\nG43 H1\nM8\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X12 F4000\nG0 X20\nG1 X26\nG0 Z5\nM8\nM30\n"
     words = ["check", "paper.yaml", *settings(*assignments(tmp_path, through))]
     code, text, _ = ask(*words)
-    assert code == 1 and "goes 8 mm through material, 0.5 mm deep at point" in text and "(line 7)" in text
-    assert "removed by rapid moves: 80" in text and "read over: 2 M8, 1 G43 H1" in text
+    assert code == 1 and "goes 8 mm through material, 0.5 mm deep at point" in text
     answer = answered(*words, code=1)
     assert (answer["may_be_run"], answer["stops"]) == (False, 1)
     assert answer["removed_by_rapid_moves_mm3"] == pytest.approx(80.0, rel=0.02)
     assert answer["read_over"] == [{"word": "M8", "count": 2}, {"word": "G43 H1", "count": 1}]
-    (move,) = answer["rapid_moves"]
-    assert (move["where"]["line"], move["unit"], move["severity"]) == (7, "mm", "stop")
-    assert move["amounts"] == pytest.approx({"length_mm": 8.0, "volume_mm3": 80.0}, rel=0.02)
+    assert [move["where"]["line"] for move in answer["rapid_moves"]] == [7]
     assignments(tmp_path)
-    code, text, _ = ask(*words)
-    assert code == 0 and "may be run, after a test in T1" in text
-    write_csv(tmp_path / "revised.csv", shifted(cell.target(), np.full(len(cell.target()), 5e-3)))
-    code, text, _ = ask(*words, "--reference", str(tmp_path / "revised.csv"))
-    assert code == 1 and "the correction exceeds 2000.0 um" in text
+    assert answered(*words)["may_be_run"]
+
+
+# --- Dangerous and sound programs ---
+START = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\n"
+SLOT = START + "G0 Z-0.5\nG1 X26 F4000\nG0 Z5\nM30\n"  # the stock: x 0 to 40, y -14 to 40, z -10 to 0; cutter 20 mm
+DOWN = "G21 G90 S8000 M3\nG0 X20 Y0 Z2\nG1 Z-0.5 F500\nG1 X26 F4000\nG0 Z2\nM30\n"
+HOLES = "G21 G90 S8000 M3\nG0 X10 Y0 Z5\nG81 X10 Y0 Z-3 R1 F400\nX12 Y20\nG80\nG0 Z20\nM30\n"
+EDGE = ("G21 G90 S8000 M3\nG0 X-14 Y-26 Z2\nG0 Z-10.5\nG0 X-11 Y-25\nG0 Z2\nG0 X-14 Y0\nG0 Z-0.5\nG1 X26 F4000\n"
+        "G0 Z5\nM30\n")  # fmt: skip
+APT = "UNITS/MM\nCUTTER/{}\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/-14,0,2\nRAPID\nGOTO/-14,0,-0.5\nFEDRAT/4000,MMPM\n" \
+      "GOTO/26,0,-0.5\nRAPID\nGOTO/26,0,5\nFINI\n"  # fmt: skip
+CSV = "x_mm,y_mm,z_mm,feed_mm_per_min\n-14,0,-0.5,4000\n26,0,-0.5,4000\n"
+COARSE = ("stock.grid_step_um=200", "timing.rapid_feed_m_per_min=6")
+#: a narrow cut with a tool mode
+NARROW = SLOT.replace("Y0", "Y-23.95")
+MODE = ("stock.grid_step_um=20; tool.modes="
+        "[{{direction: [0.0, 1.0, 0.0], frequency_hz: 980.0, damping_ratio: 0.025, mass_kg: {}}}]")  # fmt: skip
+INCHES = SLOT.replace("G21", "G20")
+BEYOND = SLOT.replace("X26 F4000", "X26 F4000\nG1 X400 Z1500")
+HELIX = "G21 G90 S8000 M3\nG0 X20 Y0 Z1\nG3 X20 Y0 Z-0.5 I-8 J0 F2000\nG3 X20 Y0 I-8 J0\nG0 Z5\nM30\n"
+FIXTURE, COMPLIANCE = "workpiece.fixtures_mm", "arm.joint_compliance_urad_per_n_m"
+NO_PLUNGE, WEIGHTLESS = "tool.centre_cutting=false", "dynamics.gravity=false"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A program in a cell, and the finding about it: "refused" for an error, "" for a sound program."""
+
+    name: str
+    finding: str = ""
+    settings: str = ""  #: separated by "; "
+    program: str = SLOT  #: "": the paper's straight cut
+    severity: str = "stop"
+    suffix: str = ".nc"
+    lines: tuple = (None,)  #: of the program, one of which the finding names
+    value: float | None = None  #: of the finding, in its unit
+    limit: float | None = None
+    words: str = ""  #: in the sentence of the finding
+
+
+def comment(text: str) -> str:
+    """The slot with a comment on its tool, in line 2."""
+    return SLOT.replace("G0 X-14", f"(T1 {text})\nT1 M6\nS8000 M3\nG0 X-14", 1)
+
+
+def law(k_tc: float) -> str:
+    return "; ".join([*SET_ALUMINIUM, f"cutting.linear_edge.tangential_cutting_n_per_mm2={k_tc}"])
+
+
+def warning(*texts: str, **more) -> Case:
+    return Case(*texts, severity="warning", **more)
+
+
+CASES = (
+    Case("a rapid move below a hole", "rapid in material", "", HOLES.replace("G0 Z20", "G0 Z-3.5\nG0 Z20")),
+    Case("a spindle of 300 kg", "payload", "mount.mass_kg=300"),
+    Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),
+    Case("a program for a cutter of 1 inch", "tool diameter", "", comment("1 inch end mill")),
+    Case("a ball-end mill by its comment", "tool shape", "", comment("D=20 ball end mill"), lines=(3,)),
+    Case("a ball-end mill by its corner", "tool shape", "", comment("D=20. CR=10. - ZMIN=-0.5")),
+    Case("a bull-nose mill", "tool shape", "", comment("D=20. CR=2. - ZMIN=-0.5 - bullnose end mill")),
+    Case("a chamfer mill", "tool shape", "", comment("D=20. - chamfer mill")),
+    Case("a ball-end mill of APT", "tool shape", "", APT.format("20,10"), suffix=".apt"),
+    # 0.3 times the least and 3 times the largest of config/materials.csv
+    Case("forces a thousand times too small", "force coefficient", law(0.6), value=0.6, limit=0.3 * 243.77),
+    Case("forces ten times too large", "force coefficient", law(6004.6), value=6004.6, limit=3.0 * 1319.41),
+    Case("slot in the air", "outside the stock", "", SLOT.replace("M30", "(far)\nG0 X-60 Y80\nG1 Z-1\nX60\nM30")),
+    Case("a path beside the stock", "stock missed", "path.start_mm=[-1000,0]", "", value=0.0),
+    Case("inches for millimetres", "below the stock", "", INCHES, lines=(3, 4), value=0.5 * 25.4 - 10),
+    Case("through a fixture", "in the fixture", f"{FIXTURE}=[30,-5,-10,60,5,-0.2]", lines=(4,), value=0.3),
+    Case("rapid move into a fixture", "in the fixture", f"{FIXTURE}=[-30,-5,-10,-10,5,1]", lines=(3, 4), value=1.5),
+    Case("deeper than the flutes", "depth of cut", "tool.flute_length_mm=0.4", lines=(4,), value=0.5, limit=0.4),
+    Case("a plunge with a cutter that cannot", "plunge", NO_PLUNGE, DOWN, lines=(3, 4), value=0.5, limit=0.0),
+    Case("too much feed per tooth", "feed per tooth", "tool.max_feed_per_tooth_mm=0.1", value=4 / 8 / 4, limit=0.1),
+    Case("too fast", "cutting speed", "tool.max_cutting_speed_m_per_min=400", value=math.pi * 0.02 * 8000, limit=400),
+    Case("above the limit depth of the tool", "chatter", MODE.format(0.01), NARROW.replace("Z-0.5", "Z-8")),
+    Case("beyond the linear model", "deflection", f"cutting.fractional.stiffness_n_per_m=5e10; {WEIGHTLESS}", limit=50),
+    Case("out of reach", "reach", "", SLOT.replace("X26", "X26\nG1 Y2500"), lines=(5, 6)),
+    Case("a joint beyond its range", "joint limit", "", BEYOND, lines=(5, 6), limit=155.0, words="axis 3"),
+    Case("a wrist that is stretched", "singularity", "start_joints_deg=[90,-50,120,180,1,180]", words="wrist"),
+    Case("an arm that hangs down", "joint deflection", f"{COMPLIANCE}=[900,900,900,900,900,900]", words="joint 2"),
+    Case("another spindle speed than the cell's", "refused", "", SLOT.replace("S8000", "S9000")),
+    Case("a wrong datum", "refused", "", SLOT.replace("Y0", "Y500")),
+
+    warning("a reground cutter", "tool diameter", "tool.diameter_mm=19.8", comment("D=20 flat end mill")),
+    warning("a program that never starts the spindle", "spindle off", "", SLOT.replace(" S8000 M3", "")),
+    warning("a path mostly beside the stock", "stock too small", "", SLOT.replace("G0 Z5", "G1 Y160\nG0 Z5"), limit=50),
+    warning("a feed in the wrong unit", "feed per tooth", "", SLOT.replace("F4", "F170"), value=170 / 8 / 4, limit=5.0),
+    warning("a tool smaller than the grid", "tool and grid", "tool.diameter_mm=0.9", value=0.2, limit=0.0225),
+    warning("a workpiece in another room", "envelope", "workpiece.xyz_mm=[0,-16331.9,485.7]", value=16.3319),
+    warning("nrad for urad", "compliance", f"{COMPLIANCE}=[700,300,400,900,900,2000]", value=700, limit=100),
+    warning("mrad for urad", "compliance", f"{COMPLIANCE}=[7e-4,3e-4,4e-4,3e-3,3e-3,2e-3]", value=7e-4, limit=0.01),
+    warning("grams for kilograms", "mass", "arm.link_mass_kg=[336800,259.4,85.2,54.5,36.3,18.2]", value=336800),
+    warning("outside the limits", "posture", "start_joints_deg=[90,-50,170,180,25,180]", value=170, limit=155),
+    warning("radians", "posture", "start_joints_deg=[1.5708,-0.8727,2.0944,3.1416,0.4363,3.1416]", words="radians"),
+
+    Case("the paper's straight cut", program=""),
+    Case("beside the stock, below its bottom", program=EDGE),
+    Case("a plunge of a cutter that can", program=DOWN),
+    Case("two holes", program=HOLES),
+    Case("two holes by pecks", program=HOLES.replace("G81", "G83").replace("R1", "R1 Q1")),
+    Case("a slot and a hole", program=SLOT.replace("G0 Z5", "G0 Z5\nG81 X20 Y25 Z-2 R1 F400\nG80")),
+    Case("a ramp", "", NO_PLUNGE, START.replace("X-14", "X5") + "G1 Z0.2 F2000\nG1 X25 Z-0.8\nG1 X5\nG0 Z5\nM30\n"),
+    Case("a helix", "", NO_PLUNGE, HELIX),
+    Case("into a sacrificial plate", "", "stock.min_mm=[0,-14,-0.3]; limits.below_stock_mm=0.25"),
+    Case("over a clamp", "", f"{FIXTURE}=[-30,-5,-30,-10,5,-0.6]"),
+    Case("the payload of the arm", "", "mount.mass_kg=270"),
+    Case("the cutter of the comment", program=comment("D=20 flat end mill")),
+    Case("a flat mill with CR=0", program=comment("D=20. CR=0. - ZMIN=-0.5 - flat end mill")),
+    Case("a ball-end mill that is declared flat", "", "tool.type=flat", comment("D=20 ball end mill")),
+    Case("a flat mill of APT", program=APT.format("20,0"), suffix=".apt"),
+    Case("a table of points", program=CSV, suffix=".csv"),
+    Case("a published force coefficient", "", law(600.46)),
+    Case("below the limit depth of the tool", "", MODE.format(3.7), NARROW),
+    Case("inches", program="G20 G90 S8000 M3\nG0 X-0.55 Y0 Z0.08\nG0 Z-0.02\nG1 X1 F157\nG0 Z0.2\nM30\n"),
+    Case("flutes just long enough", "", "tool.flute_length_mm=0.51"),
+    Case("chip and speed just within", "", "tool.max_feed_per_tooth_mm=0.126; tool.max_cutting_speed_m_per_min=503"),
+)  # fmt: skip
+
+
+def cell_of_case(case: Case, directory) -> Cell:
+    settings = case.settings.split("; ") if case.settings else []
+    if not case.program:
+        return read_cell(find_file("paper.yaml"), settings)
+    cell = small_part(directory, case.program, *COARSE, *settings)
+    path = directory / f"part{case.suffix}"
+    path.write_text(case.program)
+    return cell.replace(path=cell.path.replace(file=str(path)))
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_dangerous_case_has_its_finding_and_a_sound_case_is_released(tmp_path, case):
+    if case.finding == "refused":
+        with pytest.raises(MillingError):
+            check(cell_of_case(case, tmp_path))
+        return
+    checked = check(cell_of_case(case, tmp_path))
+    text = "\n".join(checked.lines())
+    if not case.finding:
+        warnings = {f.what for f in checked.findings if f.severity == "warning"}
+        assert checked.may_be_run and not warnings - {"tool and grid"}, text  # the grid of the table is coarse
+        return
+    assert checked.may_be_run == (not checked.count("stop"))
+    named = [f for f in checked.findings if (f.what, f.severity) == (case.finding, case.severity)]
+    finding = next(f for f in named if case.words in f.sentence)
+    assert finding.sentence in text and finding.advice in text and finding.advice.endswith((".", ")."))
+    assert case.lines == (None,) or finding.where.line in case.lines
+    assert finding.where.line is None or f"(line {finding.where.line})" in finding.text
+    assert case.value is None or finding.value == pytest.approx(case.value, rel=1e-3, abs=1e-9)
+    assert case.limit is None or finding.limit == pytest.approx(case.limit, rel=1e-6)
+
+
+def test_drilling_is_reported_without_a_force_and_without_a_deviation(tmp_path):
+    cases = {case.name: case for case in CASES}
+    checked = check(cell_of_case(cases["two holes"], tmp_path))
+    (finding,) = [f for f in checked.findings if f.what == "drilling"]
+    assert "drilling: force not modelled (2 holes)" in finding.text and finding.where.line == 3
+    assert checked.ran.result.removed_volume > 0.0
+    assert np.abs(checked.ran.result.wrench).max() < 1e-9 and checked.ran.result.torque.max() < 1e-9  # rounding
+    both = simulate(cell_of_case(cases["a slot and a hole"], tmp_path)).result
+    force = np.abs(both.wrench).max(axis=1)
+    assert force.max() > 10.0 and force[both.actual[:, 1] > 0.02].max() < 1e-9
+
+
+# --- Rapid moves through material ---
+DIAMETERS_MM = (2.0, 20.0, 50.0)
+BELOW = ("G0 X0 Y0 Z5", "G1 Z-1 F1200")
+
+
+def contacts_of(directory, diameter: float, lines) -> tuple[list, list[int]]:
+    """The rapid moves through material along the programmed path, and their lines of the program.
+
+    A stock of 8 by 6 diameters [mm] with the origin in the middle of its top; the first of ``lines`` has number 3.
+    """
+    x, y = 4.0 * diameter, 3.0 * diameter
+    program = "\n".join(("G21 G90 G17", "S8000 M3", *lines, "G0 Z5", "M30", ""))
+    stock = f"stock.min_mm=[{-x},{-y},-25]", f"stock.max_mm=[{x},{y},0]"
+    cell = small_part(directory, program, *stock, f"tool.diameter_mm={diameter}", "timing.rapid_feed_m_per_min=6")
+    contacts = rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact))
+    return contacts, [int(cell.fed_path.toolpath.line[one.block]) for one in contacts]
+
+
+def dangerous(d: float) -> dict[str, tuple]:
+    """Name -> lines of the program, removed volume [mm3], numbers of lines that are stops, largest depth [mm].
+
+    Of short rapid moves that follow each other, a few at the ends need not be a contact: they have no numbers.
+    """
+    r, pi = d / 2.0, math.pi
+    turn = [2.0 * pi * k / 48 for k in range(1, 97)]
+    helix = [f"G0 X{r / 2 * math.cos(a):.5f} Y{r / 2 * math.sin(a):.5f} Z{-min(a / (2.0 * pi), 1.0):.5f}" for a in turn]
+    chords = [f"G0 X{x:.6f}" for x in np.linspace(0.0, r, 101)[1:]]
+    wall = (f"G0 X{-11 * r} Y0 Z5", "G0 Z-1", f"G1 X{11 * r} F1200", "Y0.1", f"G0 X{-11 * r}")
+    return {
+        "slot in short chords": ((*BELOW, *chords), d * r, (), 1.0),
+        "corner": ((*BELOW, f"G0 X{3 * r}", f"G0 Y{d}"), 5.0 * d * r - r**2 + pi * r**2 / 4.0, (5, 6), 1.0),
+        "diagonal": ((*BELOW, f"G0 X{d} Y{d}"), d * math.sqrt(2) * d, (5,), 1.0),
+        "helix": ((f"G0 X{r / 2} Y0 Z5", "G1 Z0 F1200", *helix), pi * (1.5 * r) ** 2, (), 1.0),
+        "vertical": (("G0 X0 Y0 Z5", "G0 Z-0.5", f"G1 X{r} F1200"), pi * r**2 / 2.0, (4,), 0.5),
+        "start in material": (("G0 X0 Y0 Z-0.5", f"G1 X{r} F1200"), pi * r**2 / 2.0, (3,), 0.5),
+        "too low above the stock": ((*BELOW, "G0 Z-0.1", f"G0 X{2 * d}"), 0.1 * d * 2.0 * d, (6,), 0.1),
+        "wall, 0.1 mm deep": (wall, 0.1 * 8.0 * d, (7,), 1.0),
+    }
+
+
+def sound(d: float) -> dict[str, tuple[str, ...]]:
+    """Name -> lines of a program whose rapid moves touch no material."""
+    r = d / 2.0
+    return {
+        "along a wall": (f"G0 X{-11 * r} Y0 Z5", "G0 Z-1", f"G1 X{11 * r} F1200", f"G1 Y{r}", f"G1 X{-11 * r}",
+                         f"G0 X{11 * r}"),
+        "across a pocket": (*BELOW, f"G1 X{r}", f"G1 Y{r}", "G1 X0", "G1 Y0", f"G0 X{r} Y{r}"),
+        "round an arc and back": (*BELOW, f"G2 X{2 * d} Y0 I{d} J0", f"G3 X0 Y0 I{-d} J0"),
+        "up a steep ramp": (BELOW[0], "G1 Z0 F1200", f"G1 X{r} Z{-r}", f"G0 X{r / 2} Z{-r / 2}"),
+        "down into a hole": (BELOW[0], "G1 Z-1 F600", "G0 Z2", "G0 Z-0.9", "G1 Z-2"),
+    }  # fmt: skip
+
+
+DANGEROUS = {f"{name}, {d:g} mm": (d, *row) for d in DIAMETERS_MM for name, row in dangerous(d).items()}
+SOUND = {f"{name}, {d:g} mm": (d, lines) for d in DIAMETERS_MM for name, lines in sound(d).items()}
+BACK = SLOT.replace("G0 Z5", "G0 Z-0.4\nG0 X-14\nG0 Z5")
+THROUGH = SLOT.replace("X26 F4000", "X12 F4000\nG0 X20\nG1 X26")
+SHORT = ("timing.rapid_feed_m_per_min=4", "stock.grid_step_um=100")
+
+
+@pytest.mark.parametrize("name", DANGEROUS)
+def test_every_rapid_move_through_material_is_a_stop_with_its_volume(tmp_path, name):
+    diameter, lines, volume, stops, depth = DANGEROUS[name]
+    contacts, numbers = contacts_of(tmp_path, diameter, lines)
+    assert {one.severity for one in contacts} == {"stop"} and numbers == list(stops or numbers)
+    assert 1e3 * max(one.value for one in contacts) == pytest.approx(depth, rel=1e-6)
+    assert sum(one.amounts["volume_mm3"] for one in contacts) == pytest.approx(volume, rel=0.02)
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_a_rapid_move_in_the_air_is_no_contact(tmp_path, name):
+    assert contacts_of(tmp_path, *SOUND[name]) == ([], [])
+
+
+@pytest.mark.parametrize("factor", [1e-3, 10.0], ids=["rigid", "10 times softer"])
+@pytest.mark.parametrize(("program", "answer"), [(THROUGH, 2.0 * 10.0 * 8.0 * 0.5), (BACK, 0.0)])
+def test_the_answer_does_not_depend_on_the_stiffness_of_the_arm(tmp_path, factor, program, answer):
+    compliance = 1e6 * factor * read_cell(find_file("paper.yaml")).arm.joint_compliance
+    soft = (*SHORT, f"arm.joint_compliance_urad_per_n_m={compliance.tolist()}", "dynamics.gravity=false")
+    cell = small_part(tmp_path, program, *soft)
+    target = cell.target()
+    for reference in (None, target.with_position(target.position + [0.0, 5e-5, 0.0], target.velocity)):
+        checked = check(cell, reference)
+        assert checked.rapid_volume_mm3 == pytest.approx(answer, rel=0.02), checked.lines()
+        stops = [f for f in checked.findings if f.what == "rapid in material"]
+        assert [(f.severity, f.where.line) for f in stops] == [("stop", 5)] * bool(answer)
+
+
+def test_a_corrected_path_that_lowers_a_rapid_move_into_the_floor_is_a_stop(tmp_path):
+    cell = small_part(tmp_path, BACK, *SHORT)
+    target, fed = cell.target(), cell.timed_path
+    back = fed.toolpath.line[fed.block] == 6
+    lower = np.where(back, -0.6e-3, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    checked = check(cell, target.with_position(target.position + lower, target.velocity))
+    stops = [f for f in checked.findings if f.what == "rapid in material"]
+    assert stops and stops[0].where.line in (5, 6, 7) and checked.rapid_volume_mm3 > 0.0, checked.lines()

@@ -8,11 +8,11 @@ import struct
 import numpy as np
 import pytest
 from cuttings import profile
-from milled_part import CONFIG, HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
+from milled_part import CONFIG, HEAD, POCKET, RADIUS, SLOT, small_cell
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface, write_stl
+from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface
 from kr270_milling.decide.part.course import Course, course, deviations
 from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
 from kr270_milling.decide.part.workpiece import write_part
@@ -41,11 +41,10 @@ def test_each_feature_that_cuts_has_a_row_and_the_whole_part_is_the_worst_of_the
         values = [getattr(row, key) for row in part.rows]
         assert getattr(part.whole, key) == max(values) > 0
     assert part.whole.cut_length == pytest.approx(sum(row.cut_length for row in part.rows))
-    for row in part.rows:
-        assert row.mean_normal < row.quantile_normal < row.max_normal
+    assert all(row.mean_normal < row.quantile_normal < row.max_normal for row in part.rows)
 
 
-def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell, ran, part, tmp_path):
+def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell, ran, part):
     result, stock = ran.result, cell.stock
     above = np.minimum(result.tool[:-1, 2], result.tool[1:, 2]) > stock.max[2]
     beside = np.abs(result.tool[1:, 0]) > stock.max[0] + RADIUS + 1e-3
@@ -55,36 +54,18 @@ def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell,
     assert part.whole.cut_length < 0.8 * part.path.distance[-1]
     np.testing.assert_allclose(part.power, part.torque * cell.tool.spindle_speed, rtol=1e-12)
     assert result.volume.sum() == pytest.approx(result.removed_volume, rel=1e-9)
-    cell = small_cell(tmp_path, SLOT.replace("M5", "(air)\nG0 X-28 Y0 Z2\nG1 X28\nM5"))
-    assert [row.name for row in assess(cell, simulate(cell)).rows] == ["slot"]
-
-
-def test_mean_torque_of_a_rigid_slot_is_that_of_the_linear_edge_law(tmp_path):
-    cell = small_cell(tmp_path, SLOT, RIGID, "stock.grid_step_um=20.0", "exchange.micro_step_deg=1.0")
-    result = assess(cell, simulate(cell))
-    full = np.abs(result.path.distance - 30e-3 - 2e-3) < 8e-3  # plunge of 3 mm, then x from -28 to 28: in the middle
-    law, depth, feed = cell.cutting.linear_edge, 1e-3, 0.25e-3
-    # each of the teeth cuts over half a turn with h = f_z sin: mean of F_t is (2 K_tc f_z + pi K_te) a / (2 pi)
-    per_tooth = (2 * law.tangential_cutting * feed + np.pi * law.tangential_edge) * depth / (2 * np.pi)
-    turns = int(full.sum() // 20) * 20  # periods of 18 deg
-    mean = result.torque[np.flatnonzero(full)[:turns]].mean()
-    assert mean == pytest.approx(cell.tool.teeth * per_tooth * RADIUS, rel=0.015)
 
 
 def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_gives(cell, ran, part):
-    """The pass cut with the predicted tool centre, here within 2 um of the corrected one: nodes at the very edge of a
-    tooth's way may fall to another tooth."""
+    """The predicted tool centre, which cut, is within 2 um of the corrected one: few nodes fall to another tooth."""
     cut = machined(cell, ran.result.tool)
     assert np.array_equal(cut.map_heights()[2], ran.result.heights)
     x, y, z = cut.heights(thinning=7)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     np.testing.assert_array_equal(heights_at(cut, points).reshape(z.shape), z)
     swept = dataclasses.replace(ran, result=dataclasses.replace(ran.result, heights=None))
-    first, again = assess_all(cell, [ran, swept])
-    assert first.table() == part.table()  # both passes share the ideal part
-    differ = np.abs(part.surface.floors.error - again.surface.floors.error)
+    differ = np.abs(part.surface.floors.error - assess(cell, swept).surface.floors.error)
     assert np.nanquantile(differ, 0.999) <= part.surface.floor_resolution
-    assert part.whole.max_floor == pytest.approx(again.whole.max_floor, abs=ran.result.correction.max())
 
 
 # --- Directions, distances and features along a pass ---
@@ -98,15 +79,10 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
     assert moving.size > 500
     along = np.sum(velocity[moving] / speed[moving, None] * path.tangent[moving], axis=1)
     assert np.quantile(along, 0.01) > 0.999  # the controller's knots round arcs a little
-    np.testing.assert_allclose(np.linalg.norm(path.tangent, axis=1), 1.0, atol=1e-12)
-    assert np.all(np.diff(path.distance) >= -1e-12)
     assert path.distance[-1] == pytest.approx(cell.timed_path.toolpath.length, abs=1e-12)
     upright = np.abs(path.tangent[:, 2]) > 0.999  # a move along the spindle keeps the side of the last horizontal move
     assert upright.any() and not upright[np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1].any()
-    assert path.features == ("unnamed", "side", "ring")
-    assert set(np.unique(path.feature)) <= {0, 1, 2} and {1, 2} <= set(np.unique(path.feature))
     straight = course(read_cell(CONFIG / "paper.yaml"), np.array([0, 10**9, 2 * 10**9]))
-    assert straight.features == ("straight cut",)
     np.testing.assert_allclose(straight.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
     assert straight.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
 
@@ -123,36 +99,14 @@ def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
 
 
 # --- The shipped cell of the test piece ---
-COARSE = ("stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0")
-
-
-def piece(folder, *names: str):
-    """The cell of the test piece with some of its features only."""
-    keep, copied, path = True, [], folder / "short.nc"
-    for line in (CONFIG / "test_piece.nc").read_text().splitlines():
-        if line.startswith("("):
-            keep = line.strip("()") in names
-        if keep or line.startswith(("N540", "N550")):
-            copied.append(line.replace("M3", "M3 F4000"))
-    path.write_text("\n".join(copied) + "\n")
-    return read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
-
-
-def test_the_square_is_left_too_large_by_tens_of_micrometres(tmp_path):
-    cell = piece(tmp_path, "square", "inclined_side")
-    part = assess(cell, simulate(cell))
-    square, inclined = part.rows
-    assert (square.name, inclined.name) == ("square", "inclined_side")
-    # half immersion, 1.2 mm deep: a mean force of some 90 N at 0.5 to 0.8 um/N; climb milling pushes the tool away
-    assert 30e-6 < square.mean_wall < 80e-6 and inclined.mean_wall < square.mean_wall
-    made = part.surface.walls.error[part.surface.walls.feature == part.path.features.index("square")]
-    assert np.quantile(made, 0.02) > 0
-    assert square.cut_length == pytest.approx(385e-3, rel=0.05)  # four sides of 100 mm less what the entry leaves
-
-
 def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):
     """Sharp corners, helix, axial force and inertia of the arm. A fifth was asked for; a coarser cut is simulated."""
-    cell = piece(tmp_path, "diamond")
+    start, *features = (CONFIG / "test_piece.nc").read_text().split("\n(")
+    (diamond,) = (lines for lines in features if lines.startswith("diamond)"))
+    path = tmp_path / "diamond.nc"
+    path.write_text(f"{start.replace('M3', 'M3 F4000')}\n({diamond}\nM5\nM30\n")
+    coarse = "stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0", f"path.file={path}"
+    cell = read_cell(CONFIG / "test_piece.yaml", coarse)
     assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
     original = simulate(cell)
     before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))
@@ -166,36 +120,33 @@ def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_c
 FAR = HEAD + "(far)\nG0 X-100 Y-50 Z-1\nG1 X100 Y50 F3000\n"
 
 
-def static_and_lowest(transition, input_matrix, output, feedthrough) -> tuple[np.ndarray, float]:
-    """Deflection under a wrench that stays, (3, 3), and the angle of the slowest mode in one period [rad]."""
-    static = output @ np.linalg.solve(np.eye(len(transition)) - transition, input_matrix) + feedthrough
-    return static[:3, :3], np.abs(np.angle(np.linalg.eigvals(transition))).min()
+def static(transition, input_matrix, output, feedthrough) -> np.ndarray:
+    """Deflection under a force that stays, (3, 3)."""
+    return (output @ np.linalg.solve(np.eye(len(transition)) - transition, input_matrix) + feedthrough)[:3, :3]
 
 
-def interpolation_error(folder, spacing_mm: float) -> np.ndarray:
-    """Largest relative error of translational compliance and of the lowest frequency, over exchanges along FAR."""
+def interpolation_error(folder, spacing_mm: float) -> float:
+    """Largest relative error of the static compliance, over exchanges along FAR."""
     cell = small_cell(folder, FAR, "dynamics.follow_pose=true", f"dynamics.posture_spacing_mm={spacing_mm}")
     target = cell.target()
     model = cell.arm_model(target)
     steps = np.arange(0, cell.clock.steps(target.duration_ns), 37)  # exchanges; 37 meets every place between postures
     stamps = cell.clock.stamp(steps)
     joints = cell.joints_at(target.sample(stamps), target.sample_orientation(stamps))
-    exact = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, joints)
-    worst = np.zeros(2)
-    for step, mode in zip(steps, exact, strict=True):
-        k, part = divmod(step / model.steps_per_knot, 1.0)
-        arrays = [a[int(k)] + part * (a[int(k) + 1] - a[int(k)]) for a in model.arrays[:4]]
-        soft, lowest = static_and_lowest(*arrays)
-        right, exactly = static_and_lowest(*discretise(mode, cell.dynamics.damping_ratio, cell.clock.period))
-        worst = np.maximum(worst, [np.abs(soft - right).max() / np.abs(right).max(), abs(lowest / exactly - 1)])
+    modes = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, joints)
+    worst = 0.0
+    for step, mode in zip(steps, modes, strict=True):
+        knot, part = divmod(step / model.steps_per_knot, 1.0)
+        soft = static(*(a[int(knot)] + part * (a[int(knot) + 1] - a[int(knot)]) for a in model.arrays[:4]))
+        exact = static(*discretise(mode, cell.dynamics.damping_ratio, cell.clock.period))
+        worst = max(worst, np.abs(soft - exact).max() / np.abs(exact).max())
     return worst
 
 
-def test_postures_5_mm_apart_give_stiffness_and_frequency_to_1e_3_and_the_error_falls_with_the_square(tmp_path):
+def test_postures_5_mm_apart_give_the_stiffness_to_1e_3_and_the_error_falls_with_the_square(tmp_path):
     """5 mm is the shipped spacing; joint compliances are known to a few per cent."""
     finest, fine, coarse = (interpolation_error(tmp_path, spacing) for spacing in (5.0, 20.0, 40.0))
-    assert finest.max() < 1e-3
-    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.4)
+    assert finest < 1e-3 and coarse / fine == pytest.approx(4.0, rel=0.4)
 
 
 # --- Errors of walls and floors for deviations that are known beforehand ---
@@ -325,37 +276,26 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
 
 # --- The STL file ---
 def test_the_stl_of_a_pass_is_closed_with_normals_outward_and_the_volume_of_the_stock_without_the_chips(
-    cell, ran, tmp_path, monkeypatch
+    cell, ran, tmp_path
 ):
-    path, cut = tmp_path / "part.stl", machined(cell, ran.result.tool)
-    write_stl(path, cut, cut.map_heights())
-    swept = path.read_bytes()
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.machined", None)  # the map of the pass is fine enough
-    written = write_part(path, cell, ran.result)
+    path, stock, chips = tmp_path / "part.stl", cell.stock, 1e9 * ran.result.removed_volume
+    count = write_part(path, cell, ran.result)
     data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
-    assert data == swept
-    monkeypatch.setattr("kr270_milling.decide.part.workpiece.MOST_TRIANGLES", 20_000)
-    assert 10_000 < write_stl(path, cut) <= 20_000  # a large part is coarser
-    (count,) = struct.unpack_from("<I", data, 80)
-    assert count == written and len(data) == 84 + 50 * count and not data.startswith(b"solid")
+    assert struct.unpack_from("<I", data, 80) == (count,)
+    assert len(data) == 84 + 50 * count and not data.startswith(b"solid")
     rows = np.array([struct.unpack_from("<12f", data, 84 + 50 * k) for k in range(count)])
     corners, normals = rows[:, 3:].reshape(-1, 3, 3), rows[:, :3]
-
     _, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     number = number.reshape(-1, 3)
     edges = np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]])
     one_way, times = np.unique(edges, axis=0, return_counts=True)
     assert times.max() == 1  # two triangles share each edge, and run it in opposite directions
     np.testing.assert_array_equal(one_way, np.unique(edges[:, ::-1], axis=0))
-
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1)
     np.testing.assert_allclose(np.sum(cross * normals, axis=1), length, rtol=1e-5)
     assert length.min() > 0
-
     volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
-    chips = cut.removed_volume * 1e9
-    assert volume == pytest.approx(np.prod(cut.stock.max - cut.stock.min) * 1e9 - chips, abs=0.01 * chips)
-    assert chips > 200
-    np.testing.assert_allclose(corners.reshape(-1, 3).min(0), cut.stock.min * 1e3, atol=1e-5)
-    np.testing.assert_allclose(corners.reshape(-1, 3).max(0), cut.stock.max * 1e3, atol=1e-5)
+    assert volume == pytest.approx(np.prod(stock.max - stock.min) * 1e9 - chips, abs=0.01 * chips)
+    np.testing.assert_allclose(corners.reshape(-1, 3).min(0), stock.min * 1e3, atol=1e-5)
+    np.testing.assert_allclose(corners.reshape(-1, 3).max(0), stock.max * 1e3, atol=1e-5)

@@ -12,13 +12,11 @@ from small_part import small_part
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.decide import stability
 from kr270_milling.decide.arcs import arcs_along
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import residue_of
 from kr270_milling.decide.stability import FEWEST_TEETH, stability_statement
-from kr270_milling.physics.motion.stability import StabilityMap
 from kr270_milling.studies.maps.lobes import lobes
 
 #: an arm that chatters: one light mode across the feed
@@ -61,31 +59,25 @@ def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(sh
     assert checked.residue.word != "grows"  # the simulated pass has no tool modes: it cannot see this chatter
 
 
-def test_without_tool_modes_the_statement_is_about_the_arm_alone_and_a_variable_pitch_is_unknown(capsys):
+def test_without_tool_modes_the_statement_is_about_the_arm_alone_and_a_variable_pitch_is_unknown():
     result = stability_statement(read_cell(find_file("paper.yaml")))
     assert result.text.startswith("stability: arm: stable (straight cut: 0.547 mm, limit above 100 mm)")
     assert result.text.endswith(UNKNOWN) and not result.with_tool
     result = stability_statement(read_cell(find_file("paper.yaml"), ["tool.pitch_deg=[80,100,80,100]"]))
     assert result.word == "unknown" and "unknown (variable pitch)" in result.text and UNKNOWN in result.text
-    assert main(["stability", "paper.yaml", "--speeds", "6000:8000/2"]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert "above 100 mm" in last and "tool and spindle taken as rigid" in last
 
 
 @pytest.fixture(scope="module")
 def piece():
-    """The test piece with its tool modes, its statement, and how many evaluations the statement took."""
-    cell, count, growth = read_cell(find_file("test_piece_tool_modes.yaml")), [], StabilityMap.growth
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StabilityMap, "growth", lambda self, depth: count.append(depth) or growth(self, depth))
-        return cell, stability_statement(cell), len(count)
+    """The test piece with its tool modes, and its statement."""
+    cell = read_cell(find_file("test_piece_tool_modes.yaml"))
+    return cell, stability_statement(cell)
 
 
 def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_are_ten_times_softer(piece):
-    cell, result, evaluations = piece
+    cell, result = piece
     assert result.with_tool and result.word == "stable" and len(result.features) == 5
     assert result.text.startswith("stability: arm, tool and spindle: stable (square: 1.2 mm, limit ")
-    assert evaluations < 1000  # some milliseconds each
     softer = cell.tool.replace(modes=cell.tool.modes.replace(mass=cell.tool.modes.mass / 10))
     result = stability_statement(cell.replace(tool=softer))
     assert result.word == "chatter" and result.worst.limit.chatter_frequency > 2 * np.pi * 900
@@ -119,7 +111,7 @@ def test_a_second_way_through_the_same_slot_and_a_rapid_are_no_engagement(tmp_pa
 
 
 def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
-    cell, statement, _ = piece
+    cell, statement = piece
     square, arcs = next(one for one in statement.features if one.name == "square"), arcs_along(cell)
     shortest = FEWEST_TEETH * cell.feed_rate / (8000 / 60 * 4)
     groups = stability._groups(arcs, shortest)

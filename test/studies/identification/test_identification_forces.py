@@ -13,7 +13,6 @@ from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.physics.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock
-from kr270_milling.physics.cutting.materials import find_material, materials
 from kr270_milling.studies.identification.cuts import Sensor, read_cuts
 from kr270_milling.studies.identification.forces import OneFeedError, fit_forces, law_sections
 from kr270_milling.studies.identification.modes import NoModeError, by_compliance, by_hammer, find_modes
@@ -49,12 +48,6 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
         at = at + [step, 0.0, 0.0]
     expected = law.mean_forces(cuts(mode, width, (0.1e-3,), tool))[0]
     assert wrench[:3] == pytest.approx(expected, abs=0.015 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
-def test_coefficients_are_exact_without_noise(mode, width):
-    result = fit_forces("linear_edge", measured_cuts(cuts(mode, width)))
-    assert result.values == pytest.approx(COEFFICIENTS, rel=1e-9)
 
 
 CAMPAIGNS = 400
@@ -131,16 +124,6 @@ def test_unusable_rows_are_refused_with_their_line(tmp_path, row, text):
     assert text in str(refused.value)
 
 
-# --- The shipped table of published force coefficients ---
-def test_every_material_has_a_source_and_the_coefficients_of_the_milling_plane():
-    rows = materials()
-    assert len(rows) >= 6 and all("10.1186/s10033-021-00536-9" in row.source for row in rows)
-    assert all(np.isfinite(row.values[:4]).all() for row in rows)
-    assert find_material("al7075-T6")[0].values[0] == pytest.approx(600.46e6)
-    with pytest.raises(InputError, match="has no material"):
-        find_material("wood")
-
-
 # --- Modes from ring-downs and impacts of machines that are known ---
 #: two degrees of freedom with masses at x and y [kg, N/m]
 MASS, STIFFNESS = np.diag([500.0, 300.0]), np.array([[2.2e6, -0.4e6], [-0.4e6, 1.6e6]])
@@ -177,14 +160,10 @@ def test_tables_are_read_and_refused_with_a_sentence_and_a_creep_does_not_ring(t
 def test_a_uff_file_is_read(tmp_path):
     pyuff = pytest.importorskip("pyuff")
     file, ring = tmp_path / "ring.uff", ring_down(n=400, step=5e-3)
-    writer = pyuff.UFF(str(file))
+    common = {"type": 58, "func_type": 1, "rsp_node": 1, "ref_node": 1, "ref_dir": 1, "abscissa_spacing": 1}
+    common |= {"x": np.arange(400) * ring.step, "orddenom_spec_data_type": 0}
     for i in range(3):
-        data = {
-            "type": 58, "func_type": 1, "rsp_node": 1, "rsp_dir": i + 1, "ref_node": 1, "ref_dir": 1,
-            "data": ring.values[:, i], "x": np.arange(400) * ring.step, "abscissa_spacing": 1,
-            "orddenom_spec_data_type": 0,
-        }  # fmt: skip
-        writer.write_sets(data, "add")
+        pyuff.UFF(str(file)).write_sets({**common, "rsp_dir": i + 1, "data": ring.values[:, i]}, "add")
     read = read_signals(file)
     assert read.names == ("x", "y", "z") and read.values == pytest.approx(ring.values, abs=1e-9)
 
@@ -202,11 +181,8 @@ def test_a_hammer_scales_the_shapes_by_the_masses():
         response += np.outer(np.convolve(hammer, impulse)[:n] * step, shape)
     signals = Signals(step, response, ("x", "y"), hammer)
     modes = find_modes(signals, 2.0, 60.0)
-    assert [2 * np.pi * mode.frequency for mode in modes] == pytest.approx(np.sqrt(squared), rel=1e-3)
-    assert [mode.damping_ratio for mode in modes] == pytest.approx([0.03, 0.03], rel=0.01)
-    shapes = by_hammer(modes, signals, "x")
-    for shape, true in zip(shapes, phi.T, strict=True):
-        assert shape[:2] * np.sign(shape[0]) == pytest.approx(true * np.sign(true[0]), rel=0.02)
+    shapes = by_hammer(modes, signals, "x")[:, :2]
+    assert shapes * np.sign(shapes[:, :1]) == pytest.approx((phi * np.sign(phi[0])).T, rel=0.02)
     accelerations = Signals(step, np.gradient(np.gradient(response, step, axis=0), step, axis=0), ("x", "y"), hammer)
     again = by_hammer(find_modes(accelerations, 2.0, 60.0), accelerations, "x", "acceleration")
     assert np.abs(again[:, :2]) == pytest.approx(np.abs(phi.T), rel=0.05)

@@ -47,16 +47,7 @@ def test_the_limit_converges_with_the_square_of_the_step():
     assert np.polyfit(np.log([40, 80, 160]), np.log(errors), 1)[0] < -1.6
 
 
-def test_multipliers_are_those_of_the_whole_map_and_without_a_cut_those_of_the_free_modes(monkeypatch):
-    """Arnoldi's method against all eigenvalues, where 200 nodes make 402 states."""
-    cell, delay = benchmark(0.5, "down"), 60.0 / 3000 / TEETH
-    matrices = directional_matrices(lambda s: (6e8 + 0 * s, 2e8 + 0 * s, 0 * s), -1.0, TEETH, 0.5 * np.pi, np.pi, 200)
-    for depth in (1e-4, 1e-3, 5e-3):
-        few = multipliers(modes_of(cell, arm=False), matrices, depth, delay)
-        with monkeypatch.context() as patch:
-            patch.setattr("kr270_milling.physics.motion.monodromy.KRYLOV", 1000)
-            whole = multipliers(modes_of(cell, arm=False), matrices, depth, delay)
-        assert len(few) < len(whole) and np.abs(few).max() == pytest.approx(np.abs(whole).max(), rel=1e-9)
+def test_without_a_cut_the_multipliers_are_those_of_the_free_modes():
     free = Modes(np.array([OMEGA, 3 * OMEGA]), np.array([ZETA, 0.05]), np.array([[1.0, 0, 0], [0, 1.0, 0]]))
     result = multipliers(free, np.zeros((30, 3, 2)), 0.0, 1e-3)
     expected = np.exp(-free.damping_ratio * free.frequency * 1e-3)
@@ -98,12 +89,9 @@ def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path):
     alone = answered(*words, "--no-arm")
     assert [row["spindle_speed_rpm"] for row in alone["lobes"]] == pytest.approx([8000, 9000, 10000])
     assert all(0 < row["depth_limit_mm"] < 10 and row["chatter_hz"] > 500 for row in alone["lobes"])
-    page, plotly = (tmp_path / "out" / name for name in ("lobes.html", "plotly.min.js"))
-    assert page.stat().st_size < 1e5 and plotly.stat().st_size > 1e6 and "lobes.csv" in alone["files"][0]
-    assert "the cell's cut: " in page.read_text() and "modes of the arm" not in page.read_text()
-    both = answered(*words, "--self-contained")
-    assert page.stat().st_size > 1e6 and "modes of the arm" in page.read_text()
-    assert both["arm"] and not alone["arm"]
+    table = np.genfromtxt(alone["files"][0], delimiter=",", names=True)
+    assert table["depth_limit_mm"] == pytest.approx([row["depth_limit_mm"] for row in alone["lobes"]], rel=1e-4)
+    assert (tmp_path / "out" / "lobes.html").exists() and answered(*words)["arm"] and not alone["arm"]
 
 
 def test_what_cannot_be_meant_is_refused():

