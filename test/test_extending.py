@@ -209,17 +209,37 @@ def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(
     assert {".src", ".html"} <= {file.suffix for file in (installed / "out").rglob("*")}
 
 
+MINE = """
+from dataclasses import dataclass
+from kr270_milling.physics.cutting.fractional import FractionalLaw
+class Other:
+    name = "other"
+    def revise(self, task): ...
+@dataclass(frozen=True, eq=False)
+class Short(FractionalLaw):
+    axial_names = ()
+    start = (1.0,)
+@dataclass(frozen=True, eq=False)
+class Misspelt(FractionalLaw):
+    scattered = ("stifness",)
+"""
+
+
 @pytest.mark.parametrize(("line", "sentence"), [
     ("[kr270_milling.force_laws]\nlinear_edge = json:loads", "this name is taken"),
     ("[kr270_milling.force_laws]\nmine = no_such_module:Law", "cannot be imported (ModuleNotFoundError"),
     ("[kr270_milling.methods]\nmine = json:loads", "json:loads is no class with the function revise"),
+    ("[kr270_milling.methods]\nmine = mine:Other", "the method is named other; give both the same name"),
+    ("[kr270_milling.force_laws]\nmine = mine:Short", "start and searched must have 5 entries"),
+    ("[kr270_milling.force_laws]\nmine = mine:Misspelt", "have stifness, which is no coefficient"),
 ])  # fmt: skip
 def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, line, sentence):
     (tmp_path / "mine-1.0.dist-info").mkdir()
+    (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "mine-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
     (tmp_path / "mine-1.0.dist-info/entry_points.txt").write_text(line + "\n")
     environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
     command = [sys.executable, "-m", "kr270_milling.cli", "compensate", "paper.yaml"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 2 and "package mine: entry point" in done.stderr and sentence in done.stderr
+    assert done.returncode == 2 and " mine: " in done.stderr and sentence in done.stderr
     assert "Traceback" not in done.stderr

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +17,8 @@ from hypothesis import strategies as st
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import rotation_from_abc, rotation_from_quaternion
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
-from kr270_milling.path.cam.readers import READERS, read_path_file, read_toolpath
-from kr270_milling.path.toolpath import REACH, Toolpath
+from kr270_milling.path.cam.readers import READERS, PathReader, read_path_file, read_toolpath
+from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
 from kr270_milling.path.trajectory_csv import read_csv
 
 VALID = {
@@ -282,3 +284,22 @@ def test_equal_start_and_end_mean_a_full_circle_in_either_sense_and_a_chord_beyo
     with pytest.raises(ArcError, match="does not close"):
         centre_from_radius((0.0, 0.0), (0.1, 0.0), 0.0499, True, 10e-6)
     centre_from_radius((0.0, 0.0), (0.1, 0.0), 0.049995, True, 10e-6)
+
+
+def test_a_reader_of_another_package_ends_in_one_sentence_with_file_and_line(tmp_path, monkeypatch):
+    def read(path):
+        builder, moves = PathBuilder(path), Path(path).read_text(encoding="utf-8").split()
+        for number, feed in enumerate(moves, 1):
+            builder.move((1e-3 * number, 0.0, 0.0), float(feed), number == 1, number)
+        return builder.build()
+
+    monkeypatch.setitem(sys.modules, "somebodys", SimpleNamespace(read=read))
+    monkeypatch.setitem(READERS, ".mine", PathReader("somebodys", "read"))
+    monkeypatch.setitem(READERS, ".gone", PathReader("no_such_module", "read"))
+    for name, data, sentence in (
+        ("a.mine", b"1 1 0", "a.mine, line 3: a cutting move needs a feed above 0"), ("b.mine", b"\xe9", "UTF-8"),
+        ("c.gone", b"1 1", "c.gone: its reader no_such_module:read cannot be imported"),
+    ):  # fmt: skip
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError, match=sentence):
+            read_path_file(tmp_path / name)

@@ -76,6 +76,10 @@ def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on
     assert result == pytest.approx(force, abs=1e-3)
 
 
+def test_a_cell_that_places_its_workpiece_by_joints_has_a_tool_for_the_cuts():
+    assert "use the linear-edge law" in ask("identify", "forces", "cuts.csv", "--cell", "paper.yaml").out
+
+
 def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path):
     sensor_recording(tmp_path / "cut", np.array([10.0, 20.0, 5.0]))
     table = tmp_path / "cuts.csv"
