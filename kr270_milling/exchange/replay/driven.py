@@ -24,7 +24,7 @@ from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import wrench_from_bytes
 
-__all__ = ["driven_passes", "driven_steps", "rsi_pass"]
+__all__ = ["driven_passes", "driven_steps", "poses_lost", "rsi_pass"]
 
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
 NEAR_END = 1e-4  # [m] from the end of the path, where an RSI session is complete
@@ -51,6 +51,12 @@ def driven_steps(clock: Clock, reference: Trajectory, received: ReceivedPass, co
     off = received.position - reference.sample(received.pose_ns)
     tool = reference.sample(stamps) + interpolated(stamps, received.pose_ns, off)
     return DrivenSteps(steps, tool, interpolated(stamps, received.wrench_ns, received.wrench))
+
+
+def poses_lost(received: ReceivedPass) -> int:
+    """Return the number of poses that are missing, by the median of the times between two poses."""
+    steps = np.diff(received.pose_ns)
+    return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
 
 
 def driven_passes(

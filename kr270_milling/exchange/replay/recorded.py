@@ -18,7 +18,7 @@ from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
-from kr270_milling.exchange.replay.driven import driven_passes, driven_steps, rsi_pass
+from kr270_milling.exchange.replay.driven import driven_passes, driven_steps, poses_lost, rsi_pass
 from kr270_milling.exchange.replay.inputs import TYPES
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -181,7 +181,7 @@ def _driven(
         rows = {"tool_pose": tool, "deflection": np.hstack([off, np.zeros_like(off)]), "wrench": wrench}
         result = _result(cells, target, reference, steps, rows, float("nan"))
         ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
-        lost, complete = received.missing, whole and not recording.cut_off
+        lost, complete = poses_lost(received), whole and not recording.cut_off
         stamps = "place" if content.rsi else "driver's"
         yield RecordedPass(ran, cell, target, lost, lost, complete, program, stamps)
 
