@@ -109,14 +109,14 @@ class Scene:
             yield Derived("/markers", MARKERS, markers_bytes(stamp, self._markers()), stamp)
 
     def _frames(self, joints: np.ndarray, moving: bool) -> list[Placed]:
-        placed = []
-        for link in self._links:
-            if link.parent < 0 or (link.joint >= 0) != moving:
-                continue
-            rotation = link.rotation @ _turn(link.axis, joints[link.joint]) if moving else link.rotation
-            parent = self._links[link.parent].name
-            placed.append(Placed(parent, link.name, link.xyz, quaternion_from_rotation(rotation)))
-        return placed
+        links = [link for link in self._links if link.parent >= 0 and (link.joint >= 0) == moving]
+        turns = [link.rotation @ _turn(link.axis, joints[link.joint]) if moving else link.rotation for link in links]
+        quaternions = quaternion_from_rotation(np.array(turns).reshape(-1, 3, 3))
+        parents = [self._links[link.parent].name for link in links]
+        return [
+            Placed(parent, link.name, link.xyz, quaternion)
+            for parent, link, quaternion in zip(parents, links, quaternions, strict=True)
+        ]
 
     def _width(self) -> float:
         """[m], of the tool's tip in the description."""

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -38,32 +39,54 @@ __all__ = [
 
 
 def serialise(type_name: str, fields: Mapping) -> bytes:
-    """The bytes of a message, little endian; fields: nested mappings; what they leave out is zero or empty."""
+    """The bytes of a message, little endian; fields: nested mappings; what they leave out is zero or empty.
+
+    A list of messages of numbers, such as Points, may also be an array with a row for each of them.
+    """
+    return bytes(store_of(type_name).serialize_cdr(_maker(type_name)(fields), type_name, little_endian=True))
+
+
+@functools.cache
+def _maker(type_name: str) -> Callable:
+    """Return the function that makes the message object of nested mappings."""
     store = store_of(type_name)
-    return bytes(store.serialize_cdr(_message(store, type_name, fields), type_name, little_endian=True))
+    makers = {name: _value_maker(kind) for name, kind in store.fielddefs[type_name][1]}
+    message = store.types[type_name]
+
+    def make(fields: Mapping | None):
+        fields = fields or {}
+        if not fields.keys() <= makers.keys():
+            raise KeyError(f"{type_name} has no field {', '.join(sorted(set(fields) - set(makers)))}")
+        return message(*(value(fields.get(name)) for name, value in makers.items()))
+
+    return make
 
 
-def _message(store, type_name: str, fields: Mapping):
-    """The message object of nested mappings."""
-    known = dict(store.fielddefs[type_name][1])
-    if not set(fields) <= set(known):
-        raise KeyError(f"{type_name} has no field {', '.join(sorted(set(fields) - set(known)))}")
-    return store.types[type_name](*(_value(store, kind, fields.get(name)) for name, kind in known.items()))
-
-
-def _value(store, kind, value):
+def _value_maker(kind) -> Callable:
+    """Return the function that makes the value of a field; it receives None for a field that is left out."""
     from rosbags.interfaces import Nodetype
     from rosbags.serde.utils import ndtype
 
     if kind[0] == Nodetype.NAME:
-        return _message(store, kind[1], {} if value is None else value)
+        return _maker(kind[1])
     if kind[0] == Nodetype.BASE:
-        return value if value is not None else "" if kind[1][0] == "string" else 0
+        empty: object = "" if kind[1][0] == "string" else 0
+        return lambda value: empty if value is None else value
     (inner, about), length = kind[1]
     count = length if kind[0] == Nodetype.ARRAY else 0
     if inner == Nodetype.BASE and about[0] != "string":
-        return np.zeros(count, ndtype(about[0])) if value is None else np.ascontiguousarray(value, ndtype(about[0]))
-    return [_value(store, (inner, about), item) for item in ([None] * count if value is None else value)]
+        number = ndtype(about[0])
+        return lambda value: np.zeros(count, number) if value is None else np.ascontiguousarray(value, number)
+    item = _value_maker((inner, about))
+    nothing = [None] * count
+
+    def items(values) -> list:
+        if isinstance(values, np.ndarray):
+            message = store_of(about).types[about]
+            return [message(*row) for row in values.tolist()]
+        return [item(value) for value in (nothing if values is None else values)]
+
+    return items
 
 
 class MessageKind(NamedTuple):

@@ -82,9 +82,9 @@ def _marker(stamp_ns: int, marker: Marker) -> dict:
         "type": marker.kind,
         "pose": {"orientation": {"w": 1.0}},
         "scale": {"x": marker.width, "y": 2 * marker.width * (marker.kind == ARROW), "z": 0.0},
-        "points": [named("xyz", row) for row in marker.points],
+        "points": marker.points,
         "color": named("rgba", marker.colours if single else np.ones(4)),
     }
     if not single:
-        fields["colors"] = [named("rgba", row) for row in marker.colours]
+        fields["colors"] = marker.colours
     return fields
