@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -93,6 +94,7 @@ def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[
     except (MillingError, ParameterException) as error:
         _print_error(error)
         return 2
+    gc.freeze()  # a full collection of the imported modules stops a recorder for 0.1 s
     executor = EventsExecutor(context=context)
     for node in nodes:
         executor.add_node(node)
