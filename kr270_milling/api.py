@@ -314,8 +314,8 @@ def read_recording(path, namespace: str | None = None) -> Pass:
 
     place = Path(path)
     files: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
-    recorded = pass_from_recording(files[0] if files else place, place.stem, namespace)
-    return Pass.of(recorded.cell, recorded.scored)
+    ran, recorded = pass_from_recording(files[0] if files else place, place.stem, namespace)
+    return Pass.of(recorded.cell, ran)
 
 
 def _pandas():

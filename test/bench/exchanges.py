@@ -105,7 +105,7 @@ def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float
             ran = graph.run_pass(f"pass_{number + 1}")
             rates.append(cell.clock.steps(cell.target().duration_ns) / ran.wall_s)
             if kind is Graph:
-                lost = pass_from_recording(ran.recording).messages_lost
+                lost = pass_from_recording(ran.recording)[1].messages_lost
                 again = None if number else recompute(ran.recording)
                 if lost or (again and again.verdict != "identical"):
                     raise RunError(RECORDER, f"{lost} messages lost; recomputed: {again and again.as_dict()}")

@@ -27,7 +27,7 @@ from kr270_milling.recordings.bag.series import TopicSeries, several
 from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY
 
-__all__ = ["RecordedPass", "pass_from_recording", "passes_from_recording", "topic_of"]
+__all__ = ["RecordedFacts", "pass_from_recording", "passes_from_recording", "topic_of"]
 
 DIAGNOSTICS = "/diagnostics"
 STATE = "diagnostic_msgs/msg/DiagnosticStatus"
@@ -35,10 +35,9 @@ SERIES = ("tool_pose", "deflection", "wrench")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class RecordedPass:
-    """A scored pass with its cell and with what is missing in the recording."""
+class RecordedFacts:
+    """What a recording states about a scored pass: cell, target, and what is missing."""
 
-    scored: ScoredPass
     cell: Cell
     target: Trajectory
     messages_lost: int  #: poses, wrenches and deflections that the pass must have had and the file has not
@@ -46,9 +45,6 @@ class RecordedPass:
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
     program: str | None = None  #: text of the tool path file, where the recording carries it
     stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
-
-    def renamed(self, name: str) -> RecordedPass:
-        return dataclasses.replace(self, scored=dataclasses.replace(self.scored, name=name))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -119,8 +115,10 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
     return matches[0]
 
 
-def pass_from_recording(path, name: str | None = None, namespace: str | None = None) -> RecordedPass:
-    """Return the only pass of a recording. Raises RecordingError where there is none, or more than one."""
+def pass_from_recording(
+    path, name: str | None = None, namespace: str | None = None
+) -> tuple[ScoredPass, RecordedFacts]:
+    """Return the only pass of a recording and its facts. Raises RecordingError for none, and for more than one."""
     passes = passes_from_recording(path, name, namespace)
     if len(passes) > 1:
         raise RecordingError(path, f"has {len(passes)} passes; this needs a recording with one pass")
@@ -129,8 +127,8 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
 
 def passes_from_recording(
     path, name: str | None = None, namespace: str | None = None, remap: Mapping[str, str] = MappingProxyType({})
-) -> list[RecordedPass]:
-    """Return every pass of a recording along the reference and the target of its time; the file is read once.
+) -> list[tuple[ScoredPass, RecordedFacts]]:
+    """Return every pass of a recording and its facts, along reference and target of its time; the file is read once.
 
     A file that was cut off gives the part that is there. remap: see ``Recording``. Raises RecordingError where there is
     no pass.
@@ -146,12 +144,14 @@ def passes_from_recording(
     if not passes:
         reason = "poses, wrenches and deflections of at least one period, or a pass of a robot with another clock"
         raise RecordingError(recording.path, f"holds no pass: {reason}")
-    return passes if len(passes) == 1 else [one.renamed(f"{name}_{n}") for n, one in enumerate(passes, 1)]
+    if len(passes) == 1:
+        return passes
+    return [(dataclasses.replace(ran, name=f"{name}_{n}"), recorded) for n, (ran, recorded) in enumerate(passes, 1)]
 
 
 def _exchanged(
     recording: Recording, cells: tuple[Cell, Cell], content: Content, name: str, program: str | None
-) -> Iterator[RecordedPass]:
+) -> Iterator[tuple[ScoredPass, RecordedFacts]]:
     """Yield the scored passes of the simulated robot."""
     windows = _windows(recording, cells[0], content)
     walls = content.walls if len(content.walls) == len(windows) else [float("nan")] * len(windows)
@@ -163,7 +163,7 @@ def _exchanged(
 
 def _driven(
     recording: Recording, cells: tuple[Cell, Cell], content: Content, name: str, program: str | None
-) -> Iterator[RecordedPass]:
+) -> Iterator[tuple[ScoredPass, RecordedFacts]]:
     """Yield the scored passes whose poses have the stamps of a driver. Raises RecordingError."""
     cell, plant = cells
     default = cell.target()
@@ -183,7 +183,7 @@ def _driven(
         ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
         lost, complete = poses_lost(received), whole and not recording.cut_off
         stamps = "place" if content.rsi else "driver's"
-        yield RecordedPass(ran, cell, target, lost, lost, complete, program, stamps)
+        yield ran, RecordedFacts(cell, target, lost, lost, complete, program, stamps)
 
 
 def _check_duration(recording: Recording, cell: Cell, reference: Trajectory) -> int:
@@ -216,7 +216,7 @@ def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]
 
 def _scored(
     recording: Recording, cells: tuple[Cell, Cell], window: Window, wall: float, name: str, program: str | None
-) -> RecordedPass | None:  # fmt: skip
+) -> tuple[ScoredPass, RecordedFacts] | None:  # fmt: skip
     """Return the scored pass; None where poses, wrenches and deflections of at least one period are missing."""
     cell, plant = cells
     reference, target, series = window
@@ -233,7 +233,7 @@ def _scored(
     result = _result(cells, target, course, steps, rows, wall)
     ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
     complete = ended and not lost and not recording.cut_off
-    return RecordedPass(ran, cell, target, lost, _lost(cell, recorded, last), complete, program)
+    return ran, RecordedFacts(cell, target, lost, _lost(cell, recorded, last), complete, program)
 
 
 def _read(recording: Recording, namespace: str | None) -> Content:

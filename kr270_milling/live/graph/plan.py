@@ -78,8 +78,8 @@ def run_plan(
     def run(name: str) -> RunRow:
         say(f"{name}, pass {next(numbers)} of at most {most}")
         pass_run = graph.run_pass(name)
-        recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
-        return RunRow(pass_run, recorded.scored, recorded.lost_to_end)
+        ran, recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
+        return RunRow(pass_run, ran, recorded.lost_to_end)
 
     original = run("original")
     rows = [original]

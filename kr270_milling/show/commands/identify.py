@@ -284,10 +284,10 @@ def run_compare(args) -> Answer:
         number = getattr(args, "pass") or len(passes)
         if number > len(passes):
             raise InputError("--pass", f"{args.recording} has {len(passes)} passes")
-        chosen = passes[number - 1]
-        reference = chosen.scored.reference if reference is None else reference
-        if len(passes) > 1 or chosen.stamps != "exchange":
-            measured, name = _series_of(args, chosen.scored.result), chosen.scored.name + STAMPS[chosen.stamps]
+        chosen, recorded = passes[number - 1]
+        reference = chosen.reference if reference is None else reference
+        if len(passes) > 1 or recorded.stamps != "exchange":
+            measured, name = _series_of(args, chosen.result), chosen.name + STAMPS[recorded.stamps]
     measured = measured or _measured(args)
     with progress("milling") as report:
         ran = simulate(cell, reference, progress=report).result

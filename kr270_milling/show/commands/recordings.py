@@ -17,7 +17,8 @@ from kr270_milling.show.commands.console import Answer, command_line, now, outpu
 from kr270_milling.show.commands.progress import progress, steps
 
 if TYPE_CHECKING:
-    from kr270_milling.exchange.replay.recorded import RecordedPass
+    from kr270_milling.cell.jobs import ScoredPass
+    from kr270_milling.exchange.replay.recorded import RecordedFacts
 
 
 #: what the title of the report adds for the stamps of the poses
@@ -130,22 +131,22 @@ def _reported(args, whole) -> Answer:
 
     places = [Path(place) for place in args.recordings]
     recorded, copies = _read(places, args.namespace, args.remap, whole)
-    cell, passes = recorded[0].cell, [one.scored for one in recorded]
+    cell, passes = recorded[0][1].cell, [ran for ran, _ in recorded]
     first = places[0]
     beside = first if first.is_dir() else first.parent
     there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
     directory = output_directory(args.out or (beside if there else beside / "report"))
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
-    title += "".join(STAMPS[kind] for kind in sorted({one.stamps for one in recorded}))
+    title += "".join(STAMPS[kind] for kind in sorted({about.stamps for _, about in recorded}))
     with whole("report"):
         page = write_report(
             directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
-            program=recorded[0].program,
+            program=recorded[0][1].program,
         )  # fmt: skip
         write_series(directory, cell, passes)
     rows = [
-        {**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete, "stamps": one.stamps}
-        for one in recorded
+        {**ran.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
+        for ran, about in recorded
     ]
     about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
     return Answer(about, [
@@ -157,7 +158,7 @@ def _reported(args, whole) -> Answer:
 
 def _read(
     places: Sequence[Path], namespace: str | None, rules: Sequence[str], whole
-) -> tuple[list[RecordedPass], list[str]]:
+) -> tuple[list[tuple[ScoredPass, RecordedFacts]], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
 
     from kr270_milling.exchange.replay.recorded import passes_from_recording
@@ -166,35 +167,34 @@ def _read(
     remap = remapping(rules)
     paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
     names = unique_names(paths)
-    recorded: list[RecordedPass] = []
+    recorded: list[tuple[ScoredPass, RecordedFacts]] = []
     copies: list[str] = []
     with whole("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
         read = pool.map(lambda path, name: passes_from_recording(path, name, namespace, remap), paths, names)
         for number, (path, passes) in enumerate(zip(paths, read, strict=True), 1):
             count(number, len(paths))
-            for one in passes:
-                if any(_same(one, other) for other in recorded):
+            for ran, about in passes:
+                if any(_same(ran, other) for other, _ in recorded):
                     copies.append(str(path))
-                elif _other_path(one, (recorded or [one])[0]):
+                elif recorded and _other_path(about, recorded[0][1]):
                     reason = f"is a pass of another path than {paths[0]}: give each path a separate report"
                     raise InputError(path, reason)
                 else:
-                    recorded.append(one)
+                    recorded.append((ran, about))
     return recorded, copies
 
 
-def _other_path(one: RecordedPass, other: RecordedPass) -> bool:
+def _other_path(one: RecordedFacts, other: RecordedFacts) -> bool:
     import numpy as np
 
     same = np.array_equal(one.target.time_ns, other.target.time_ns)
     return not same or not np.allclose(one.target.position, other.target.position)
 
 
-def _same(one: RecordedPass, other: RecordedPass) -> bool:
+def _same(ran: ScoredPass, known: ScoredPass) -> bool:
     """Whether two recordings have the same pass: start, poses and wrenches; a copy, or what was recovered of one."""
     import numpy as np
 
-    ran, known = one.scored, other.scored
     alike = (np.array_equal(getattr(ran.result, k), getattr(known.result, k)) for k in ("time_ns", "tool", "wrench"))
     return ran.reference.start_ns == known.reference.start_ns and all(alike)
 

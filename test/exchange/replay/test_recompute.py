@@ -178,7 +178,7 @@ def test_a_recording_of_another_version_is_left_to_that_version(tmp_path, monkey
         return
     assert main(["replay", str(bag), "--recompute"]) == 2
     assert f"recorded by {version}; recompute it with that version" in capsys.readouterr().err
-    assert pass_from_recording(bag).complete
+    assert pass_from_recording(bag)[1].complete
 
 
 def test_a_file_that_is_cut_off_is_compared_up_to_its_end_and_one_that_is_damaged_or_empty_is_refused(tmp_path):
@@ -274,20 +274,20 @@ def test_a_thinned_recording_recomputes_and_gives_all_deflections_to_the_bit(tmp
     assert replayed.verdict == "identical", (replayed.first, replayed.stops)
     channel = replayed.channels["/deflection"]
     assert (channel.compared, channel.missing) == (count, 0)
-    recorded, plain = pass_from_recording(tmp_path / "r"), simulate(made.cell_of(every=every))
+    (ran, recorded), plain = pass_from_recording(tmp_path / "r"), simulate(made.cell_of(every=every))
     assert recorded.complete and recorded.messages_lost == recorded.lost_to_end == 0
-    np.testing.assert_array_equal(recorded.scored.result.deflection, plain.result.deflection)
-    assert recorded.scored.scores == plain.scores
+    np.testing.assert_array_equal(ran.result.deflection, plain.result.deflection)
+    assert ran.scores == plain.scores
 
 
 def test_a_thinned_deflection_that_is_lost_or_changed_is_reported(tmp_path):
     thinned, cell = one_pass(every=0), made.cell_text(every=0)
     lost = recomputed(tmp_path / "lost", without("deflection", 3, thinned), cell=cell)
-    assert lost.channels["/deflection"].missing == 1 and not pass_from_recording(tmp_path / "lost").complete
+    assert lost.channels["/deflection"].missing == 1 and not pass_from_recording(tmp_path / "lost")[1].complete
     messages = made.changed(thinned, "deflection", 3, flip(force_offset(1)))
     first = recomputed(tmp_path / "changed", messages, cell=cell).first
     assert (first.topic, first.index, first.stamp_ns) == ("/deflection", 3, 30_000_000)
-    recorded = pass_from_recording(tmp_path / "changed").scored.result  # of another robot, then: only what it said
+    recorded = pass_from_recording(tmp_path / "changed")[0].result  # of another robot, then: only what it said
     assert recorded.time_ns.tolist()[-3:] == [40_000_000, 50_000_000, 60_000_000]
 
 
@@ -499,7 +499,7 @@ def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed_wi
         assert replayed.channels["/tool_pose"].compared == made.STEPS
         assert replayed.channels["/reference_trajectory"].compared == 2
         ran = simulate(cell, by.reference, name, plant=runs)
-        recorded = pass_from_recording(tmp_path / name).scored
+        recorded = pass_from_recording(tmp_path / name)[0]
         assert np.array_equal(recorded.result.tool, ran.result.tool)
         assert np.array_equal(recorded.result.deflection, ran.result.deflection)
         assert recorded.scores == ran.scores

@@ -89,9 +89,9 @@ def test_run_gives_the_plain_loop_bit_for_bit_while_a_page_shows_it(ros_environm
     original = simulate(short_cell)
     plain = [original, *(compensated(short_cell, original, method) for method in ("linear", "spline"))]
     for row, expected in zip(result["passes"], plain, strict=True):
-        recorded = pass_from_recording(row["recording"])
+        ran, recorded = pass_from_recording(row["recording"])
         assert recorded.complete and recorded.messages_lost == row["messages_lost"] == 0
-        same(recorded.scored.result, expected.result)
+        same(ran.result, expected.result)
         with Recording(row["recording"]) as recording:
             assert not recording.cut_off and recording.topics()["/robot_description"].count == 1
         assert row["max_deviation_um"] == expected.scores.max_deviation * 1e6
@@ -153,7 +153,7 @@ def test_a_second_graph_is_refused_and_the_first_continues_on_this_host_until_a_
     assert first.returncode == 143 and "Traceback" not in errors
     assert not nodes_of(tmp_path)
     *whole, last = whole_passes(out)
-    assert len(whole) > done and all(pass_from_recording(path).messages_lost == 0 for path in whole)
+    assert len(whole) > done and all(pass_from_recording(path)[1].messages_lost == 0 for path in whole)
     with Recording(last) as recording:
         assert not recording.cut_off
 
@@ -172,7 +172,7 @@ def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_
     out, errors = capsys.readouterr()
     assert not out and errors.endswith("interrupted\n")
     recorded = tmp_path / "original"
-    same(pass_from_recording(recorded).scored.result, simulate(short_cell).result)
+    same(pass_from_recording(recorded)[0].result, simulate(short_cell).result)
     assert recompute(recorded).verdict == "identical"
     with Recording(recorded) as recording:
         assert "/left/clock" in recording.topics()
@@ -197,7 +197,7 @@ def run(monkeypatch, short_cell):
             return RunValues(Path(name), 1.0, tuple(graph.errors), graph.finished)
 
         def recorded(recording, name, namespace):
-            return SimpleNamespace(scored=ran[str(recording)], lost_to_end=0)
+            return ran[str(recording)], SimpleNamespace(lost_to_end=0)
 
         graph.cell, graph.driver, graph.run_pass = cell, SimpleNamespace(namespace="/"), run_pass
         monkeypatch.setattr(plan, "pass_from_recording", recorded)
