@@ -19,6 +19,8 @@ from kr270_milling.physics.motion.exchange import Clock
 
 __all__ = ["PassInbox", "ReceivedPass", "interpolated"]
 
+PositionQuaternion = tuple[np.ndarray, np.ndarray]
+FrameWrench = tuple[str, np.ndarray]
 GAP_NS = 100_000_000  # longest time between two messages of a pass without a report
 
 
@@ -85,11 +87,12 @@ class PassInbox:
         self._iterations = iterations
         self.clear()
 
-    def clear(self, wrenches: dict[int, WrenchSample] | None = None) -> None:
+    def clear(self, wrenches: dict[int, FrameWrench] | None = None) -> None:
         """Await the next pass; wrenches: those of this pass that came before its first pose."""
-        self._poses: dict[int, PoseSample] = {}  # by their stamps, ascending
-        self._wrenches: dict[int, WrenchSample] = dict(wrenches or {})
-        self._early: dict[int, WrenchSample] = {}
+        # plain tuples: a collection of garbage visits every NamedTuple, of which a pass of minutes has a million
+        self._poses: dict[int, PositionQuaternion] = {}  # by their stamps, ascending
+        self._wrenches: dict[int, FrameWrench] = dict(wrenches or {})
+        self._early: dict[int, FrameWrench] = {}
         self._ignored = 0
         self.foreign = False  #: the pass of a robot with another clock
         self._seeker = None if self._reference is None else StartSeeker(self._reference, self._announced)
@@ -156,7 +159,8 @@ class PassInbox:
             self._ignored += 1  # older than the last one, after the end, or without the start
             return
         self._check_gap("tool_pose", time, last if last >= 0 else 0)
-        self._poses[time] = sample  # repeated where the exchange is iterated, or the robot asked again
+        # repeated where the exchange is iterated, or the robot asked again
+        self._poses[time] = sample.position, sample.quaternion
         self._last_poses -= time >= self.end_ns
 
     def _is_foreign(self, time: int) -> bool:
@@ -192,7 +196,7 @@ class PassInbox:
         if time < last or last >= self.end_ns:
             return
         self._check_gap("tool_pose", time, last)
-        self._poses[time] = sample
+        self._poses[time] = sample.position, sample.quaternion
         self._last_poses -= time >= self.end_ns
 
     def _check_gap(self, topic: str, time: int, last: int) -> None:
@@ -207,16 +211,16 @@ class PassInbox:
             time = sample.stamp - self.start_ns
             if time >= 0 and self._last_wrenches > 0:
                 self._check_gap("wrench", time, next(reversed(self._wrenches), time))
-                self._wrenches[time] = sample
+                self._wrenches[time] = sample.frame, sample.wrench
                 self._last_wrenches -= time >= self.end_ns
             return
         if self._seeker is not None:
             self._seeker.wrenches.append(sample)
         time = sample.stamp - self.start_ns
         if time == 0 and list(self._poses) != [0]:
-            self._early = {0: sample}  # it may overtake the pose that it answers
+            self._early = {0: (sample.frame, sample.wrench)}  # it may overtake the pose that it answers
         elif self._poses and not self._is_foreign(time):
-            self._wrenches[time] = sample
+            self._wrenches[time] = sample.frame, sample.wrench
             self._last_wrenches -= time >= self.end_ns
 
     def received(self) -> ReceivedPass:
@@ -228,8 +232,8 @@ class PassInbox:
         times = np.array(sorted(self._wrenches), np.int64)
         nearest = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0)
         samples = [self._wrenches[stamp] for stamp in times.tolist()]
-        turned = self._at_tip(samples, [poses[k].quaternion for k in nearest.tolist()])
-        position = np.array([pose.position for pose in poses], float).reshape(-1, 3)
+        turned = self._at_tip(samples, [poses[k][1] for k in nearest.tolist()])
+        position = np.array([place for place, _ in poses], float).reshape(-1, 3)
         if self.foreign and self._reference is not None:
             if self._wrenches:
                 self._check_gap("wrench", self.end_ns, next(reversed(self._wrenches)))
@@ -238,16 +242,16 @@ class PassInbox:
             check_follows(self._reference, stamps, position)
         return ReceivedPass(stamps, position, times, turned)
 
-    def _at_tip(self, samples: list[WrenchSample], quaternions: list[np.ndarray]) -> np.ndarray:
+    def _at_tip(self, samples: list[FrameWrench], quaternions: list[np.ndarray]) -> np.ndarray:
         """Return wrenches (n, 6) at the tool tip in workpiece axes; quaternions: of tcp."""
-        wrench, frames = np.array([s.wrench for s in samples], float).reshape(-1, 6), [s.frame for s in samples]
+        frames, wrench = [frame for frame, _ in samples], np.array([w for _, w in samples], float).reshape(-1, 6)
         for frame in set(frames) - {WORKPIECE}:
             rows = [row for row, name in enumerate(frames) if name == frame]
             if self._frames is None or frame == TOOL:
-                wrench[rows] = [in_workpiece_axes(samples[row], quaternions[row]) for row in rows]
+                wrench[rows] = [in_workpiece_axes(WrenchSample(0, *samples[row]), quaternions[row]) for row in rows]
                 continue
             turns = np.array([quaternions[row] for row in rows])
-            offset = self._frames.offset(self._standing, next(iter(self._poses.values())).quaternion)
+            offset = self._frames.offset(self._standing, next(iter(self._poses.values()))[1])
             wrench[rows] = self._frames.at_tip(frame, wrench[rows], turns, offset)
         return wrench
 

@@ -17,13 +17,15 @@ from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.status import Status, subscribe_status
 from kr270_milling.path.trajectory import fingerprint
 from kr270_milling.recordings.messages.codec import trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.recordings.messages.topics import COMPENSATOR, ROBOT
+from kr270_milling.recordings.messages.topics import COMPENSATOR, RECORDER, ROBOT
 
 __all__ = ["CompliantRobot"]
 
 RETRY = 0.5  # [s] of the wall clock without a wrench, after which the tool pose is published again
 LOOK = 0.1  # [s] of the wall clock between two checks
 AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
+MOST_EXCHANGES = 8000  # that the pass may be ahead of compensator or recorder, whose queues have 20,000 messages
+FRESH = 1.0  # [s] of the wall clock; the pass does not wait for a node whose last status is older
 
 
 class CompliantRobot(ManagedNode):
@@ -37,6 +39,7 @@ class CompliantRobot(ManagedNode):
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
         self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
         self._pace_timer: Timer | None = None
+        self._most_ahead = round(MOST_EXCHANGES * self.cell.clock.period * 1e9)  # [ns]
         self._given_up = False
         self._late: list = []  # outputs that wait for the wall clock
         self._silence = Silence()
@@ -44,6 +47,8 @@ class CompliantRobot(ManagedNode):
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
         self._planner = subscribe_status(self, COMPENSATOR, self._on_planner)
+        subscribe_status(self, RECORDER, self._on_recorder)
+        self._readers: dict[str, tuple[float, int]] = {}  # node: arrival of its status [s], stamp of its last pose [ns]
         self._ready = False  # as the compensator reported last
         self.create_timer(LOOK, self._watch_answer)
         self.set_values(reference="")
@@ -73,7 +78,24 @@ class CompliantRobot(ManagedNode):
 
     @guarded
     def _on_planner(self, msg) -> None:
-        self._ready = not Status.from_msg(msg).values.get("waiting_for")
+        status = Status.from_msg(msg)
+        self._ready = not status.values.get("waiting_for")
+        self._note_reader(COMPENSATOR, status)
+
+    @guarded
+    def _on_recorder(self, msg) -> None:
+        self._note_reader(RECORDER, Status.from_msg(msg))
+
+    def _note_reader(self, node: str, status: Status) -> None:
+        """Note the last pose that a node has read."""
+        stamp = status.stamps_ns.get(self.outlets["tool_pose"].topic_name, -1)
+        self._readers[node] = time.monotonic(), stamp
+
+    def _is_too_far_ahead(self) -> bool:
+        """Return whether compensator or recorder are so far behind in this pass that they would lose messages."""
+        start, late = self.protocol.start_ns, self.protocol.awaited_ns - self._most_ahead
+        since = time.monotonic() - FRESH
+        return any(start <= stamp < late and arrival > since for arrival, stamp in self._readers.values())
 
     @guarded
     def _watch_answer(self) -> None:
@@ -122,10 +144,13 @@ class CompliantRobot(ManagedNode):
             self._finish()
 
     def _answer(self, outputs) -> None:
-        """Publish the outputs; with a pace, delay the next tool pose to the wall clock."""
+        """Publish the outputs; delay the next tool pose to the wall clock of a pace, or for readers that are late."""
         self._silence.end()
-        if self.pace > 0.0 and not self.protocol.done:
-            ahead = self._started + self.protocol.time_ns * 1e-9 / self.pace - time.monotonic()
+        if not self.protocol.done:
+            ahead = LOOK if self._is_too_far_ahead() else 0.0
+            if self.pace > 0.0:
+                paced = self._started + self.protocol.time_ns * 1e-9 / self.pace - time.monotonic()
+                ahead = max(ahead, paced)
             if ahead > AHEAD:
                 self._late, outputs = outputs[:1], outputs[1:]
                 self._pace_timer = self.create_timer(ahead, self._ask_late)

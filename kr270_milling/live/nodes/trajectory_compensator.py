@@ -135,6 +135,11 @@ class TrajectoryCompensator(ReportingNode):
             but = f", of which {missing} poses did not arrive"
         self.report(WARN if but else OK, f"reference: {what}{but}", **values)
 
+    def stamps(self) -> dict[str, int]:
+        """Return also the stamp of the last tool pose of a pass: the simulated robot does not run far ahead of it."""
+        read = {self._pose.topic_name: self.stamp_ns} if self.protocol.under_way else {}
+        return super().stamps() | read
+
     @guarded
     def _poll(self) -> None:
         for message in poll((self._pose, self._wrench)):

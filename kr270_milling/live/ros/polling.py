@@ -17,7 +17,7 @@ from kr270_milling.live.ros.rclpy_private import take_messages
 
 __all__ = ["DEPTH", "POLL_PERIOD", "PolledMessage", "in_order", "is_polled", "poll", "polled_subscription"]
 
-POLL_PERIOD = 0.02  # [s] of the wall clock
+POLL_PERIOD = 0.01  # [s] of the wall clock
 DEPTH = 20_000  # messages that may wait in a subscription
 
 

@@ -24,7 +24,7 @@ class Status:
     error: str = ""  #: last message of the level ERROR: a status may replace the one before on its way
     listeners: dict[str, int] = field(default_factory=dict)  #: matched subscribers of each topic that it publishes
     sources: dict[str, int] = field(default_factory=dict)  #: matched publishers of each topic that it subscribes to
-    stamps_ns: dict[str, int] = field(default_factory=dict)  #: last stamp of each topic that it publishes, or records
+    stamps_ns: dict[str, int] = field(default_factory=dict)  #: last stamp of topics that it publishes, reads or records
     values: dict[str, Any] = field(default_factory=dict)
 
     def to_msg(self):
