@@ -61,6 +61,11 @@ class FeatureLimit:
         hertz = self.limit.chatter_frequency / (2.0 * math.pi)
         return f"{1e3 * self.depth:.3g} mm, limit {1e3 * self.limit.depth_limit:.3g} mm, chatter at {hertz:.4g} Hz"
 
+    @property
+    def share_of_limit(self) -> float:
+        """Depth over its limit; infinite where every depth chatters."""
+        return self.depth / self.limit.depth_limit if self.limit.depth_limit else math.inf
+
     def as_dict(self) -> dict:
         """For JSON."""
         stable = self.depth <= self.limit.depth_limit
@@ -78,7 +83,7 @@ class Stability:
     @property
     def worst(self) -> FeatureLimit | None:
         """The feature with the largest depth against its limit; None where nothing is milled."""
-        return max(self.features, key=lambda one: one.depth / one.limit.depth_limit, default=None)
+        return max(self.features, key=lambda one: one.share_of_limit, default=None)
 
     @property
     def word(self) -> str:
