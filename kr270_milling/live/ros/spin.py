@@ -94,7 +94,8 @@ def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[
     except (MillingError, ParameterException) as error:
         _print_error(error)
         return 2
-    gc.freeze()  # a full collection of the imported modules stops a recorder for 0.1 s
+    if args is None:
+        gc.freeze()  # a full collection of the imported modules stops a recorder for 0.1 s
     executor = EventsExecutor(context=context)
     for node in nodes:
         executor.add_node(node)
