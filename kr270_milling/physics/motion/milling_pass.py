@@ -132,7 +132,8 @@ def _follow(wrenches, state, pushes, arrays, deflections):
     for n in range(len(wrenches) - 1):
         push = pushes[n] if len(pushes) else none
         advance(n, state, wrenches[n + 1], push, arrays, scratch, deflections[n + 1])
-        state[:] = scratch
+        for j in range(state.size):
+            state[j] = scratch[j]
 
 
 def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
@@ -172,7 +173,8 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
             if silent[row + 1]:
                 answer[:], torque = 0.0, 0.0
         drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot corrects
-        state[:] = scratch
+        for j in range(state.size):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
+            state[j] = scratch[j]
         away = 0.0
         for j in range(3):
             away += (reference[row + 1, j] + deflection[j] - tool[row + 1, j]) ** 2
@@ -182,7 +184,8 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
         torques[row + 1] = torque
         if not silent[row + 1]:
             volumes[row + 1] = (cut_state.floats[LEVEL_SUM] - before) * per_node
-    wrench[:] = answer
+    for j in range(6):
+        wrench[j] = answer[j]
     return True
 
 

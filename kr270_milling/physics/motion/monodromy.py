@@ -94,18 +94,22 @@ def _arnoldi(rows, shape, loads, ends, size, count):
     """H = V^T M V (count, count), V an orthonormal basis of v, M v, M^2 v, ...; M the map of one tooth period."""
     basis, small = np.zeros((count + 1, size)), np.zeros((count + 1, count))
     start = np.cos(np.arange(size) ** 2.0)  # a part of everything
-    basis[0] = start / np.linalg.norm(start)
+    length = np.linalg.norm(start)
+    for i in range(size):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
+        basis[0, i] = start[i] / length
     for k in range(count):
         image = _period(rows, shape, loads, ends, basis[k])
         for _ in range(2):  # twice is enough
             share = basis[: k + 1] @ image
-            small[: k + 1, k] += share
+            for i in range(k + 1):
+                small[i, k] += share[i]
             image = image - share @ basis[: k + 1]
         length = np.linalg.norm(image)
         if length < 1e-14:
             return small[: k + 1, : k + 1].copy()
         small[k + 1, k] = length
-        basis[k + 1] = image / length
+        for i in range(size):
+            basis[k + 1, i] = image[i] / length
     return small[:count].copy()
 
 
@@ -115,7 +119,8 @@ def _period(rows, shape, loads, ends, start):
     n, m = shape.shape[0], loads.shape[0]
     q, rate = start[:n].copy(), start[n : 2 * n].copy()
     past = np.zeros((2 * m, 2))  # u at the nodes: m of the period before, then those of this one
-    past[:m] = start[2 * n :].copy().reshape(m, 2)
+    for k in range(m):
+        past[k, 0], past[k, 1] = start[2 * (n + k)], start[2 * (n + k) + 1]
     for k in range(m):
         past[m + k, 0], past[m + k, 1] = _tip(shape, q)
         x, y, z = _force(loads[k], past[m + k], past[k])

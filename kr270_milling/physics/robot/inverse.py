@@ -141,8 +141,10 @@ def branches_at(lengths, position, rotation, near_a4, q, distance):
             q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
             q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
             row = 4 * shoulder + 2 * elbow
-            q[row] = q1, q2, q3, q4, q5, q6
-            q[row + 1] = q1, q2, q3, wrapped(q4 + np.pi), -q5, wrapped(q6 + np.pi)
+            q[row, 0], q[row, 1], q[row, 2], q[row, 3], q[row, 4], q[row, 5] = q1, q2, q3, q4, q5, q6
+            for j in range(3):
+                q[row + 1, j] = q[row, j]
+            q[row + 1, 3], q[row + 1, 4], q[row + 1, 5] = wrapped(q4 + np.pi), -q5, wrapped(q6 + np.pi)
 
 
 def _reach(arm: Arm) -> tuple[float, float]:

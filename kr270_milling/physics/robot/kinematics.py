@@ -114,7 +114,9 @@ def _chain(cosines, sines, turns, signs, links, rotations, axes, nodes):
     base = len(turns) - len(links)
     turned = np.empty((3, 3))
     for p in range(len(cosines)):
-        turned[:] = np.eye(3)
+        for i in range(3):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
+            for j in range(3):
+                turned[i, j] = 1.0 if i == j else 0.0
         for j in range(len(turns)):
             k = turns[j]
             ahead, beside = (k + 1) % 3, (k + 2) % 3
