@@ -48,18 +48,20 @@ def pytest_configure(config):
 
 
 def compile_cuts() -> None:
-    """Compile what most tests need before workers start, each of which would compile it again."""
-    code = "import conftest; conftest.compile_models()"
-    other = subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent)
-    compile_cut("teeth")
+    """Compile what most tests need before workers start, each of which would compile it again: half on each core."""
+    from kr270_milling.decide.check import check
+
+    other = subprocess.Popen([sys.executable, "-c", "import conftest; conftest.compile_learning()"], cwd=ROOT / "test")
+    check(compile_cut("engagement"))
     assert other.wait() == 0
 
 
-def compile_models() -> None:
-    """Compile the mean-force model, the learning, the check and the stability."""
-    from kr270_milling.decide.compensation import compensate
+def compile_learning() -> None:
+    """Compile the model of the teeth and the learning."""
+    from kr270_milling.cell.jobs import compensated, simulate
 
-    compensate(compile_cut("engagement"), "learned")
+    cell = compile_cut("teeth")
+    compensated(cell, simulate(cell), "learned")
 
 
 def compile_cut(detail: str) -> Cell:
