@@ -100,8 +100,10 @@ def _flanks(gaps, wrenches, series):
     state, new_state, deflection = np.zeros(STATES), np.zeros(STATES), np.zeros(6)
     for n in range(len(wrenches) - 1):
         cross_gaps(n, state, wrenches[n + 1], gaps, new_state, deflection)
-        state[:] = new_state
-        series[n + 1] = state[6:12]
+        for j in range(STATES):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
+            state[j] = new_state[j]
+        for j in range(6):
+            series[n + 1, j] = state[6 + j]
 
 
 def tool_jumps(gaps: Gaps, wrenches: np.ndarray) -> list[tuple[int, int, float]]:
