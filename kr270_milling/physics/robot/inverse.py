@@ -141,6 +141,7 @@ def branches_at(lengths, position, rotation, near_a4, q, distance):
             q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
             q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
             row = 4 * shoulder + 2 * elbow
+            # one by one: Numba compiles the sentence on shapes of a slice for seconds
             q[row, 0], q[row, 1], q[row, 2], q[row, 3], q[row, 4], q[row, 5] = q1, q2, q3, q4, q5, q6
             for j in range(3):
                 q[row + 1, j] = q[row, j]
