@@ -248,14 +248,14 @@ finite = st.floats(-0.2, 0.2)
 def test_chords_lie_within_the_tolerance_of_the_arc_and_end_on_it(x, y, radius, first, sweep, clockwise):
     sign = -1 if clockwise else 1
     start, end = ((x + radius * math.cos(a), y + radius * math.sin(a), 0.0) for a in (first, first + sign * sweep))
-    points, curvature = arc_points(start, end, (x, y), clockwise, 1e-9, 2e-6)
+    points, curvature, around = arc_points(start, end, (x, y), clockwise, 1e-9, 2e-6)
     corners = np.vstack([start, points]) - [x, y, 0]
     middles = (corners[1:] + corners[:-1]) / 2
     assert np.abs(np.hypot(*corners[:, :2].T) - radius).max() < 1e-12
     assert (radius - np.hypot(*middles[:, :2].T)).max() <= 2e-6 + 1e-15  # of a chord the middle lies furthest inside
     half = np.hypot(*np.diff(corners[:, :2], axis=0).T) / 2
     length = np.sum(2 * radius * np.arcsin(np.minimum(half / radius, 1)))
-    assert length == pytest.approx(radius * sweep, rel=1e-6, abs=1e-9)
+    assert length == pytest.approx(radius * sweep, rel=1e-6, abs=1e-9) and around == pytest.approx(radius * sweep)
     assert curvature == pytest.approx(sign / radius) and tuple(points[-1]) == end
 
 
@@ -269,7 +269,7 @@ def test_the_centre_found_from_a_radius_is_as_far_from_both_ends_and_gives_the_r
     radius = factor * chord * (-1 if longer else 1)
     centre = centre_from_radius((x0, y0), (x1, y1), radius, clockwise, 1e-9)
     assert math.dist(centre, (x0, y0)) == pytest.approx(abs(radius)) == math.dist(centre, (x1, y1))
-    points, _ = arc_points((x0, y0, 0.0), (x1, y1, 0.0), centre, clockwise, 1e-9, 1e-6)
+    points, _, _ = arc_points((x0, y0, 0.0), (x1, y1, 0.0), centre, clockwise, 1e-9, 1e-6)
     path = np.vstack([(x0, y0, 0.0), points])
     length = np.hypot(*np.diff(path[:, :2], axis=0).T).sum()
     minor = 2 * abs(radius) * math.asin(chord / 2 / abs(radius))
@@ -278,8 +278,8 @@ def test_the_centre_found_from_a_radius_is_as_far_from_both_ends_and_gives_the_r
 
 def test_equal_start_and_end_mean_a_full_circle_in_either_sense_and_a_chord_beyond_the_diameter_does_not_close():
     for clockwise in (True, False):
-        points, _ = arc_points((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0), clockwise, 1e-9, 1e-6)
-        turn = np.unwrap(np.arctan2(points[:, 1], points[:, 0]))
+        points, _, _ = arc_points((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0), clockwise, 1e-9, 1e-6)
+        turn = np.unwrap([math.atan2(y, x) for x, y, _ in points])
         assert turn[-1] - turn[0] == pytest.approx((-1 if clockwise else 1) * 2 * math.pi * (1 - 1 / len(points)))
     with pytest.raises(ArcError, match="does not close"):
         centre_from_radius((0.0, 0.0), (0.1, 0.0), 0.0499, True, 10e-6)

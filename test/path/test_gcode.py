@@ -90,7 +90,8 @@ REFUSED = [
     *((f"G2 {words} F100", "does not close") for words in ("X10 Y0 I4 J0", "X10 Y0 R4.9", "X5 I0 J0")),
     *((f"G2 {words} F100", "wrong unit") for words in (
         "X10 Y0 R1" + 160 * "0", "X10 Y0 R100000000000000", "X0.001 Y0 J30000000000000")),
-    ("G2 X0 Y0 J900000 F100", "leads more than 100 m away"), ("G2 X10 Y0 F100", "without I, J or R"),
+    *((f"G2 X0 Y0 {words} F100", "leads more than 100 m away") for words in ("J900000", "J9000000 P999")),
+    ("G2 X10 Y0 F100", "without I, J or R"),
     ("G18 G2 X10 Z0 F100", "without K, I or R"), ("G2 X10 Y0 I5 K2 F100", "K does not belong"),
     ("G2 X10 Y0 R6 I5 F100", "not by both"), ("G2 R6 F100", "elsewhere"), ("G1 X5 I1 F100", "I belongs to"),
     ("(open\nG1 X1 F100", "not closed"), ("G1 X1 F100 $", r"\$"), ("G1 X1 F100 \u0425\u0456", "no G-code word"),

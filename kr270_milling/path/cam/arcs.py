@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
+from kr270_milling.path.toolpath import REACH
 
 __all__ = ["ArcError", "centre_from_radius", "arc_points"]
 
 MOST_TURNS = 1000
+FAR = f"the arc leads more than {REACH:g} m away; wrong unit?"
 
 
 class ArcError(ValueError):
@@ -30,8 +31,8 @@ def centre_from_radius(start, end, radius: float, clockwise: bool, tolerance: fl
 
 def arc_points(
     start, end, centre, clockwise: bool, closing: float, tolerance: float, turns: int = 0
-) -> tuple[np.ndarray, float]:
-    """Ends of the chords [m], (m, 3), and the curvature [1/m] of an arc or a helix about ``centre``.
+) -> tuple[list[tuple[float, ...]], float, float]:
+    """Ends (x, y, z) of the chords [m] of an arc or a helix about ``centre``, its curvature [1/m] and length in xy [m].
 
     start, end [m], (3,); equal in x and y they mean a full circle. closing: how far start and end may differ in their
     distance from the centre; tolerance: largest distance of the arc from a chord; turns: full ones before the arc.
@@ -56,12 +57,19 @@ def arc_points(
     if not 0 <= turns <= MOST_TURNS:
         raise ArcError(f"a helix of {turns} turns is not meant")
     sweep += math.copysign(2 * math.pi * turns, -1.0 if clockwise else 1.0)
+    length = abs(sweep) * (first + last) / 2
+    if not length <= 8 * REACH * (turns + 1):  # around the square of all places within reach
+        raise ArcError(FAR)
     radius = max(first, last)
     step = 2 * math.acos(max(1 - tolerance / radius, math.cos(math.pi / 4)))  # at least 4 chords to the circle
     count = max(1, math.ceil(abs(sweep) / step))
-    place = np.arange(1, count + 1) / count
-    radii, angles = first + place * (last - first), angle + place * sweep
-    height = start[2] + place * (end[2] - start[2])
-    points = np.stack([centre[0] + radii * np.cos(angles), centre[1] + radii * np.sin(angles), height], axis=1)
-    points[-1] = end
-    return points, math.copysign(2 / (first + last), sweep)
+    points: list[tuple[float, ...]] = []
+    for k in range(1, count):
+        place = k / count
+        around, distance = angle + place * sweep, first + place * (last - first)
+        x, y = centre[0] + distance * math.cos(around), centre[1] + distance * math.sin(around)
+        points.append((x, y, start[2] + place * (end[2] - start[2])))
+    points.append(tuple(end))
+    if not all(abs(value) <= REACH for point in points for value in point):
+        raise ArcError(FAR)
+    return points, math.copysign(2 / (first + last), sweep), length

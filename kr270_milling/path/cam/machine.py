@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
 from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -222,13 +220,10 @@ class Machine:
                 advice = "write G90.1 first or post incremental centres"
                 raise ArcError(f"the arc closes with an absolute centre only; {advice}")
         turns = int(arc.get("TURN", axes.pop("P", 1) - 1))
-        points, curvature = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, turns)
-        if not np.abs(points).max() <= REACH:
-            raise ArcError(f"the arc leads more than {REACH:g} m away; wrong unit?")
-        chords = np.linalg.norm(np.diff(points[:, :2], axis=0, prepend=[from_point[:2]]), axis=1)
-        swept = 2 / abs(curvature) * np.arcsin(np.clip(abs(curvature) * chords / 2, 0, 1)).sum()
+        points, curvature, swept = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, turns)
         length = math.hypot(swept, to_point[2] - from_point[2])
-        ends = list(map(tuple, points[:, np.argsort(plane)].tolist()))
+        x, y, z = map(plane.index, (0, 1, 2))
+        ends = [(point[x], point[y], point[z]) for point in points]
         return ends, length, curvature if self.plane == 17 else 0.0
 
     # --- cycles ---
