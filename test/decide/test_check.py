@@ -387,7 +387,6 @@ def dangerous(d: float) -> dict[str, tuple]:
     turn = [2.0 * pi * k / 48 for k in range(1, 97)]
     helix = [f"G0 X{r / 2 * math.cos(a):.5f} Y{r / 2 * math.sin(a):.5f} Z{-min(a / (2.0 * pi), 1.0):.5f}" for a in turn]
     chords = [f"G0 X{x:.6f}" for x in np.linspace(0.0, r, 101)[1:]]
-    wall = (f"G0 X{-11 * r} Y0 Z5", "G0 Z-1", f"G1 X{11 * r} F1200", "Y0.1", f"G0 X{-11 * r}")
     return {
         "slot in short chords": ((*BELOW, *chords), d * r, (), 1.0),
         "corner": ((*BELOW, f"G0 X{3 * r}", f"G0 Y{d}"), 5.0 * d * r - r**2 + pi * r**2 / 4.0, (5, 6), 1.0),
@@ -395,13 +394,20 @@ def dangerous(d: float) -> dict[str, tuple]:
         "helix": ((f"G0 X{r / 2} Y0 Z5", "G1 Z0 F1200", *helix), pi * (1.5 * r) ** 2, (), 1.0),
         "vertical": (("G0 X0 Y0 Z5", "G0 Z-0.5", f"G1 X{r} F1200"), pi * r**2 / 2.0, (4,), 0.5),
         "start in material": (("G0 X0 Y0 Z-0.5", f"G1 X{r} F1200"), pi * r**2 / 2.0, (3,), 0.5),
-        "too low above the stock": ((*BELOW, "G0 Z-0.1", f"G0 X{2 * d}"), 0.1 * d * 2.0 * d, (6,), 0.1),
-        "wall, 0.1 mm deep": (wall, 0.1 * 8.0 * d, (7,), 1.0),
-    }
+        "25 um below the top": ((*BELOW, "G0 Z-0.025", f"G0 X{2 * d}"), 0.025 * d * 2.0 * d, (6,), 0.025),
+        "18 um below the top, then down": (
+            (*BELOW, "G0 Z-0.018", f"G0 X{2 * d}", "G0 Z-1"), 0.018 * d * 2.0 * d + 0.982 * pi * r**2, (7,), 1.0),
+        "25 um into a wall": (back_along_a_wall(r, 0.025), 0.025 * 8.0 * d, (7,), 1.0),
+    }  # fmt: skip
+
+
+def back_along_a_wall(r: float, depth: float) -> tuple[str, ...]:
+    """A slot through the stock by a cutter of radius r, and a rapid move back, into one wall by ``depth`` [mm]."""
+    return f"G0 X{-11 * r} Y0 Z5", "G0 Z-1", f"G1 X{11 * r} F1200", f"Y{depth}", f"G0 X{-11 * r}"
 
 
 def sound(d: float) -> dict[str, tuple[str, ...]]:
-    """Name -> lines of a program whose rapid moves touch no material."""
+    """Name -> lines of a program whose rapid moves touch no material, or less of it than ``rapid_contact_um``, 20."""
     r = d / 2.0
     return {
         "along a wall": (f"G0 X{-11 * r} Y0 Z5", "G0 Z-1", f"G1 X{11 * r} F1200", f"G1 Y{r}", f"G1 X{-11 * r}",
@@ -410,6 +416,8 @@ def sound(d: float) -> dict[str, tuple[str, ...]]:
         "round an arc and back": (*BELOW, f"G2 X{2 * d} Y0 I{d} J0", f"G3 X0 Y0 I{-d} J0"),
         "up a steep ramp": (BELOW[0], "G1 Z0 F1200", f"G1 X{r} Z{-r}", f"G0 X{r / 2} Z{-r / 2}"),
         "down into a hole": (BELOW[0], "G1 Z-1 F600", "G0 Z2", "G0 Z-0.9", "G1 Z-2"),
+        "15 um below the top": (*BELOW, "G0 Z-0.015", f"G0 X{2 * d}"),
+        "15 um into a wall": back_along_a_wall(r, 0.015),
     }  # fmt: skip
 
 
