@@ -166,7 +166,7 @@ def test_a_zoom_of_the_curves_moves_the_maps_and_chooses_the_rows_of_the_csv_fil
     assert not any(name.startswith("linear_") for name in row)
     side = visit.ask("KR.data.linked.passes[0].side[100]")
     assert float(row["original_deviation_left_um"]) == pytest.approx(side, rel=1e-5)
-    visit.page.locator("#series .nsewdrag").first.dblclick()
+    visit.page.locator("#series .nsewdrag").first.dblclick(delay=600)  # [ms], of each press: Plotly counts up to 500
     visit.page.wait_for_function("KR.zoom === null")
 
 

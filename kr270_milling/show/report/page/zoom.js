@@ -56,6 +56,11 @@
     for (const id of [...KR.mapIds, "series"]) {
       KR.by(id).on("plotly_relayout", (change) => follow(id, change));
       KR.by(id).on("plotly_doubleclick", () => { show(null); });
+      // Plotly misses a double click whose second press a busy page handles late; the browser counts by the presses
+      KR.by(id).addEventListener("mousedown", (event) => {
+        if (event.detail !== 2 || !event.target.closest(".nsewdrag")) return;
+        addEventListener("mouseup", () => { if (KR.zoom) show(null); }, { once: true });
+      }, true);
     }
   };
 })();
