@@ -38,6 +38,7 @@ from kr270_milling.live.ros.node import stamp_from_ns
 from kr270_milling.live.ros.status import Status
 from kr270_milling.physics.robot.errors import ReachError
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import to_bytes
 
 OK, WARN, ERROR = 0, 1, 2
@@ -107,9 +108,10 @@ def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_match
     loop.revised(1)
     assert recorder.close() is None
     with Recording(tmp_path / "r") as recording:
-        counts = {topic: channel.count for topic, channel in recording.topics().items()}
-    assert counts["/tool_pose"] == counts["/wrench"] == simulate(short_cell).result.time_ns.size
-    assert not [topic for topic in counts if topic.endswith("/status")]
+        stamps = {topic: {stamp_of(m.data) for m in recording.messages([topic])} for topic in ("/tool_pose", "/wrench")}
+        assert not [topic for topic in recording.topics() if topic.endswith("/status")]
+    steps = simulate(short_cell).result.time_ns.size
+    assert len(stamps["/tool_pose"]) == len(stamps["/wrench"]) == steps  # on a busy machine the robot repeats a pose
 
 
 @pytest.fixture(scope="module")
