@@ -13,6 +13,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
 from kr270_milling.path.cam.readers import READERS
+from kr270_milling.physics.motion.imperfections import LEAST_SERVO_FREQUENCY
 
 __all__ = ["Limits", "Path", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 
@@ -260,7 +261,7 @@ class Uncertainty(Record):
     )
     # assumed: closed loops of the axes of heavy arms; one cycle of KUKA RSI
     servo_frequency: np.ndarray = parameter(
-        [10.0, 40.0], unit="hz", above=0.0, high=1000.0,
+        [10.0, 40.0], unit="hz", low=LEAST_SERVO_FREQUENCY, high=1000.0,
         text="lowest and highest frequency of a plant's servo lag, see imperfections.servo_frequency_hz; empty: none",
     )  # fmt: skip
     servo_delay: float = parameter(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import yaml
 from budget import budget
-from hostile import POSTURE, SHORT, refused_or_sound
+from hostile import POSTURE, SHORT, refused, refused_or_sound
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -74,16 +74,27 @@ def test_any_arm_is_refused_or_has_a_finite_stiffness(place, key, value):
     refused_or_sound("stiffness", write(place, key, value), POSTURE, "--gravity")
 
 
+@pytest.mark.parametrize("key", ["imperfections.servo_frequency_hz", "tool.shank_diameter_mm", "arm.link_mass_kg"])
+def test_what_is_almost_0_is_refused_where_no_numbers_result(place, key):
+    value = [1e-99] * 6 if key.startswith("arm") else 1e-99
+    sentence = refused("simulate", write(place, key, value))
+    assert key in sentence and ("at least" in sentence or "0, or " in sentence), sentence
+
+
 def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
-    """The bounds of every number with bounds, one at a time; sections that no pass asks are only read."""
+    """The bounds of every number with bounds, and almost 0, one at a time; sections that no pass asks are only read."""
     assert refused_or_sound("simulate", write(place, "arm.name", "arm")).code == 0  # the cell itself is sound
     unasked = ("uncertainty.", "limits.", "program.", "compensation.", "publish.")
     kinds, tried = {"number": float, "whole number": int}, 0
     for row in keys_of():
         above = None if row["above"] is None else row["above"] + 1e-9
-        for bound in (row["low"], row["high"], above) if row["type"] in kinds else ():
+        almost = 1e-99 if row["low"] == 0.0 and row["type"] == "number" else None
+        for bound in (row["low"], row["high"], above, almost) if row["type"] in kinds else ():
             if bound is not None:
                 cell = write(place, row["key"], kinds[row["type"]](bound))
-                read_cell(cell) if row["key"].startswith(unasked) else refused_or_sound("simulate", cell)
+                if row["key"].startswith(unasked):
+                    read_cell(cell)
+                else:
+                    refused_or_sound("simulate", cell)
                 tried += 1
     assert tried > 60

@@ -48,7 +48,7 @@ class ToolModes(Record):
 class Tool(Record):
     """A cylindrical end mill: straight edges, or edges that a helix makes lag the more the higher above the tip."""
 
-    diameter: float = parameter(unit="mm", above=0.0, high=200.0, text="cutter diameter")
+    diameter: float = parameter(unit="mm", low=1e-3, high=200.0, text="cutter diameter")
     teeth: int = parameter(low=1, high=100, text="number of teeth")
     spindle_speed: float = parameter(
         0.0, unit="rpm", low=0.0, high=200_000.0, text="spindle speed; 0: that of the program in path.file"
@@ -82,15 +82,17 @@ class Tool(Record):
     stick_out: float = parameter(
         0.0, unit="mm", low=0.0, high=500.0, text="from the holder to the tip; 0: not known, the tool is rigid"
     )
-    shank_diameter: float = parameter(0.0, unit="mm", low=0.0, high=200.0, text="above the flutes; 0: diameter")
+    shank_diameter: float = parameter(
+        0.0, unit="mm", low=0.0, high=200.0, text="above the flutes, from 0.001; 0: diameter"
+    )
     # assumed: cemented carbide; high-speed steel has 210
     modulus: float = parameter(600e9, unit="gpa", above=0.0, high=1000.0, text="Young's modulus")
     # [Kops1990]: the equivalent diameter of end mills, from their measured compliance
     flute_section: float = parameter(
-        0.8, above=0.0, high=1.0, text="diameter of a round bar as stiff as the flutes, a share of the diameter"
+        0.8, low=0.01, high=1.0, text="diameter of a round bar as stiff as the flutes, a share of the diameter"
     )
     stiffness: float = parameter(
-        0.0, unit="n_per_um", low=0.0, high=1e4, text="lateral, measured at the tip; 0: not known"
+        0.0, unit="n_per_um", low=0.0, high=1e4, text="lateral, measured at the tip, from 0.001; 0: not known"
     )
 
     modes: ToolModes = ToolModes()
@@ -99,6 +101,10 @@ class Tool(Record):
         if self.stiffness and self.stick_out:
             allowed = "0 where tool.stick_out_mm is given: the stiffness is measured or that of a beam"
             raise ParameterError("stiffness_n_per_um", 1e-6 * self.stiffness, allowed)
+        if 0.0 < self.stiffness < 1e3:
+            raise ParameterError("stiffness_n_per_um", 1e-6 * self.stiffness, "0, or 0.001 to 10000")
+        if 0.0 < self.shank_diameter < 1e-6:
+            raise ParameterError("shank_diameter_mm", 1e3 * self.shank_diameter, "0, or 0.001 to 200")
         for name, unit in (("pitch", "deg"), ("runout", "um")):
             if getattr(self, name).size not in (0, self.teeth):
                 shown = f"empty or one number for each of the {self.teeth} teeth"

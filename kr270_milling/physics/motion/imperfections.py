@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.path.trajectory import Trajectory
 
@@ -14,6 +15,7 @@ __all__ = ["Imperfections"]
 #: of a Maxwell-distributed distance with standard deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
 SERVO_DAMPING = 0.7  #: assumed: ratio of the second order of the servo lag, the usual tuning without overshoot
 SERVO_STEP = 1_000_000  #: [ns], of the lagged correction
+LEAST_SERVO_FREQUENCY = 0.1  #: [Hz]; far slower motors do not follow at all, and the filter becomes singular
 MOST_SERVO_STEPS = 900_000  #: of a long path: 4 ms in an hour
 SENSOR_LEVER = 0.1  #: [m], assumed: noise of a measured moment over that of a force
 REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
@@ -36,7 +38,7 @@ class Imperfections(Record):
     )  # fmt: skip
     servo_frequency: float = parameter(
         0.0, unit="hz", low=0.0, high=1000.0,
-        text="natural frequency of the second-order lag with which the motors follow a correction; 0: no lag",
+        text="natural frequency of the second-order lag with which the motors follow a correction, from 0.1; 0: no lag",
     )  # fmt: skip
     servo_delay: float = parameter(0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag")
     # the rule of a controller is not public; slopes from the neighbours are assumed
@@ -53,6 +55,10 @@ class Imperfections(Record):
     )
     seed: int = parameter(1, low=0, high=2**31 - 1, text="of noise and repeatability")
     first_pass: int = parameter(0, low=0, high=1_000_000, text="passes whose random numbers are drawn already")
+
+    def check(self) -> None:
+        if 0.0 < self.servo_frequency < LEAST_SERVO_FREQUENCY:
+            raise ParameterError("servo_frequency_hz", self.servo_frequency, f"0, or {LEAST_SERVO_FREQUENCY:g} to 1000")
 
     def generator(self, number: int) -> np.random.Generator:
         """The random numbers of pass ``number``, from 0."""

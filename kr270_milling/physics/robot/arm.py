@@ -155,6 +155,8 @@ class Arm(Record):
         if not np.all(self.joint_lower < self.joint_upper):
             shown = [math.degrees(value) for value in self.joint_upper]
             raise ParameterError("joint_upper_deg", shown, "above joint_lower_deg for every joint")
+        if self.link_mass.sum() < 1.0:
+            raise ParameterError("link_mass_kg", self.link_mass.tolist(), "1 kg at least in all")
 
     @functools.cached_property
     def base_axes(self) -> np.ndarray:
