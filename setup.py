@@ -7,7 +7,7 @@ nodes = ["compliant_robot", "cutting_process", "trajectory_compensator", "record
 
 setup(
     name=package,
-    version="0.3.0",
+    version="0.4.0",
     packages=find_packages(include=[package, package + ".*"]),
     package_data={
         package: [

@@ -57,7 +57,6 @@ COMMANDS = {
     "report": Entry("recordings", "make the report of one or several recordings"),
     "watch": Entry("run", "show a running graph, live, on a page of this host"),
     "recover": Entry("recordings", "make a whole recording of one that was cut off or damaged"),
-    "bench": Entry("bench", "time the sweep of the teeth and the stiffness model"),
 }
 
 

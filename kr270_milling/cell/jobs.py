@@ -13,7 +13,6 @@ from kr270_milling.base.column import as_dict
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import Plant
-from kr270_milling.cell.saved_passes import SavedPasses
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.learning import Learner
@@ -221,12 +220,11 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
 
 def compensated(
     cell: Cell, original: ScoredPass, method: str | Method, progress=None, by: Compensator | None = None,
-    plant: Plant | None = None, saved: SavedPasses | None = None,
+    plant: Plant | None = None,
 ) -> ScoredPass:  # fmt: skip
     """The pass along the trajectory that ``method`` makes from the original pass.
 
-    by: a compensator to do it with; plant: what runs the passes, the original one included; saved: passes of an
-    interrupted run, which are not run again.
+    by: a compensator to do it with; plant: what runs the passes, the original one included.
     """
     passes: dict[int, ScoredPass] = {}
     by = by or compensator(cell, cell.target(), method)
@@ -236,17 +234,10 @@ def compensated(
     def run(reference: Trajectory) -> PassRecord:
         for key in passes.keys() - {id(by.best)}:
             del passes[key]
-        record = saved.next(reference) if saved else None
-        if record is None:
-            ran = simulate(cell, reference, name, progress, plant)
-            record = record_of(cell, ran)
-            if not large:
-                passes[id(reference)] = ran
-            if saved:
-                saved.save(reference, record)
-        elif plant is not None:
-            plant.passes += 1
-        return record
+        ran = simulate(cell, reference, name, progress, plant)
+        if not large:
+            passes[id(reference)] = ran
+        return record_of(cell, ran)
 
     reference = by.improve(record_of(cell, original), run)
     if reference is original.reference:

@@ -12,7 +12,6 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
-from kr270_milling.cell.saved_passes import SavedPasses
 from kr270_milling.decide.check import Checked, check, check_weights
 from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.findings import Violation, violation
@@ -141,13 +140,12 @@ def compensate(
     motions: Sequence[str] = (),
     verdict: VerdictOrder | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
-    saved: SavedPasses | None = None,
 ) -> JudgedCompensation:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
     programs, LIN or SPLINE; progress(name, passes at most, text): a context that yields a function for the progress of
-    a step, see ``weights``; saved: finished passes of an interrupted run.
+    a step, see ``weights``.
     """
     method = method or cell.compensation.method
     with progress("original") as report:
@@ -163,7 +161,7 @@ def compensate(
     planned = revised = original
     if method != NO_METHOD:
         with progress("compensation", by.most_passes, by.method) as report:
-            planned = compensated(cell, original, method, report, by, plant, saved)
+            planned = compensated(cell, original, method, report, by, plant)
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
     with progress("original program as written") as report:

@@ -1,13 +1,16 @@
-"""Sweep and stiffness model beside a yardstick each: ``python -m bench.models [ROUNDS]``, in this folder's parent.
+"""Time of both models of the cut and of the stiffness model, beside a yardstick each.
 
-Model and yardstick take turns, so the ratio is the same on a slow or a busy machine. The yardstick of the sweep is an
-independent simulator of the paper's case as well.
+``python -m bench.models [--rounds N] [--json]``, in this folder's parent. Model and yardstick take turns, so the ratio
+is the same on a slow or a busy machine. The yardstick of the sweep is also an independent simulator of the paper's
+case.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import resource
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from math import ceil, cos, floor, pi, sin, sqrt
@@ -16,9 +19,15 @@ import numpy as np
 from numba import njit
 
 from kr270_milling import read_cell
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.show.commands.bench import POSTURES, posture_job
+from kr270_milling.physics.motion.milling_pass import run_pass
+from kr270_milling.physics.robot import equilibrium, stiffness
+from kr270_milling.physics.robot.analysis import read_arm
+
+PASSES = {"teeth": 1, "engagement": 9}  #: of the test piece in each round; a pass of the engagement takes some 20 ms
+POSTURES = 1000
 
 
 def plain_pass(cell: Cell, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -106,20 +115,76 @@ def timed(job: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
+def posture_job() -> Callable[[], object]:
+    """The calculation of pose, Jacobian, Hessian and loaded stiffness of POSTURES postures in one batch."""
+    arm, mount = read_arm(find_file("paper.yaml"))
+    around = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])
+    q = around + np.random.default_rng(1).uniform(-0.2, 0.2, (POSTURES, 6))
+    wrench = np.tile([100.0, 200.0, -50.0, 1.0, 2.0, 3.0], (POSTURES, 1))
+    return lambda: stiffness(equilibrium(arm, mount, q, wrench), arm)
+
+
 def bench_models(rounds: int = 5) -> dict[str, float]:
-    """Medians of the ratios to the yardsticks: the plain pass, and numpy's SVD of as many 6 x 6 matrices."""
+    """Times of the paper's pass and of a posture, and medians of their ratios to the yardsticks.
+
+    The yardsticks are the plain pass, and numpy's SVD of as many 6 x 6 matrices.
+    """
     cell = read_cell("paper.yaml")
-    steps = simulate(cell).result.micro_steps
+    first = timed(lambda: simulate(cell))  # may compile
+    result = simulate(cell).result
+    steps = result.micro_steps
     postures, matrices = posture_job(), np.random.default_rng(1).uniform(-1.0, 1.0, (POSTURES, 6, 6))
     plain_pass(cell, steps), postures()  # compiled
-    ratios: dict[str, list[float]] = {"pass_over_yardstick": [], "postures_over_yardstick": []}
+    rows = []
     for _ in range(rounds):
         wall = simulate(cell).result.wall_time  # of the pass alone, without workpiece and scores
-        ratios["pass_over_yardstick"].append(wall / timed(lambda: plain_pass(cell, steps)))
-        ratios["postures_over_yardstick"].append(timed(postures) / timed(lambda: np.linalg.svd(matrices)))
-    return {key: statistics.median(values) for key, values in ratios.items()}
+        plain, batch = timed(lambda: plain_pass(cell, steps)), timed(postures)
+        rows.append((wall, wall / plain, batch, batch / timed(lambda: np.linalg.svd(matrices))))
+    wall, pass_ratio, batch, posture_ratio = map(statistics.median, zip(*rows, strict=True))
+    return {
+        "us_per_step": wall / steps * 1e6,
+        "steps": steps,
+        "real_time_factor": float(result.time[-1]) / wall,
+        "first_pass_s": first,
+        "pass_over_yardstick": pass_ratio,
+        "us_per_posture": batch / POSTURES * 1e6,
+        "postures_over_yardstick": posture_ratio,
+        **bench_test_piece(rounds),
+        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def bench_test_piece(rounds: int) -> dict[str, float]:
+    """Machining time per processor time over the shipped test piece, by both models of the cut in turns."""
+    cells = [read_cell("test_piece.yaml", f"cutting.detail={detail}") for detail in PASSES]
+    target = cells[0].target()
+    models = [cell.arm_model(target) for cell in cells]
+    factors = []
+    for _ in range(rounds + 1):  # the first round may compile
+        of_round = []
+        for cell, model, passes in zip(cells, models, PASSES.values(), strict=True):
+            times = []
+            for _ in range(passes):
+                start = time.process_time()
+                run_pass(model, cell.cut(), cell.clock, target, target, cell.exchange.iterations)
+                times.append(time.process_time() - start)
+            of_round.append(target.duration_ns * 1e-9 / statistics.median(times))
+        factors.append(of_round)
+    teeth, engagement = zip(*factors[1:], strict=True)
+    ratios = [mean / swept for swept, mean in factors[1:]]
+    return {
+        "teeth_real_time_factor": statistics.median(teeth),
+        "engagement_real_time_factor": statistics.median(engagement),
+        "engagement_over_teeth": statistics.median(ratios),
+        "engagement_over_teeth_min": min(ratios),
+        "engagement_over_teeth_max": max(ratios),
+    }
 
 
 if __name__ == "__main__":
-    for key, value in bench_models(int(sys.argv[1]) if len(sys.argv) > 1 else 5).items():
-        print(f"{key:28} {value:.3f}")
+    parser = argparse.ArgumentParser(prog="python -m bench.models", description=__doc__.split("\n")[0])
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args()
+    times = bench_models(args.rounds)
+    print(json.dumps(times) if args.json else "\n".join(f"{key:28} {value:.6g}" for key, value in times.items()))

@@ -225,7 +225,7 @@ def test_a_number_of_an_option_is_finite_within_its_bounds_and_written_in_digits
     ["stiffness", "kr270_2.yaml", "--joints-deg"], ["stiffness", "kr270_2.yaml"], ["stiffness"],
     ["simulate", "paper.yaml", "--set"], ["check", "paper.yaml", "--reference"], ["run"], ["replay"], ["info"],
     ["replay", "a", "--recompute", "--compensate"], ["export"], ["export", "a"], ["recover"], ["report"],
-    ["export", "a", "--csv", "x", "--topics"], ["bench", "x"], ["demo", "x"], ["bench", "--steps=3"],
+    ["export", "a", "--csv", "x", "--topics"], ["demo", "x"], ["keys", "--steps=3"],
     ["", ""], ["simulate", ""], ["simulate", "paper.yaml", "--set", ""], ["simulate", "paper.yaml", "--set", "="],
     ["simulate", "paper.yaml", "--set", "tool..teeth=3"], ["simulate", "paper.yaml", "--set", "tool=3"],
     ["simulate", "paper.yaml", "--set", "tool.teeth.more=3"], ["simulate", "paper.yaml", "--set", "tool.teeth=[3"],

@@ -5,9 +5,7 @@ Exit code 1 where the decision is ``no``; then no program is written, unless by 
 
 from __future__ import annotations
 
-import shutil
 import sys
-from pathlib import Path
 
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.column import CONVERGED, TextTable, columns, columns_of, fixed, table_of
@@ -26,7 +24,6 @@ from kr270_milling.show.commands.console import (
 )
 from kr270_milling.show.commands.progress import steps, title_of, weights_of
 
-UNFINISHED = "unfinished"  #: directory of the passes of a run that has not ended
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
 SOFTER_PASS = "lower acceleration"  #: step of the report
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
@@ -44,9 +41,6 @@ COMMANDS = {
             choices=(BEST, *METHODS),
         ),
         option("--out DIR", "where everything goes", default="out"),
-        option(
-            "--resume", "continue an interrupted run: its finished passes, in DIR/unfinished, are not run again", bool
-        ),
         option(
             "--krl",
             "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
@@ -83,8 +77,6 @@ COMMANDS = {
 
 
 def run_compensate(args) -> Answer:
-    from kr270_milling.cell.cell_file import cell_text
-    from kr270_milling.cell.saved_passes import SavedPasses
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
     from kr270_milling.decide.programs.gcode import check_gcode
@@ -93,12 +85,9 @@ def run_compensate(args) -> Answer:
 
     def run(cell, whole):
         plant = plant_of(args, cell)
-        words = args.method, plant and cell_text(plant.cell)
-        place = Path(args.out, UNFINISHED, cell.stage.tool if cell.stage else "")
         done = compensate(
             cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args),
             progress=whole.under(title_of(cell)),
-            saved=SavedPasses(place, cell, words, args.resume),
         )  # fmt: skip
         if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
@@ -119,7 +108,6 @@ def run_compensate(args) -> Answer:
             print(f"warning: {decision.text}", file=sys.stderr)
         whole.say("files")
         values = _write(draft, final, jobs, decision, args, source, whole)
-    shutil.rmtree(Path(args.out, UNFINISHED), ignore_errors=True)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
     return Answer(values, shown, code=decision.exit_code)
 

@@ -21,7 +21,6 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cli import COMMANDS, _parser, main
 from kr270_milling.live.nodes.start import start
 from kr270_milling.physics.robot.analysis import analyse, read_arm
-from kr270_milling.show.commands import bench
 from kr270_milling.show.commands import progress as module
 from kr270_milling.show.commands.console import print_table, shown_path
 from kr270_milling.show.commands.progress import Progress, progress
@@ -104,7 +103,7 @@ def test_stiffness_prints_the_analysis_of_a_posture_under_a_wrench_in_a_frame():
     assert all(text in ask(*words).out for text in ("KR 270-2", "tool frame", "Hz", "-1.640"))
 
 
-# --- simulate, compensate, demo, bench ---
+# --- simulate, compensate, demo ---
 def test_simulate_prints_steps_time_force_area_and_scores_and_paths_from_here(tmp_path, monkeypatch):
     result = answered("simulate", "paper.yaml", *settings("path.length_mm=14.4"), "--out", tmp_path)
     assert result["steps"] == 432 * 24 and len(result["mean_force_n"]) == 3
@@ -129,18 +128,6 @@ def test_the_demo_prints_five_passes_and_writes_report_and_series(demo):
     report = Path(result["report"])
     assert report.is_relative_to(result["out"]) and "<svg" in report.read_text()
     assert list(Path(result["out"]).rglob("*.csv"))
-
-
-def test_bench_times_a_step_and_a_posture(monkeypatch, tmp_path):
-    for name in ("test_piece.yaml", "test_piece.nc"):  # without the features after the first
-        (tmp_path / name).write_text(find_file(name).read_text().partition("(clearing)")[0])
-    short = {"test_piece.yaml": tmp_path / "test_piece.yaml"}
-    monkeypatch.setattr(bench, "find_file", lambda name: short.get(name) or find_file(name))
-    monkeypatch.setattr(bench, "REPEATS", 1)
-    monkeypatch.setattr(bench, "ROUNDS", 1)
-    times = answered("bench")
-    assert 0.01 < times["us_per_step"] < 100 and 1 < times["us_per_posture"] < 1000
-    assert times["engagement_real_time_factor"] > 10 * times["teeth_real_time_factor"] > 0
 
 
 # --- progress and tables ---
@@ -220,7 +207,7 @@ def test_a_signal_below_several_compiled_functions_ends_the_command(cause, raise
         inner.__cause__, outer.__cause__ = cause, inner
         raise outer
 
-    monkeypatch.setattr("kr270_milling.show.commands.bench.run_bench", fail)
+    monkeypatch.setattr("kr270_milling.show.commands.cells.run_keys", fail)
     with pytest.raises(raised) if raised else contextlib.nullcontext():
-        assert main(["bench"]) == 130
+        assert main(["keys"]) == 130
         assert capsys.readouterr().err == "kr270_milling: interrupted\n"

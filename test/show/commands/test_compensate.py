@@ -5,10 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +13,6 @@ from hostile import answered, ask, contents, printed, refused, settings
 from small_part import GCODE, assignments
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.cell import jobs
 from kr270_milling.cli import main
 from kr270_milling.decide.programs import krl
 
@@ -151,31 +146,3 @@ def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence_but_a_typed_
     assert result["verdict"] is None and "--verdict runs them" in text
     _, _, result, _ = judged("--method", "spline", "--verdict", "2")
     assert result["verdict"]["samples"] == 2 and result["verdict"]["note"] == ""
-
-
-# --- An interrupted compensation leaves no half-written program and continues from its last finished pass ---
-def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(quick, tmp_path, monkeypatch):
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    passes, run_pass = [], jobs.run_pass
-    monkeypatch.setattr(jobs, "run_pass", lambda *args: (passes.append(1), run_pass(*args))[1])
-    words = command(tmp_path, "--method", "learned", sets=["cutting.detail=engagement"])
-    assert ask(*words, "--out", str(whole)).code == 0
-    all_passes, saved, unfinished = len(passes), 0, out / "unfinished"
-    for stop, code in ((signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)):
-        run = subprocess.Popen([sys.executable, "-m", "kr270_milling.cli", *words])
-        until = time.monotonic() + 300.0
-        while not (unfinished / f"pass_{saved + 1}.bin").is_file() and run.poll() is None and time.monotonic() < until:
-            time.sleep(0.005)
-        run.send_signal(stop)
-        assert run.wait(60.0) == code
-        assert [path.name for path in out.iterdir() if not path.name.startswith(".")] == ["unfinished"]
-        saved = len(list(unfinished.glob("pass_*.bin")))
-        words = [*words, "--resume"]
-    passes.clear()
-    assert ask(*words).code == 0
-    assert len(passes) <= all_passes - saved + 1  # the best pass may run once more, for its series
-    assert (out / "reference_learned.csv").read_bytes() == (whole / "reference_learned.csv").read_bytes()
-    assert not unfinished.exists()
-    unfinished.mkdir()
-    (unfinished / "pass_1.bin").write_bytes(b"half")
-    assert "pass_1.bin: is no finished pass; run without --resume" in refused(*words)
