@@ -29,7 +29,7 @@ RAPID_MOVES = "removed by rapid moves"
 MOST_ROWS = 2**19  #: of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
 MOST_LINES = 10  #: of the program that the line about rapid moves names
 
-__all__ = ["RAPID_MOVES", "Checked", "check", "check_weights"]
+__all__ = ["RAPID_MOVES", "Checked", "check"]
 
 ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
 
@@ -117,15 +117,6 @@ class Checked:
         }
 
 
-def check_weights(cell: Cell) -> dict[str, float]:
-    """Time of each step of a check as a multiple of that of its pass.
-
-    Measured on the test piece, each tooth swept, and on programs of 5 to 120 min with the mean force of the engagement.
-    """
-    stock, stability = (1.0, 5.0) if cell.by_engagement else (0.05, 0.25)
-    return {"milling": 1.0, "stock and fixtures": stock, "stability": stability}
-
-
 def check(
     cell: Cell, reference: Trajectory | None = None, motion: str | None = None, ran: ScoredPass | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(), more: Iterable[Violation] = (),
@@ -135,9 +126,8 @@ def check(
     Default: LIN for a correction in straight lines of a smooth path, as compensate writes it, else that of ``program``.
 
     ran: the pass along it, if it was simulated already; more: violations that are known already. progress(name): a
-    context that yields a function for the progress of a step, see ``check_weights``. Where the arm cannot
-    make the path, nothing is simulated. Raises InputError for a path that cannot be read or misses the stock, and for a
-    reference of another path.
+    context that yields a function for the progress of a step. Where the arm cannot make the path, nothing is simulated.
+    Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
     """
     fed = cell.fed_path
     programmed = cell.target() if fed is None else fed.trajectory

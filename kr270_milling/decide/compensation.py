@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +10,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
-from kr270_milling.decide.check import Checked, check, check_weights
+from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.decide.load_reversals import backlash_statement
@@ -20,44 +18,24 @@ from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.decide.verdict import (
-    FEWEST,
     NO_METHOD,
-    SAMPLES,
     Verdict,
     alternatives,
     compare_methods,
-    cores,
     monte_carlo,
-    plants_at_once,
 )
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.method import Method
-from kr270_milling.physics.compensation.methods import BEST, METHODS
+from kr270_milling.physics.compensation.methods import BEST
 from kr270_milling.physics.motion.scores import Scores
 
 __all__ = [
-    "NO_METHOD", "USUAL_BUDGET", "JudgedCompensation", "VerdictOrder", "compensate", "limit_sentence",
-    "weights",
-]  # fmt: skip
-
-
-USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for: within this time more than 8 plants run
-LONGEST_VERDICT = 150.0  #: [s], of 8 plants that are not asked for; where 8 take longer no verdict is made
-COMPARISON, PLANNING, SURFACES, COARSE = 1.0, 0.3, 0.1, 0.25  #: time as multiples of that of a pass, on the test piece
-REPEATS = 3  #: passes that a method that repeats usually takes
-LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
-
-
-@dataclass(frozen=True)
-class VerdictOrder:
-    """How a verdict is wanted."""
-
-    samples: int = SAMPLES  #: plants
-    asked_for: bool = False  #: whether all plants run; else as many as there is time for, see ``_affordable``
-    compare: bool = True  #: whether other methods are looked at
-    seed: int = 1
-    estimate: Callable[[int, float], None] = lambda *_: None  #: receives the plants and the seconds that are to come
+    "NO_METHOD",
+    "JudgedCompensation",
+    "compensate",
+    "limit_sentence",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,74 +56,22 @@ class JudgedCompensation:
         return [*self.decision.lines(), *self.checked.findings_lines(), self.checked.counts]
 
 
-def weights(
-    cell: Cell, method: str | None = None, order: VerdictOrder | None = None
-) -> dict[str, float | Callable[[float], float]]:
-    """Time of each step of a compensation as a multiple of that of a pass.
-
-    That of the verdict is a function of the seconds of a pass, since the verdict has a limit of time.
-    """
-    settings, chosen = cell.compensation, METHODS.get(method or cell.compensation.planned_method)
-    passes = min(settings.max_passes, REPEATS) if settings.repeat or (chosen and chosen.repeats) else 1
-    result: dict[str, float | Callable[[float], float]] = {"original": 1.0}
-    if (method or settings.method) == BEST:
-        result["comparison"] = COMPARISON
-    result |= {"compensation": PLANNING + passes, "program as written": 1.0, "original program as written": 1.0}
-    result |= {"surfaces": SURFACES} | check_weights(cell)
-    del result["milling"]
-    if order:
-        result["verdict"] = lambda each: _verdict_seconds(cell, order, each)
-    return result
-
-
-def _verdict_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
-    """Seconds of a verdict from those of a pass; 0 where none is made."""
-    made = _affordable(cell, order, each)
-    if made is None:
-        return 0.0
-    straight, plant = cell.programmed.straight, _plant_seconds(cell, made, each)
-    whole = made.samples * plant
-    if straight and made.compare:
-        whole += each * FEWEST * 2 * REPEATS / cores()  # plants that learn
-    return whole if made.asked_for else min(whole, max(USUAL_BUDGET, FEWEST * plant))
-
-
-def _plant_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
-    """Seconds of a simulated robot from those of a pass."""
-    straight = cell.programmed.straight
-    coarse = 1.0 if straight or cell.by_engagement else COARSE
-    runs = (len(METHODS) if straight else 3) if order.compare else 2
-    return each * coarse * runs / plants_at_once(cell)
-
-
-def _affordable(cell: Cell, order: VerdictOrder, each: float) -> VerdictOrder | None:
-    """The part of an order for which there is time; each [s]: of a pass.
-
-    What was asked for is made. Else 8 plants compare no other methods where this would take longer than USUAL_BUDGET,
-    and none run where they would take longer than LONGEST_VERDICT even so.
-    """
-    if order.asked_for:
-        return order
-    if FEWEST * _plant_seconds(cell, order, each) > USUAL_BUDGET:
-        order = replace(order, compare=False)
-    too_long = FEWEST * _plant_seconds(cell, order, each) > LONGEST_VERDICT or each > LONGEST_PASS
-    return None if too_long else order
-
-
 def compensate(
     cell: Cell,
     method: str | Method | None = None,
     *,
     plant: Plant | None = None,
     motions: Sequence[str] = (),
-    verdict: VerdictOrder | None = None,
+    robots: int = 0,
+    seed: int = 1,
     progress: Callable = lambda *_: contextlib.nullcontext(),
 ) -> JudgedCompensation:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
-    programs, LIN or SPLINE; progress(name, passes at most, text): a context that yields a function for the progress of
-    a step, see ``weights``.
+    programs, LIN or SPLINE; robots: number of simulated robots of the verdict, drawn from ``seed``; 0: no verdict.
+    progress(name, passes at most, text): a context that yields a function for the progress of a step. Other methods
+    are compared where none was compared before, unless the pass is long: that keeps its series, 180 MB an hour.
     """
     method = method or cell.compensation.method
     with progress("original") as report:
@@ -165,16 +91,13 @@ def compensate(
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
     with progress("original program as written") as report:
-        begin = time.perf_counter()
         programmed = written_pass(cell, original, motion, plant, report)
-        each = time.perf_counter() - begin
     if method == NO_METHOD:
         planned = revised = replace(programmed, name=NO_METHOD)
-    order = verdict and _affordable(cell, verdict, each)
-    compared = original if order and order.compare and comparison is None else None
+    compared = original if robots and comparison is None and not cell.long_pass else None
     plan = planned.scores
     by.first = None
-    del original, planned  # the series of a pass of an hour fill 180 MB
+    del original, planned
     with progress("surfaces"):
         parts = () if cell.programmed.straight else assess_all(cell, (programmed, revised))
     limited = [
@@ -186,9 +109,9 @@ def compensate(
         [*limited, *unlike(plan, revised.scores, cell.program.tolerance)],
     )  # fmt: skip
     judged: Verdict | None = None
-    with progress("verdict") as report:
-        if order is not None:
-            judged = _verdict(cell, compared, revised, order, report, motion)
+    if robots:
+        with progress("verdict") as report:
+            judged = _verdict(cell, compared, revised, robots, seed, report, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
@@ -196,12 +119,12 @@ def compensate(
 
 
 def _verdict(
-    cell: Cell, original: ScoredPass | None, revised: ScoredPass, order: VerdictOrder, report, motion: str
-) -> Verdict | None:
-    """The verdict of plants drawn from the uncertainties; None where it was not asked for and would take too long.
+    cell: Cell, original: ScoredPass | None, revised: ScoredPass, robots: int, seed: int, report, motion: str
+) -> Verdict:
+    """Return the verdict of simulated robots.
 
     original: the pass on which other methods are planned for comparison; None: no comparison; motion: of the written
-    programs, which the plants run.
+    programs, which the robots run.
     """
     others = alternatives(cell, original, revised.name) if original else {}
     programs = {}
@@ -209,11 +132,7 @@ def _verdict(
         with contextlib.suppress(MillingError):
             programs[name] = written_trajectory(cell, run, motion if run.velocity is not None else "LIN")
     program = written_trajectory(cell, revised.reference, motion)
-    budget, longest = (math.inf, math.inf) if order.asked_for else (USUAL_BUDGET, LONGEST_VERDICT)
-    return monte_carlo(
-        cell, program, order.samples, order.seed, budget=budget, longest=longest, progress=report,
-        estimate=order.estimate, method=revised.name, others=programs,
-    )  # fmt: skip
+    return monte_carlo(cell, program, robots, seed, progress=report, method=revised.name, others=programs)
 
 
 WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the written program may differ

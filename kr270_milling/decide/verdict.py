@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import math
 import os
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -54,7 +53,6 @@ class Verdict:
     quantity: str = PATH_DEVIATION  #: name of the errors
     shares: np.ndarray | None = None  #: errors of the compensated plants as shares of the tolerance, (n,); None: no
     #: tolerance is given
-    note: str = ""  #: why fewer plants ran than were ordered
 
     def __repr__(self) -> str:
         return f"<Verdict: {self.text}>"
@@ -95,7 +93,6 @@ class Verdict:
             "reason": self.reason,
             "quantity": self.quantity,
             "samples": len(self.original),
-            "note": self.note,
             "seed": self.seed,
             "within_tolerance": self.within,
             "failed": int(np.isnan(self.compensated).sum()),
@@ -213,18 +210,13 @@ def monte_carlo(
     samples: int = SAMPLES,
     seed: int = 1,
     *,
-    budget: float = np.inf,
-    longest: float = np.inf,
     progress: Callable[[int, int], None] | None = None,
-    estimate: Callable[[int, float], None] = lambda *_: None,
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
-) -> Verdict | None:
+) -> Verdict:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
-    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; longest [s]: None
-    is returned where these 8 would take longer. progress(done, total): in plants, where a plant that learns counts
-    more; estimate(plants, seconds): receives what is to come.
+    progress(done, total): in plants, where a plant that learns counts more.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
     first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
     cores; the numbers do not depend on how many.
@@ -249,24 +241,15 @@ def monte_carlo(
         rows = run_sample(plants[k], target, (target, *references.values()), gauge)
         return rows, _tracked(cell, plants[k], gauge) if k < learning else None
 
-    start = time.perf_counter()
-    drawn = [run(0)]
-    each = (time.perf_counter() - start) / threads
-    count = min(samples, max(FEWEST, int(min(budget / each, samples))))
-    if count > 1 and min(count, FEWEST) * each > longest:
-        return None
-    estimate(count, each * work(count) / work(1))
+    drawn = []
     pool = ThreadPoolExecutor(threads)
     alone = threads == 1  # then in this thread, which uses the memory again that earlier passes gave back
     try:
-        for row in map(run, range(1, count)) if alone else pool.map(run, range(1, count)):
-            progress(work(len(drawn)), work(count))
+        for row in map(run, range(samples)) if alone else pool.map(run, range(samples)):
             drawn.append(row)
-            if len(drawn) >= FEWEST and time.perf_counter() - start > budget:
-                break
+            progress(work(len(drawn)), work(samples))
     finally:  # after an interrupt only the plants that run are waited for
         pool.shutdown(cancel_futures=True)
-    progress(work(len(drawn)), work(len(drawn)))
     rows = np.stack([row for row, _ in drawn])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
     tracked = [value for _, value in drawn if value is not None]
@@ -276,9 +259,7 @@ def monte_carlo(
     before, after = rows[:, 0, 0], rows[:, 1, 0]
     word, reason = judge_plants(before, after, cell.uncertainty.matters_above, quantity)
     given = bool(np.isfinite(rows[..., 1]).any())
-    fewer = f"{len(drawn)} of {samples} plants ran: more would take longer than {budget:.3g} s"
-    note = fewer if len(drawn) < samples else ""
-    return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None, note)
+    return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None)
 
 
 def judge_plants(

@@ -17,7 +17,6 @@ from kr270_milling.cell.jobs import compensated, compensator, expected_deviation
 from kr270_milling.cell.plant import perturbed
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide import compensation
-from kr270_milling.decide.compensation import VerdictOrder
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.tolerance import SURFACE_ERROR, Gauge, Judgement, judge_part
@@ -121,7 +120,7 @@ def run(directory, capsys, *words: str):
 
 
 def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):
-    words = ["--no-verdict", "--method", "linear", "--set", "limits.spindle_torque_n_m=0.001"]
+    words = ["--verdict", "0", "--method", "linear", "--set", "limits.spindle_torque_n_m=0.001"]
     _, _, _, programs, _ = run(tmp_path, capsys, *words)
     assert not programs
     code, _, result, programs, headers = run(tmp_path, capsys, *words, "--force")
@@ -134,7 +133,7 @@ def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):
 
 @pytest.mark.parametrize(("tolerance", "level"), [("600", YES), ("0.2", NO)])
 def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(tmp_path, capsys, tolerance, level):
-    words = ["--method", "best", "--quick", "--force", "--set", f"part.tolerance_um={tolerance}"]
+    words = ["--method", "best", "--verdict", "8", "--force", "--set", f"part.tolerance_um={tolerance}"]
     code, text, result, programs, headers = run(tmp_path, capsys, *words)
     assert code == (level == NO) and result["decision"] == level and result["may_be_run"] is True
     line, chatter = f"decision: {level}: {result['sentence']}", result["check"]["stability"]["text"]
@@ -172,7 +171,7 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
         assert Compensator(one.compensation, one.target()).method == method
     judged = cell.replace(part=cell.part.replace(tolerance=100 * UM))
-    result = compensation.compensate(judged, verdict=VerdictOrder(1, asked_for=True)).decision
+    result = compensation.compensate(judged, robots=1).decision
     assert list(result.verdict.methods) == ["inverse"]  # it runs no other method
     assert result.verdict.quantity == result.compensated.quantity
 
@@ -323,16 +322,12 @@ def test_a_correction_of_the_wrong_sign_and_plants_that_fail_cannot_be_trusted(c
     assert np.isnan(verdict.band("compensated")).all()
 
 
-def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
-    seen, reference = [], pair[1].reference
-    verdict = monte_carlo(cell, reference, 20, budget=1e-3, progress=lambda *done: seen.append(done))
-    assert verdict.as_dict()["note"] == "8 of 20 plants ran: more would take longer than 0.001 s"
-    assert len(verdict.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
-    seen.clear()
-    assert monte_carlo(cell, reference, 20, budget=1e-3, longest=1e-3, estimate=lambda *a: seen.append(a)) is None
-    assert seen == []
+def test_every_robot_of_a_verdict_counts_once_in_its_progress(cell, pair):
+    seen: list[tuple[int, int]] = []
+    monte_carlo(cell, pair[1].reference, 3, progress=lambda *done: seen.append(done))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
     with pytest.raises(ParameterError, match="samples"):
-        monte_carlo(cell, reference, 0, 1)
+        monte_carlo(cell, pair[1].reference, 0, 1)
 
 
 def test_the_plants_of_a_tool_path_are_measured_by_the_walls_and_floors_of_their_parts(tmp_path):

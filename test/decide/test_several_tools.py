@@ -161,7 +161,7 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
     checked = answered("check", drafted, *FAST)
     assert [one["tool"] for one in checked["tools"]] == ["T1", "T2", "T3"]
     assert checked["may_be_run"] and sum(one["removed_by_rapid_moves_mm3"] for one in checked["tools"]) == 0.0
-    answer = answered("compensate", drafted, *FAST, "--no-verdict", "--gcode", "--out", tmp_path / "out")
+    answer = answered("compensate", drafted, *FAST, "--verdict", "0", "--gcode", "--out", tmp_path / "out")
     assert answer["decision"] == "caution" and answer["may_be_run"]
     programs = [path for one in answer["tools"] for path in one["programs"]["krl_spline"]]
     names = [path.rpartition("/")[2] for path in programs]
@@ -184,7 +184,7 @@ def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path):
     program = tmp_path / "dangerous.nc"
     program.write_text(PLATE.replace("G1 X5.7 F2000", "G0 X5.7"))
     words, out = [str(drafted), *FAST, *settings(f"path.file={program}")], tmp_path / "out"
-    answer = answered("compensate", *words, "--no-verdict", "--gcode", "--out", out, code=1)
+    answer = answered("compensate", *words, "--verdict", "0", "--gcode", "--out", out, code=1)
     assert answer["decision"] == "no" and answer["deciding_tool"] == "T2" and "rapid" in answer["sentence"]
     assert [one["level"] for one in answer["tools"]] == ["caution", "no", "caution"]
     assert not [*out.glob("krl_*"), *out.glob("*gcode_*")]

@@ -56,7 +56,7 @@ COMMANDS = {
     "simulate": ("simulate", "{file}", "--out", "{out}"),
     "reference": ("simulate", "paper.yaml", *settings(*SHORT), "--reference", "{file}", "--out", "{out}"),
     "path": ("simulate", "paper.yaml", "--set", "path.file={file}", "--out", "{out}"),
-    "compensate": ("compensate", "{file}", "--no-verdict", "--out", "{out}"),
+    "compensate": ("compensate", "{file}", "--verdict", "0", "--out", "{out}"),
     "check": ("check", "{file}"),
     "corrected": ("check", "paper.yaml", *settings(*SHORT), "--reference", "{file}"),
     "run": ("run", "{file}", "--out", "{out}"),
@@ -109,7 +109,7 @@ def test_a_cell_with_a_name_that_is_no_text_is_run(tmp_path):
     cell.write_text(find_file("paper.yaml").read_text())
     answer = ask("simulate", str(cell), *settings(*SHORT), "--json")
     assert answer.code == 0 and "original" in answer.out, answer
-    more = ["--method", "linear", "--no-verdict", "--out", f"{folder}/out"]
+    more = ["--method", "linear", "--verdict", "0", "--out", f"{folder}/out"]
     answer = ask("compensate", str(cell), *settings(*SHORT), *more)
     assert answer.code in (0, 1) and answer.err == "", answer
 

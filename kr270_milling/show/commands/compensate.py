@@ -12,7 +12,7 @@ from kr270_milling.base.column import CONVERGED, TextTable, columns, columns_of,
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.physics.compensation.methods import BEST, METHODS
-from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, command, option
+from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, command, option
 from kr270_milling.show.commands.console import (
     Answer,
     Colored,
@@ -22,10 +22,9 @@ from kr270_milling.show.commands.console import (
     now,
     plant_of,
 )
-from kr270_milling.show.commands.progress import steps, title_of, weights_of
+from kr270_milling.show.commands.progress import steps, title_of
 
-PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
-SOFTER_PASS = "lower acceleration"  #: step of the report
+ROBOTS = 32  #: of a verdict
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
@@ -48,19 +47,12 @@ COMMANDS = {
             choices=MOTIONS,
             action="append",
         ),
-        Group(None, (
-            option(
-                "--verdict N",
-                f"judge the compensation by N plants (default {PLANTS}) drawn from the cell's uncertainty, however "
-                f"long they take. Without this option: as many of {PLANTS} as take less than a minute, and none where "
-                f"{FEWEST_PLANTS} take longer",
-                bounded(1, 999_999, int),
-                nargs="?",
-                const=PLANTS,
-            ),
-            option("--quick", f"a verdict of {FEWEST_PLANTS} plants; a method that is set is compared with none", bool),
-            option("--no-verdict", "no verdict: the model itself is what cuts", bool),
-        )),
+        option(
+            "--verdict N",
+            "number of simulated robots, drawn from the cell's uncertainty, that judge the compensation; 0: no verdict",
+            bounded(0, 999_999, int),
+            ROBOTS,
+        ),
         option(
             "--force",
             "also write the programs after the decision no, marked NOT RELEASED in name and header",
@@ -71,7 +63,7 @@ COMMANDS = {
             "also write the RSI context of a KR C4 and the program around it, for 'kr270_milling rsi' on that host",
         ),
         option("--gcode", "also write the G-code of the cell with corrected coordinates, as G1 blocks", bool),
-        option("--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1),
+        option("--seed N", "of the verdict's robots", bounded(1, 999_999, int), 1),
     ),
 }  # fmt: skip
 
@@ -85,20 +77,17 @@ def run_compensate(args) -> Answer:
 
     def run(cell, whole):
         plant = plant_of(args, cell)
-        done = compensate(
-            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args),
+        return compensate(
+            cell, args.method, plant=plant, motions=args.krl or (), robots=args.verdict, seed=args.seed,
             progress=whole.under(title_of(cell)),
         )  # fmt: skip
-        if not (done.decision.verdict or args.no_verdict):
-            print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
-        return done
 
     if args.rsi:
         rsi_address(args.rsi)  # refused before the passes are run
     source, cells = find_file(args.cell), cells_of(args)
     if args.gcode:
         check_gcode(cells)
-    with staged(args.out) as (draft, final), steps(weights_of(cells, lambda cell: _weights(cell, args))) as whole:
+    with staged(args.out) as (draft, final), steps() as whole:
         jobs = in_turn(
             cells, lambda cell: run(cell, whole), lambda done: done.revised if done.checked.may_be_run else None
         )
@@ -110,30 +99,6 @@ def run_compensate(args) -> Answer:
         values = _write(draft, final, jobs, decision, args, source, whole)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
     return Answer(values, shown, code=decision.exit_code)
-
-
-def _weights(cell, args) -> dict:
-    """Time of the steps of one tool, in passes; the report of a tool path has one more pass."""
-    from kr270_milling.decide.compensation import weights
-
-    more = {} if cell.programmed.straight else {SOFTER_PASS: 1.0}
-    return weights(cell, args.method, _order(args)) | more
-
-
-def _order(args):
-    """The verdict that is wanted; None for none."""
-    from kr270_milling.decide.compensation import VerdictOrder
-
-    if args.no_verdict:
-        return None
-    samples = args.verdict or (FEWEST_PLANTS if args.quick else PLANTS)
-    return VerdictOrder(samples, args.verdict is not None, not args.quick, args.seed, _estimate)
-
-
-def _estimate(plants: int, seconds: float) -> None:
-    """What is to come, where it takes a while."""
-    if seconds > 5.0:
-        print(f"verdict: {plants} plants, about {seconds:.0f} s", file=sys.stderr)
 
 
 def _values(cell, done) -> dict:
@@ -301,7 +266,7 @@ def _time_law_table(cell, done, whole):
     from kr270_milling.decide.programs.files import time_law
     from kr270_milling.decide.programs.written import SOFTER, softer_pass
 
-    with whole.under(title_of(cell))(SOFTER_PASS) as report:
+    with whole.under(title_of(cell))("lower acceleration") as report:
         softer = softer_pass(cell, done.revised.reference, progress=report)
     rows = [("plan", done.planned), ("written program", done.revised.scores)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer.scores)] if softer else []
@@ -406,6 +371,4 @@ def _verdict(verdict: dict):
     yield TextTable(
         f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
     )
-    if verdict["note"]:
-        yield f"{verdict['note']}; --verdict {PLANTS} runs {PLANTS}"
     yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"

@@ -14,7 +14,6 @@ from pathlib import Path
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.physics.compensation.methods import METHODS as METHODS_OF
 from kr270_milling.show.commands.command import PLANT, command, option
 from kr270_milling.show.commands.console import Answer, command_line, now, plant_of
 from kr270_milling.show.commands.progress import steps
@@ -48,14 +47,13 @@ def run_demo(args) -> Answer:
         if Path(args.out, "report.html").exists():
             print(f"{args.out} holds a report already; it is replaced", file=sys.stderr)
         loop = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
-        both = _weights(cell, METHODS) | _weights(moving, INERTIA_METHODS, WITH)
-        with staged(args.out) as (draft, final), steps(both) as whole:
+        with staged(args.out) as (draft, final), steps() as whole:
             passes = _plain(whole, cell, METHODS, plant_of(args, cell))
             second = _plain(whole, moving, INERTIA_METHODS, plant_of(args, moving), WITH)
             whole.say("report")
             report = final(_write(draft, cell, passes, second, source, args))
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
-    with steps(_weights(moving, INERTIA_METHODS, WITH)) as whole:
+    with steps() as whole:
         result = run_passes(cell, METHODS, args.out, say=whole.say)
         passes = [ran.scored for ran in result["passes"]]
         second = _plain(whole, moving, INERTIA_METHODS, None, WITH)
@@ -63,14 +61,6 @@ def run_demo(args) -> Answer:
         report = _write(result["out"], cell, passes, second, source, args)
     loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
     return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop}, missing_text(result))
-
-
-def _weights(cell, methods, suffix: str = "") -> dict[str, float]:
-    """Passes of each step."""
-    from kr270_milling.decide.compensation import REPEATS
-
-    passes = {name: REPEATS if METHODS_OF[name].repeats else 1 for name in methods}
-    return {name + suffix: float(number) for name, number in {"original": 1, **passes}.items()}
 
 
 def _plain(whole, cell, methods, plant, suffix: str = "") -> list:

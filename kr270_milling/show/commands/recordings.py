@@ -121,7 +121,7 @@ def run_recover(args) -> Answer:
 
 def run_report(args) -> Answer:
     """Of one recording, or of several passes of one path on the same scales."""
-    with steps({"reading": 1.0, "report": 1.0}) as whole:
+    with steps() as whole:
         return _reported(args, whole)
 
 

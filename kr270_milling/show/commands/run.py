@@ -53,7 +53,7 @@ def run_graph(args) -> Answer:
         cell = cell.replace(stage=None)
     methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
-    with steps({}) as whole:
+    with steps() as whole:
         ran = run_passes(cell, methods, args.out, *options, say=whole.say)
     up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
     result = summary(ran)

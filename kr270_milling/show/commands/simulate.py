@@ -10,7 +10,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, REFERENCE, command, option
 from kr270_milling.show.commands.console import Answer, cells_of, joints_text, plant_of
-from kr270_milling.show.commands.progress import steps, title_of, weights_of
+from kr270_milling.show.commands.progress import steps, title_of
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
 FEATURES = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
@@ -38,7 +38,7 @@ def run_simulate(args) -> Answer:
     _refuse_reference(args, cells)
     with (
         staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final),
-        steps(weights_of(cells, lambda cell: {"milling": 1.0})) as whole,
+        steps() as whole,
     ):
         done = in_turn(cells, lambda cell: _simulated(cell, args, draft, final, whole), lambda one: one[0])
     shown = [line for cell, (_, _, lines) in done for line in _headed(cell, cells, lines)]
@@ -90,12 +90,11 @@ def _simulated(cell, args, draft, final, whole):
 
 def run_check(args) -> Answer:
     """Exit code 1 if the path must not be run."""
-    from kr270_milling.decide.check import check_weights
     from kr270_milling.decide.tools import in_turn
 
     cells = cells_of(args)
     _refuse_reference(args, cells)
-    with steps(weights_of(cells, check_weights)) as whole:
+    with steps() as whole:
         done = in_turn(
             cells, lambda cell: _checked(cell, args, whole), lambda one: one[0].ran if one[0].may_be_run else None
         )

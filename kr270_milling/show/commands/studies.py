@@ -95,7 +95,7 @@ def run_map(args) -> Answer:
     axes = grid_axes(cell, [None if axis is None else np.linspace(*axis) for axis in given])
     plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
-    with steps({"map": 1.0}) as whole:
+    with steps() as whole:
         with whole("pass of the cell") as report:
             placements = Placements(cell, path_places(cell, report), axes, args.chunk)
         made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes

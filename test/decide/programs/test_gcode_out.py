@@ -150,5 +150,5 @@ def test_a_program_that_cannot_be_corrected_is_refused_before_a_pass(tmp_path, p
         (tmp_path / "part.nc").write_text(program)
         more = [*more, f"path.file={tmp_path / 'part.nc'}", "stock.min_mm=[0,-14,-10]", "stock.max_mm=[40,40,0]"]
     out = tmp_path / "out"
-    words = ["compensate", "paper.yaml", "--no-verdict", "--gcode", "--out", str(out), *settings(*more)]
+    words = ["compensate", "paper.yaml", "--verdict", "0", "--gcode", "--out", str(out), *settings(*more)]
     assert message in refused(*words) and not out.exists()

@@ -293,7 +293,7 @@ def test_the_commands_of_the_page_run_and_help(words, tmp_path, monkeypatch, cap
 def test_a_method_that_makes_the_part_worse_says_so_beside_the_decision(tmp_path, capsys):
     sets = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "stock.grid_step_um=40")
     words = [part for pair in sets for part in ("--set", pair)]
-    main(["compensate", "paper.yaml", "--method", "spline", "--no-verdict", "--out", str(tmp_path / "out"), *words])
+    main(["compensate", "paper.yaml", "--method", "spline", "--verdict", "0", "--out", str(tmp_path / "out"), *words])
     lines = capsys.readouterr().out.splitlines()[:8]
     assert any(line.startswith("spline makes the part worse than no compensation (12") for line in lines)
 

@@ -139,36 +139,22 @@ def clock(monkeypatch):
     return now
 
 
-def test_one_step_states_its_share_and_the_time_left_at_the_pace_of_this_run(clock):
-    shown = Progress({"sweep": 1.0})
+def test_a_step_states_its_share_and_the_time_left_at_its_own_pace(clock):
+    shown = Progress()
     with shown("sweep") as count:
         clock[0] += 4.0
-        assert shown.text == "4 s so far: sweep"
+        assert shown.text == "sweep: 4 s so far"
         count(50, 100)  # done in an earlier run, which does not count for the pace
         clock[0] += 4.0
         count(75, 100)
-        assert shown.text == "75 %, 4 s left: sweep"
-
-
-def test_the_time_left_of_a_command_is_that_of_all_its_steps_and_its_share_never_decreases(clock):
-    """A step of weight 1 takes 20 s; a method has 3 passes of at most 12, which begin to count at 0 of 2."""
-    shown = Progress({"original": 1.0, "method": 3.0, "verdict": lambda each: 2.0 * each})
-    with shown("original") as count:
-        count(0, 2)
-        clock[0] += 10.0
-        count(1, 2)
-        assert shown.text == "8 %, 110 s left: original"
-        clock[0] += 10.0
-        count(2, 2)
-    with shown("method", 12) as count:
-        assert shown.left == pytest.approx(60.0 + 40.0)
-        count(0, 2)
-        clock[0] += 20.0
-        count(2, 2)
-        count(0, 2)
-        assert shown.text == "33 %, 80 s left: method, pass 2 of at most 12"
-        clock[0] += 1000.0
-        assert shown.share == pytest.approx(1 / 3)
+        assert shown.text == "sweep: 75 %, 4 s left"
+    with shown.under("T2: ")("learned", 12) as count:
+        for _ in range(2):
+            count(0, 2)
+            clock[0] += 10.0
+            count(1, 2)
+        assert shown.text == "T2: learned, pass 2 of at most 12: 50 %, 10 s left"
+    assert shown.label == ""
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -176,7 +162,7 @@ def test_share_time_and_step_are_lines_or_on_a_terminal_a_bar(terminal, capsys, 
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     monkeypatch.setattr(module, "LINE_PERIOD", 0.05)
-    state, shown, end = r"50 %, \d+ s left: milling", "", time.monotonic() + 20.0
+    state, shown, end = r"milling: 50 %, \d+ s left", "", time.monotonic() + 20.0
     with progress("milling") as report:
         report(0, 100)
         report(50, 100)
