@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -262,8 +262,7 @@ def verdict(cell: Cell, reference: Trajectory, samples: int = verdicts.SAMPLES, 
     >>> verdict(cell, done.compensated.reference, samples=16)
     <Verdict: helps (16 plants: 12.3 um, 5 to 95 % 4.1 to 25.6)>
     """
-    result = verdicts.monte_carlo(cell, reference, samples, seed)
-    return Verdict(**vars(cast(verdicts.Verdict, result)))  # None only with a limit of time
+    return Verdict(**vars(verdicts.monte_carlo(cell, reference, samples, seed)))
 
 
 def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobes:

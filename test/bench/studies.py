@@ -1,8 +1,8 @@
 """How near studies come to as many plain loops as there are cores: ``python -m bench.studies sweep|tasks|rows [N]``.
 
 ``sweep``: a sweep of 451 passes beside the same chunks in a plain loop, in turns. ``tasks``: chunks that sleep instead
-of computing, through the same engine: what a task takes of the one process that holds driver and scheduler, and how
-busy so many workers are. ``rows``: a map of N million rows and the memory of its processes while they come.
+of computing, through the same engine: what a task takes of the process of the study, and how busy so many workers
+are. ``rows``: a map of N million rows and the memory of its processes while they come.
 """
 
 from __future__ import annotations
@@ -55,25 +55,22 @@ def asleep(seconds: float, number: int) -> bytes:
 
 
 def bench_tasks(_: int) -> None:
-    print("workers | sleep [s] | tasks/s | driver and scheduler [ms of processor a task] | workers busy")
+    print("workers | sleep [s] | tasks/s | this process [ms of processor a task] | workers busy")
     for workers in WORKERS:
-        with mock.patch("os.cpu_count", return_value=workers), engine._client(None) as client:
-            client.wait_for_workers(workers)
-            address = client.scheduler.address
+        with mock.patch("os.cpu_count", return_value=workers), mock.patch.object(engine, "_alone", return_value=0):
             for seconds in SLEEPS:
                 count = 600 if seconds == 0.0 else max(workers * 3, round(6 * workers / seconds))
-                tasks(address, 3 * workers, 0.0)
-                wall, own = tasks(address, count, seconds)
+                wall, own = tasks(count, seconds)
                 busy = count * seconds / (workers * wall)
                 shown = f"{workers:7} | {seconds:9} | {count / wall:7.1f} | {1e3 * own / count:.2f} | {busy:.3f}"
                 print(shown, flush=True)
 
 
-def tasks(address: str, count: int, seconds: float) -> tuple[float, float]:
-    """Seconds of the clock, and of the processor in this process."""
+def tasks(count: int, seconds: float) -> tuple[float, float]:
+    """Seconds of the clock with the start of the workers, and of the processor in this process."""
     with tempfile.TemporaryDirectory() as place:
         own = time.process_time()
-        wall = engine.run_chunks(engine.Study(place, {}), count, functools.partial(asleep, seconds), address)
+        wall = engine.run_chunks(engine.Study(place, {}), count, functools.partial(asleep, seconds))
         return wall, time.process_time() - own
 
 

@@ -1,8 +1,8 @@
-"""Many rows in chunks on Dask: each chunk is a separate Parquet file, so that a study continues after a stop.
+"""Many rows in chunks: each chunk is a separate Parquet file, so that a study continues after a stop.
 
-Without a scheduler's address a local cluster of as many processes as cores is started, on the loopback interface only,
-unless the work is done before it would be up.
-A chunk depends on nothing but its number, so the rows are the same bit for bit whatever the number of workers.
+An executor of ``concurrent.futures`` makes the chunks: as many processes as cores, or the workers of a Dask scheduler
+whose address is given. A chunk depends on nothing but its number, so the rows are the same bit for bit whatever the
+number of workers.
 """
 
 from __future__ import annotations
@@ -12,14 +12,22 @@ import hashlib
 import io
 import itertools
 import json
-import math
 import multiprocessing
 import os
 import signal
+import threading
 import time
-import uuid
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from multiprocessing import connection
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError, MillingError
@@ -29,11 +37,9 @@ from kr270_milling.cell.cell import Cell
 __all__ = ["EngineError", "StudyRows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
-ALONE = 4.0  #: [s] of work that is done before a local cluster is up
-SEVERAL = 16  #: chunks, above which a local cluster is prepared while the first is made
+ALONE = 4.0  #: [s] of work that is done before local workers have imported the package
 ANSWER = 10.0  #: [s] for a scheduler to answer
 PATIENCE = 30.0  #: [s] for a first worker
-LOOK = 1.0  #: [s] between two looks at the number of workers
 PLAN = "_study.json"  # Arrow leaves out names that begin with "_" where it reads the folder
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 QUIET = {
@@ -42,20 +48,10 @@ QUIET = {
     "distributed.scheduler.allowed-failures": 3,
     "distributed.admin.low-level-log-length": 10,  # each of its entries holds a task with the cell: 1000 grew by 90 MB
 }
-#: of a local cluster: what its processes watch beside their work took a tenth of a core
-LOCAL = {
-    "distributed.worker.multiprocessing-method": METHOD,
-    "distributed.worker.profile.enabled": False,
-    "distributed.worker.memory.monitor-interval": "1s",
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.system-monitor.interval": "5s",
-    # else a worker gives the memory of each array back at once, and gets every page of the next one anew
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
-}
 
 
 class EngineError(MillingError):
-    """The scheduler does not answer, or has no worker."""
+    """The scheduler does not answer, or the workers have stopped."""
 
 
 class StudyRows:
@@ -140,54 +136,31 @@ def run_chunks(
 ) -> float:
     """Make the missing ones of ``count`` chunks; rows_of(number): the bytes of a Parquet file. Returns seconds.
 
-    A killed worker's chunk is made again by another one; a killed driver loses the chunks under way. Raises
-    EngineError where the scheduler cannot be reached, has no worker or goes away.
+    A Dask scheduler lets another worker make the chunk of a killed worker again; a killed driver loses the chunks under
+    way. Raises EngineError where the scheduler cannot be reached or has no worker, and where the workers stop.
     """
     missing, start = study.missing(count), time.monotonic()
     first = count - len(missing)
     if scheduler is None:
-        if len(missing) > SEVERAL:
-            _prepare(rows_of)
         missing = missing[_alone(study, missing, rows_of, lambda made: progress and progress(first + made, count)) :]
     if not missing:
         return time.monotonic() - start
     done = count - len(missing)
-    if scheduler is None:
-        _prepare(rows_of)
-    with _client(scheduler) as client:
-        try:
-            for number, data in _made(client, f"{study.folder.name}-{uuid.uuid4().hex}", missing, rows_of):
+    try:
+        with _executor(scheduler, rows_of) as (executor, workers):
+            for number, data in _made(executor, workers, missing, rows_of):
                 _write_whole(study.chunk(number), data)
                 done += 1
                 if progress is not None:
                     progress(done, count)
-        except (CancelledError, OSError, TimeoutError) as error:
-            text = f"the workers have stopped, or lack this package ({error}); the same command continues the study"
-            raise EngineError(text) from None
+    except (BrokenExecutor, CancelledError, OSError, TimeoutError) as error:
+        text = f"the workers have stopped, or lack this package ({error}); the same command continues the study"
+        raise EngineError(text) from None
     return time.monotonic() - start
 
 
-def _prepare(rows_of: Callable[[int], bytes]) -> None:
-    """Start the process that local workers are forked from: it imports what they need while first chunks are made.
-
-    A worker inherits that SIGINT is blocked: Ctrl-C reaches this process alone, which ends the workers.
-    """
-    if METHOD == "forkserver":
-        from multiprocessing import forkserver, get_context, resource_tracker
-
-        os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-        modules = ["distributed", "pandas", "pyarrow.parquet", type(rows_of).__module__]
-        get_context(METHOD).set_forkserver_preload(modules)
-        resource_tracker.ensure_running()  # its start unblocks SIGINT
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        try:
-            forkserver.ensure_running()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], made: Callable[[int], object]) -> int:
-    """Make chunks here as long as the rest takes less than the start of a cluster; returns how many were made."""
+    """Make chunks here as long as the rest takes less than the start of workers; returns how many were made."""
     for k, number in enumerate(missing):
         start = time.monotonic()
         _write_whole(study.chunk(number), rows_of(number))
@@ -199,44 +172,77 @@ def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], ma
     return len(missing)
 
 
-def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of each finished chunk; at most AHEAD chunks for each thread are under way.
-
-    Each chunk carries ``rows_of``. If one worker stored ``rows_of`` for all chunks, Dask would send all chunks there.
-    """
-    from dask.distributed import as_completed
-
-    client.wait_for_workers(1, timeout=PATIENCE)
+def _made(
+    executor: Executor, workers: int, missing: list[int], rows_of: Callable[[int], bytes]
+) -> Iterator[tuple[int, bytes]]:
+    """Yield number and bytes of each finished chunk; at most AHEAD chunks a worker are under way."""
     waiting = iter(missing)
-    numbers: dict[str, int] = {}
-    running = as_completed(with_results=True)  # results come while others are made, not in a separate round trip
-    looked = -math.inf
+    numbers: dict[Future, int] = {}
     while True:
-        if time.monotonic() - looked > LOOK:  # workers come and go
-            most, looked = AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
-        for number in itertools.islice(waiting, max(0, most - len(numbers))):
-            future = client.submit(rows_of, number, key=f"{name}-{number}", pure=False)
-            numbers[future.key] = number
-            running.add(future)
+        for number in itertools.islice(waiting, AHEAD * workers - len(numbers)):
+            numbers[executor.submit(rows_of, number)] = number
         if not numbers:
             return
-        future, data = next(running)
-        yield numbers.pop(future.key), data
-        future.release()
+        for future in wait(numbers, return_when=FIRST_COMPLETED).done:
+            yield numbers.pop(future), future.result()
 
 
 @contextlib.contextmanager
-def _client(scheduler: str | None) -> Iterator:
+def _executor(scheduler: str | None, rows_of: Callable[[int], bytes]) -> Iterator[tuple[Executor, int]]:
+    """Yield an executor and the number of its workers: local processes, or those of a Dask scheduler."""
+    if scheduler is None:
+        with _processes(rows_of) as pool:
+            yield pool, os.cpu_count() or 1
+        return
     import dask
-    from dask.distributed import Client, LocalCluster
+    from dask.distributed import Client
 
-    with dask.config.set(QUIET if scheduler else QUIET | LOCAL), contextlib.ExitStack() as stack:
-        where = scheduler or stack.enter_context(LocalCluster(
-            n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-            scheduler_kwargs={"dashboard": False}, host="127.0.0.1", silence_logs="CRITICAL",
-        ))  # fmt: skip
+    with dask.config.set(QUIET):
         try:
-            client = Client(where, timeout=ANSWER if scheduler else PATIENCE)
+            client = Client(scheduler, timeout=ANSWER)
         except (OSError, ValueError) as error:
-            raise EngineError(f"the scheduler {where} does not answer: {error}") from None
-        yield stack.enter_context(client)
+            raise EngineError(f"the scheduler {scheduler} does not answer: {error}") from None
+        with client:
+            client.wait_for_workers(1, timeout=PATIENCE)
+            yield client.get_executor(pure=False), max(1, sum(client.nthreads().values()))
+
+
+@contextlib.contextmanager
+def _processes(rows_of: Callable[[int], bytes]) -> Iterator[Executor]:
+    """Yield a pool of local processes, which are forked from one process that has imported what they need.
+
+    They inherit that SIGINT is blocked: Ctrl-C reaches this process alone, which ends the workers.
+    """
+    context = multiprocessing.get_context(METHOD)
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        if METHOD == "forkserver":
+            from multiprocessing import forkserver, resource_tracker
+
+            context.set_forkserver_preload([type(rows_of).__module__, "pandas", "pyarrow.parquet"])
+            resource_tracker.ensure_running()  # its start unblocks SIGINT
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+            forkserver.ensure_running()
+        pool = ProcessPoolExecutor(os.cpu_count() or 1, context, _end_with_parent)
+        pool.submit(os.getpid)  # starts the processes
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process of the study is killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        connection.wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -16,13 +16,13 @@ from hostile import answered, settings
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
-from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, _client, run_chunks
+from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, run_chunks
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 
 parquet = pytest.importorskip("pyarrow.parquet")
 dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("dask.distributed")
-PATIENCE = 60.0
+PATIENCE = 150.0
 SHORT = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
 
 
@@ -92,7 +92,7 @@ def write(path, data, whole=engine._write_whole):
         time.sleep(1000)
 
 if __name__ == "__main__":
-    engine._alone, engine.SEVERAL, engine._write_whole = lambda *_: 0, 0, write
+    engine._alone, engine._write_whole = lambda *_: 0, write
     cli.main(sys.argv[1:])
 """
 
@@ -105,7 +105,7 @@ def ctrl_c_is_kept_from(pid: int) -> bool:
 
 
 def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path):
-    """Workers listened on the loopback alone, and end with it. Rows of all clusters and of a loop are the same bits."""
+    """Workers open no port, and end with it. Rows of processes, of Dask and of a loop are the same bits."""
     psutil = pytest.importorskip("psutil")
     out, script = tmp_path / "out", tmp_path / "driver.py"
     script.write_text(DRIVER)
@@ -121,7 +121,7 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     assert all(ctrl_c_is_kept_from(process.pid) for process in processes[1:])
     driver.kill()
     driver.wait()
-    assert ports and {port.laddr.ip for port in ports} == {"127.0.0.1"}
+    assert len(processes) > 2 and not ports
     before = {path: path.stat().st_mtime_ns for path in out.glob("rows-*.parquet")}
     answer = answered(*words, "--scheduler", cluster)
     assert answer["rows"] == 10 and parquet.read_table(out).num_rows == 10
@@ -134,5 +134,5 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
 
 def test_a_scheduler_that_is_not_there_is_refused_in_one_sentence(tmp_path, monkeypatch):
     monkeypatch.setattr("kr270_milling.studies.maps.engine.ANSWER", 0.3)
-    with pytest.raises(EngineError, match="does not answer"), _client("tcp://127.0.0.1:9"):
-        pass
+    with pytest.raises(EngineError, match="does not answer"):
+        run_chunks(Study(tmp_path, {}), 1, rows_of(), "tcp://127.0.0.1:9")
