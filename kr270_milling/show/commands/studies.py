@@ -14,7 +14,7 @@ from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, Group, com
 from kr270_milling.show.commands.console import Answer, output_directory, shown_path
 from kr270_milling.show.commands.progress import progress, steps
 
-STUDIES = ("dask", "distributed", "pyarrow")
+STUDIES = ("pyarrow", "dask", "distributed")  #: Dask with --scheduler only
 MOST = 10_000_000
 READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
 BEST = 5  #: placements that are written as cells
@@ -71,7 +71,7 @@ COMMANDS = {
 
 def run_map(args) -> Answer:
     if args.along is None:
-        require_extra("map", "studies", *STUDIES)
+        require_extra("map", "studies", *STUDIES[: 3 if args.scheduler else 1])
     import numpy as np
 
     from kr270_milling.cell.cell import read_cell
@@ -209,7 +209,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
 
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
-    require_extra("sweep", "studies", *STUDIES)
+    require_extra("sweep", "studies", *STUDIES[: 3 if args.scheduler else 1])
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.show.report.sweep import sweep_tables, write_sweep
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
