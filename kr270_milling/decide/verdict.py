@@ -163,10 +163,10 @@ def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Tra
 
 
 def _references(cell: Cell, original: ScoredPass, without: str = "") -> dict[str, Trajectory]:
-    """By method. A method that repeats takes passes of the plant itself, so it is left out."""
+    """References of the recommended methods. A method that repeats takes passes of the plant itself: it is left out."""
     references = {}
     for name, method in METHODS.items():
-        if name != without and not method.repeats:
+        if name != without and not method.repeats and getattr(method, "recommended", True):
             with contextlib.suppress(MillingError):
                 references[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
     return references

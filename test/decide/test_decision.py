@@ -164,7 +164,7 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
     cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best")
     original = simulate(cell)
     result = compare_methods(cell, original)
-    assert result.best == "inverse" and set(result.deviations) == {"none", "linear", "spline", "mirror", "inverse"}
+    assert result.best == "inverse" and set(result.deviations) == {"none", "spline", "inverse"}
     assert result.deviations["inverse"] == min(result.deviations.values())
     tracked = cell.replace(compensation=cell.compensation.replace(tracker=True))
     assert compare_methods(tracked, original).best == "learned"
@@ -370,7 +370,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     original = simulate(moving)
     spline = compensated(moving, original, "spline")
     others = alternatives(moving, original, "spline")
-    assert set(others) == {"linear", "mirror", "inverse"}
+    assert set(others) == {"inverse"}
     verdict = monte_carlo(moving, spline.reference, 2, method="spline", others=others)
     assert verdict.recommended == "inverse" and verdict.as_dict()["recommended_method"] == "inverse"
     assert np.quantile(verdict.methods[TRACKED], 0.95) < np.quantile(verdict.methods["inverse"], 0.95)

@@ -56,5 +56,9 @@ class Method(Protocol):
     def smooth(self) -> bool:
         """Whether the reference is smooth between the knots, so that a robot program runs it as SPLINE."""
 
+    @property
+    def recommended(self) -> bool:
+        """Whether ``best`` and the verdict compare it; a method of another package need not state it."""
+
     def revise(self, task: RevisionTask) -> Correction:
         """Return the correction for the next pass; raise RevisionError where the pass does not allow one."""

@@ -16,6 +16,7 @@ class SampledMethod:
 
     name: str
     smooth: bool
+    recommended: bool = True
     repeats: bool = False
 
     def revise(self, task: RevisionTask) -> Correction:
@@ -31,6 +32,7 @@ class MirrorMethod:
     name: str
     smooth: bool = True
     repeats: bool = False
+    recommended: bool = False
 
     def revise(self, task: RevisionTask) -> Correction:
         from kr270_milling.physics.compensation.revision import RevisionError
@@ -50,6 +52,7 @@ class ResponseMethod:
     name: str
     repeats: bool
     smooth: bool = True
+    recommended: bool = True
 
     def revise(self, task: RevisionTask) -> Correction:
         from kr270_milling.physics.compensation.learning import Learner
@@ -66,7 +69,7 @@ LEARNED = ResponseMethod("learned", repeats=True)
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
-        SampledMethod("linear", smooth=False),
+        SampledMethod("linear", smooth=False, recommended=False),
         SampledMethod("spline", smooth=True),
         LEARNED,
         MirrorMethod("mirror"),
