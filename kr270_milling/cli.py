@@ -55,7 +55,6 @@ COMMANDS = {
     "replay": Entry("replay", "play a recording back onto topics, recompute it bit for bit, or compensate from it"),
     "export": Entry("recordings", "write the topics of a recording as tables"),
     "report": Entry("recordings", "make the report of one or several recordings"),
-    "watch": Entry("run", "show a running graph, live, on a page of this host"),
     "recover": Entry("recordings", "make a whole recording of one that was cut off or damaged"),
     "bench": Entry("bench", "time the sweep of the teeth and the stiffness model"),
 }

@@ -1,10 +1,8 @@
-"""The commands that need ROS 2: ``run`` (the passes of a cell as nodes) and ``watch`` (a page of a running graph)."""
+"""The command ``run``: the passes of a cell as ROS 2 nodes."""
 
 from __future__ import annotations
 
-import json
 import sys
-import time
 from pathlib import Path
 
 from kr270_milling.base.arguments import bounded
@@ -15,9 +13,6 @@ from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import CELL, PLANT, command, option
 from kr270_milling.show.commands.console import Answer, cell_of, plant_of, shown_path
 from kr270_milling.show.commands.progress import steps
-
-LAST_LOOK = 1.0  #: [s] for an open page to receive the last events
-
 
 COMMANDS = {
     "run": command(
@@ -31,12 +26,6 @@ COMMANDS = {
         option("--out DIR", "for recordings, logs, cell.yaml", default="out"),
         option("--processes", "one process a node; else two nodes share one, which is quicker", bool),
         option("--namespace NAME", "ROS namespace of the four nodes", default=""),
-    ),
-    "watch": command(
-        "run.run_watch", "watch --port 8270",
-        option("--namespace NAME", "ROS namespace of the robot", default=""),
-        option("--host", "where it is served (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
-        option("--port", "default: 8270; 0: any that is free", bounded(0, 65535, int), 8270),
     ),
 }  # fmt: skip
 
@@ -109,29 +98,3 @@ def _compile(cell) -> None:
 def summary(ran: dict) -> dict:
     """Return the result for JSON."""
     return {**ran, "out": str(ran["out"]), "passes": [one.row() for one in ran["passes"]]}
-
-
-def run_watch(args) -> int:
-    """Print the address and serve the page until Ctrl-C or the end of the graph."""
-    require_ros("watch")
-    from kr270_milling.live.nodes.watcher import Watcher
-    from kr270_milling.live.ros.names import full_namespace
-    from kr270_milling.live.ros.spin import run_node
-    from kr270_milling.live.watch.server import Events, serve
-    from kr270_milling.show.report.watch_page import watch_page
-
-    namespace = full_namespace(args.namespace, "--namespace") if args.namespace else ""
-    events = Events()
-    server = serve(events, watch_page(), args.host, args.port)
-    url = f"http://{args.host}:{server.server_port}/"
-    text = json.dumps({"url": url}) if args.json else f"live view: {url} (Ctrl-C ends it; it ends with the graph)"
-    print(text, flush=True)
-    try:
-        code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
-        if not events.ended:
-            events.add({"kind": "end"})
-        time.sleep(LAST_LOOK)
-    finally:
-        server.shutdown()
-        server.server_close()
-    return code
