@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import math
 import os
 import time
+from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,13 +17,14 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MessageError, MillingError, one_line
 from kr270_milling.base.units import SECOND
+from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.polling import is_polled
+from kr270_milling.live.ros.polling import is_polled, polled_subscription
 from kr270_milling.live.ros.rclpy_private import RobustLifecycleNode
 from kr270_milling.live.ros.status import Status
-from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 from kr270_milling.recordings.messages.topics import published_by
 
 __all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
@@ -31,6 +34,8 @@ REPORT_PERIOD = 0.2  # [s] of the wall clock
 SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
 LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a run gives up
 HELD_UP = 0.5  # [s] between two checks; after a longer time this process itself was stopped
+LONGEST = 300  # characters of a reason
+SAY_AGAIN = 1.0  # [s] of the wall clock between two warnings about messages of one topic
 HARDWARE = "simulated robot cell"  # hardware_id of every status: no node of this package represents a machine
 OWN = ("/rosout", "/parameter_events")  # topics of every ROS node
 
@@ -52,6 +57,16 @@ def guarded(callback):
         return None
 
     return wrapped
+
+
+def _read(type_name: str, topic: str, data: bytes):
+    """Return the record of a message; raises MillingError."""
+    try:
+        return from_bytes(type_name, data)
+    except (MessageError, ExchangeError):
+        raise
+    except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
+        raise MessageError(f"{topic}: cannot be read as {type_name.rpartition('/')[2]}: {error}") from None
 
 
 class Silence:
@@ -105,6 +120,7 @@ class ReportingNode(Ending, Node):
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
         self.refused = 0  #: messages and requests that could not be used
+        self.unusable: dict[str, tuple[int, str, float]] = {}  #: by source: count, last reason, last report [s]
         self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
         self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
         self.stamp_ns = 0  #: time of the pass, for messages without a stamp
@@ -124,9 +140,48 @@ class ReportingNode(Ending, Node):
         descriptor = ParameterDescriptor(description=about, read_only=read_only, **fields)
         return self.declare_parameter(name, default, descriptor).value
 
-    def subscribe(self, topic: topics.RosTopic, callback):
-        """Subscribe to the serialised messages of a topic."""
-        return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
+    def subscribe(self, topic: topics.RosTopic, use: Callable, read: Callable | None = None, polled: bool = False):
+        """Subscribe to a topic; ``use`` receives the record of each message, see ``used``.
+
+        read: bytes -> record, default: as the table of topics states; polled: ``polling.poll`` takes the messages.
+        """
+        package, name = topic.type.__module__.partition(".")[0], topic.name.strip("/")
+        read = read or functools.partial(_read, f"{package}/msg/{topic.type.__name__}", name)
+
+        def take(data: bytes) -> None:
+            self.used(name, lambda: use(read(data)))
+
+        create = polled_subscription if polled else functools.partial(ReportingNode.create_subscription, raw=True)
+        return create(self, topic.type, topic.name, take, topic.qos)
+
+    def used(self, source: str, use: Callable, *args):
+        """Return ``use(*args)``: the one place where a message or a request of another node is read and used.
+
+        An error does not end this node and returns None. It is counted under ``source``, the topic or service, and
+        reported: as a warning where the message cannot be used, as an error where the computation failed.
+        """
+        try:
+            return use(*args)
+        except Exception as error:  # noqa: BLE001 - no message of another node ends this node
+            what = "" if isinstance(error, MillingError) else f"{source}: {type(error).__name__}: "
+            self._refuse(source, one_line(f"{what}{error}")[:LONGEST], isinstance(error, (MessageError, ExchangeError)))
+        return None
+
+    def answer(self, response, source: str, use: Callable):
+        """Return the response of a Trigger service: the text of ``use()``, or the reason of its refusal."""
+        text = self.used(source, use)
+        response.success, response.message = text is not None, self.unusable[source][1] if text is None else text
+        return response
+
+    def _refuse(self, source: str, sentence: str, message: bool) -> None:
+        """Count what cannot be used; message: the reason is the content of the message."""
+        self.refused += 1
+        count, before, said = self.unusable.get(source, (0, "", -math.inf))
+        now = time.monotonic()
+        say = not message or (sentence != before and now - said > SAY_AGAIN)
+        self.unusable[source] = count + 1, sentence, now if say else said
+        if say:
+            self.report(WARN if message else ERROR, sentence)
 
     def open_outlets(self, node: str) -> None:
         """Create the publishers that the table of topics has for a node, by the names of the topics."""
@@ -184,7 +239,8 @@ class ReportingNode(Ending, Node):
         own = {*OWN, self._status_publisher.topic_name}
         listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers if p.topic_name not in own}
         sources = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
-        values = {**self._values, **self.watch(), "refused": self.refused}
+        refused = {f"refused {name}": f"{count}, the last: {text}" for name, (count, text, _) in self.unusable.items()}
+        values = {**self._values, **self.watch(), "refused": self.refused, **refused}
         return Status(
             os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values
         )  # fmt: skip
