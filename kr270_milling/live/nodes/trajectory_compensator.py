@@ -16,11 +16,12 @@ from kr270_milling.base.samples import JointSample, PoseSample, Text, WrenchSamp
 from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
-from kr270_milling.live.ros.polling import POLL_PERIOD, poll
+from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, poll
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
 from kr270_milling.live.ros.topics import RosTopic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
@@ -37,8 +38,9 @@ LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
 WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
 JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a joint trajectory may start
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
-#: reliable and best-effort publishers match; only the last message counts
+#: reliable and best-effort publishers match; of the joints only the last message counts
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+SENSOR = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
 REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
@@ -150,7 +152,8 @@ class TrajectoryCompensator(ReportingNode):
     def _on_pose(self, sample: PoseSample) -> None:
         outputs = self.protocol.pose(sample)
         inbox = self.protocol.inbox
-        if inbox.ignored == WITHOUT_START and not inbox.distance and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
+        late = inbox.ignored == WITHOUT_START and inbox.distance is None
+        if late and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
             )
@@ -175,7 +178,8 @@ class TrajectoryCompensator(ReportingNode):
             inbox.problem = ""
         if not self.protocol.under_way:
             self._readiness.check()
-            if inbox.distance and time.monotonic() - self._report_time > REPORT_AFTER:
+            self._take_sensors()
+            if inbox.distance is not None and time.monotonic() - self._report_time > REPORT_AFTER:
                 self._report_time = time.monotonic()
                 where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"
                 silent_start = f"no message on {self._start_topic}; " if self._start_topic else ""
@@ -192,8 +196,19 @@ class TrajectoryCompensator(ReportingNode):
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
         limit = REPORT_AFTER if inbox.foreign else SILENT
-        if self._silence.is_due(silent, limit):
+        if inbox.foreign and silent > BREAK_NS * 1e-9:
+            inbox.give_up()
+        elif self._silence.is_due(silent, limit):
             self.report(WARN, f"no tool_pose for {limit:g} s in mid-pass: waiting for it")
+
+    def _take_sensors(self) -> None:
+        """Subscribe with best effort where a tracker or a force sensor publishes so; this matches all publishers."""
+        if self.incompatible(self._pose):
+            self.destroy_subscription(self._pose)
+            self._pose = self.subscribe(topics.TOOL_POSE._replace(qos=SENSOR), self._on_pose, polled=True)
+        if self.incompatible(self._wrench):
+            self.destroy_subscription(self._wrench)
+            self._wrench = self.subscribe(topics.WRENCH._replace(qos=SENSOR), self._on_wrench, polled=True)
 
     def _on_parameters(self, changes) -> SetParametersResult:
         """Accept another method while the node runs; it starts from the pass along the target."""

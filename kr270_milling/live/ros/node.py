@@ -15,6 +15,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from kr270_milling.base.errors import MessageError, MillingError, one_line
@@ -128,7 +130,7 @@ class ReportingNode(Ending, Node):
         self._values: dict[str, object] = {}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._status_publisher = self.create_publisher(*topics.STATUS)
-        self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
+        self._report_timer = self.create_timer(REPORT_PERIOD, self._report)
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
         """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
@@ -230,6 +232,24 @@ class ReportingNode(Ending, Node):
         """Subscriptions that an executor serves: all but the polled ones, which EventsExecutor would take."""
         return (s for s in super().subscriptions if not is_polled(s))
 
+    def incompatible(self, subscription: Subscription) -> list[str]:
+        """Return the nodes that publish on the topic of a subscription with best effort where it is reliable."""
+        takes = subscription.qos_profile.reliability
+        if takes == ReliabilityPolicy.BEST_EFFORT or (
+            self.count_publishers(subscription.topic_name) <= subscription.get_publisher_count()
+        ):
+            return []
+        infos = self.get_publishers_info_by_topic(subscription.topic_name)
+        return [i.node_name for i in infos if i.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT]
+
+    def _report_incompatible(self) -> None:
+        """Name the publishers whose messages this node does not receive."""
+        for subscription in super().subscriptions:
+            names = self.incompatible(subscription)
+            if names and subscription.topic_name not in self.unusable:
+                where = subscription.topic_name
+                self._refuse(where, f"{', '.join(names)} must publish reliably on {where}, not with best effort", True)
+
     def stamps(self) -> dict[str, int]:
         """Return the stamp [ns] of the last message of each topic."""
         return {self.outlets[name].topic_name: ns for name, ns in self.sent.items() if ns}
@@ -244,6 +264,10 @@ class ReportingNode(Ending, Node):
         return Status(
             os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values
         )  # fmt: skip
+
+    def _report(self) -> None:
+        self._report_incompatible()
+        self.publish_report()
 
     def publish_report(self) -> None:
         status = self.status()

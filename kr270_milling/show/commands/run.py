@@ -8,7 +8,7 @@ from pathlib import Path
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.live.ros.environment import require_ros
+from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import CELL, PLANT, command, option
 from kr270_milling.show.commands.console import Answer, cell_of, plant_of, shown_path
@@ -32,6 +32,7 @@ COMMANDS = {
 
 def run_graph(args) -> Answer:
     require_ros("run")
+    keep_to_this_host()
     from kr270_milling.live.graph.plan import RunRow
     from kr270_milling.physics.motion.scores import Scores
 
