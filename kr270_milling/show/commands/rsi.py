@@ -35,10 +35,10 @@ COMMANDS = {
 
 
 def run_rsi(args) -> Answer:
-    from kr270_milling.live.graph.plan import fresh_directory
+    from kr270_milling.base.files import fresh_directory
     from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
     from kr270_milling.live.rsi.recording import RsiRecording
-    from kr270_milling.live.rsi.session import RsiSession, open_socket
+    from kr270_milling.live.rsi.session import RsiSession, open_socket, real_time
 
     table = read_corrections(_table(args.file))
     limits = CorrectionLimits(
@@ -60,7 +60,10 @@ def run_rsi(args) -> Answer:
         with suppress(ValueError):  # only the main thread may
             for number in STOPS:  # between two answers
                 signal.signal(number, lambda caught, _: ended.append(caught) or session.stop.set())
-        session.run()
+        with real_time() as refused:
+            if refused:
+                report(refused)
+            session.run()
     counts = session.counts
     done = corrector.progress / corrector.length
     result = {

@@ -65,8 +65,9 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     say: called with a sentence at the start of each step. Returns graph_up_s, out (the directory used) and passes, a
     list of RunRow.
     """
+    from kr270_milling.base.files import fresh_directory
     from kr270_milling.live.graph.graph import Graph
-    from kr270_milling.live.graph.plan import fresh_directory, run_plan
+    from kr270_milling.live.graph.plan import run_plan
     from kr270_milling.live.ros.names import full_namespace
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""

@@ -18,6 +18,7 @@ from ros_domain import running
 
 pytest.importorskip("rclpy")
 
+from kr270_milling.base.files import fresh_directory
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
@@ -25,7 +26,6 @@ from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph import plan
 from kr270_milling.live.graph.driver import Driver
 from kr270_milling.live.graph.graph import QUIET, Graph, RunValues
-from kr270_milling.live.graph.plan import fresh_directory
 from kr270_milling.live.graph.processes import Child, RunError, stop
 from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, Silence
@@ -108,10 +108,11 @@ def test_a_run_whose_recording_lacks_messages_states_them_and_ends_with_1(capsys
 
 
 def test_recordings_are_never_overwritten(tmp_path):
-    for expected in ("o", "o/run_2", "o/run_3"):
-        directory = fresh_directory(tmp_path / "o")
+    """Neither those of passes nor that of an RSI session, which is in the directory itself."""
+    for expected, name in (("o", "cell.yaml"), ("o/run_2", ""), ("o/run_3", ""), ("r", "r.mcap"), ("r/run_2", "")):
+        directory = fresh_directory(tmp_path / expected[0])
         assert directory == tmp_path / expected
-        (directory / "cell.yaml").write_text("")
+        (directory / (name or "run.mcap")).write_text("")
 
 
 def whole_passes(out: Path) -> list[Path]:
