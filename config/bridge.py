@@ -10,11 +10,10 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from kr270_milling.base.errors import MessageError
 from kr270_milling.base.frames import WORKPIECE
-from kr270_milling.base.samples import PoseSample
+from kr270_milling.base.samples import JointSample, PoseSample, WrenchSample
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.node import OK, ReportingNode, guarded
+from kr270_milling.live.ros.node import OK, ReportingNode
 from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.spin import run_node
 from kr270_milling.physics.robot import pose
@@ -32,24 +31,16 @@ class Bridge(ReportingNode):
         self.base_in_workpiece = self.cell.workpiece.pose.inverse()
         self.tool_pose = self.create_publisher(*topics.TOOL_POSE)
         self.wrench = self.create_publisher(*topics.WRENCH)
-        self.create_subscription(JointState, "joint_states", self.on_joints, SENSOR)
-        self.create_subscription(WrenchStamped, "force", self.on_force, SENSOR)
+        self.subscribe(topics.RosTopic(JointState, "joint_states", SENSOR), self.on_joints)
+        self.subscribe(topics.RosTopic(WrenchStamped, "force", SENSOR), self.on_force)
         self.report(OK, "waiting for joint_states and force")
 
-    @guarded
-    def on_joints(self, msg: JointState) -> None:
-        positions = dict(zip(msg.name, msg.position, strict=False))
-        if missing := [name for name in self.cell.joint_names if name not in positions]:
-            raise MessageError(f"joint_states: has no position of {', '.join(missing)} (key joint_names)")
-        joints = [positions[name] for name in self.cell.joint_names]
-        tip = self.base_in_workpiece @ pose(self.cell.arm, self.cell.mount, joints)
-        stamp = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec
-        self.tool_pose.publish(to_bytes(PoseSample(stamp, WORKPIECE, tip.position, tip.quaternion)))
+    def on_joints(self, state: JointSample) -> None:
+        tip = self.base_in_workpiece @ pose(self.cell.arm, self.cell.mount, state.of(self.cell.joint_names))
+        self.tool_pose.publish(to_bytes(PoseSample(state.stamp, WORKPIECE, tip.position, tip.quaternion)))
 
-    @guarded
-    def on_force(self, msg: WrenchStamped) -> None:
-        msg.header.frame_id = self.cell.sensor.frame or msg.header.frame_id
-        self.wrench.publish(msg)
+    def on_force(self, sample: WrenchSample) -> None:
+        self.wrench.publish(to_bytes(sample._replace(frame=self.cell.sensor.frame or sample.frame)))
 
 
 if __name__ == "__main__":

@@ -55,7 +55,6 @@ COMMANDS = {
     "replay": Entry("replay", "play a recording back onto topics, recompute it bit for bit, or compensate from it"),
     "export": Entry("recordings", "write the topics of a recording as tables"),
     "report": Entry("recordings", "make the report of one or several recordings"),
-    "watch": Entry("run", "show a running graph, live, on a page of this host"),
     "recover": Entry("recordings", "make a whole recording of one that was cut off or damaged"),
 }
 
@@ -125,9 +124,9 @@ def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tup
 
 
 def _handle_interrupts(own_process: bool = False) -> None:
-    """Let Ctrl-C and SIGTERM wait for the end of a compilation, an import or a finalizer; a second one does not wait.
+    """Let Ctrl-C, SIGTERM and SIGHUP wait for the end of a compilation, an import or a finalizer, the second time not.
 
-    SIGTERM ends the command as an error does, so that no unfinished file stays. Handlers of a caller stay unchanged;
+    SIGTERM and SIGHUP end the command as an error does, so that no unfinished file stays. Handlers of a caller stay;
     own_process: there is no caller, and the handler of the start (``__main__``) is replaced.
 
     An interrupted compiler stays incomplete, and compiled libraries report an interrupted import as a broken
@@ -143,16 +142,18 @@ def _handle_interrupts(own_process: bool = False) -> None:
             signal.signal(signal.SIGALRM, end)
             signal.setitimer(signal.ITIMER_REAL, 0.02)  # look again
             return
-        if signal.SIGTERM in received:
-            raise SystemExit(128 + signal.SIGTERM)
+        for stop in (signal.SIGTERM, signal.SIGHUP):
+            if stop in received:
+                raise SystemExit(128 + stop)
         raise KeyboardInterrupt
 
     with contextlib.suppress(ValueError):  # only the main thread may
         present = signal.getsignal(signal.SIGINT)
         if present is signal.default_int_handler or (own_process and present is not signal.SIG_IGN):
             signal.signal(signal.SIGINT, end)
-        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-            signal.signal(signal.SIGTERM, end)
+        for stop in (signal.SIGTERM, signal.SIGHUP):  # nohup ignores SIGHUP: then it stays ignored
+            if signal.getsignal(stop) is signal.SIG_DFL:
+                signal.signal(stop, end)
 
 
 def _complete() -> None:

@@ -50,8 +50,8 @@ class Controller:
         return int(ipoc), np.array(values, float)
 
     def cycle(self, point_mm, **more) -> np.ndarray:
-        """Run one cycle and return the correction [mm, deg], (6,)."""
-        self.ipoc += 4
+        """Run one cycle and return the correction [mm, deg], (6,); the counter has 32 bits."""
+        self.ipoc = (self.ipoc + 4) % 2**32
         self.send(telegram(self.ipoc, point_mm, **more))
         ipoc, correction = self.receive()
         assert ipoc == self.ipoc

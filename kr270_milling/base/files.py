@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["staged", "write_files"]
+__all__ = ["fresh_directory", "staged", "write_files"]
 
 
 @contextlib.contextmanager
@@ -87,3 +87,18 @@ def _write(path: Path, pieces: Iterator, newline: str) -> None:
     with open(path, "x" if text else "xb", **options) as stream:
         stream.write(first)
         stream.writelines(pieces)
+
+
+def fresh_directory(out) -> Path:
+    """Return ``out``, or a new ``out/run_N`` where ``out`` contains recordings: recordings are never overwritten."""
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    if not any(out.glob("*.mcap")) and not any(out.glob("*/*.mcap")) and not (out / "cell.yaml").exists():
+        return out
+    for number in range(2, 100_000):
+        try:
+            (out / f"run_{number}").mkdir()
+        except FileExistsError:
+            continue
+        return out / f"run_{number}"
+    raise FileExistsError(f"{out}: contains too many runs")

@@ -8,7 +8,10 @@ import signal
 import sys
 from typing import NoReturn
 
-__all__ = ["end_process", "exit_code", "flush"]
+__all__ = ["STOPS", "end_process", "exit_code", "flush"]
+
+#: signals that end a process in order; a terminal that closes sends SIGHUP, which nohup ignores
+STOPS = (signal.SIGINT, signal.SIGTERM, *[signal.SIGHUP][: signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN])
 
 
 def exit_code(error: BaseException | None) -> int:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+
+from kr270_milling.base.errors import MessageError
 
 __all__ = [
     "ClockSample", "CompensatorState", "JointProgram", "JointSample", "LearnedRecording", "PoseSample", "StockMap",
@@ -70,6 +74,14 @@ class JointSample(Sample):
     stamp: int  #: [ns]
     names: tuple[str, ...]
     position: np.ndarray = _values(-1)  #: [rad], (joints,)
+
+    def of(self, names: Sequence[str]) -> np.ndarray:
+        """Return the positions of these joints [rad], (n,). Raises MessageError where one is missing or not finite."""
+        positions = dict(zip(self.names, self.position.tolist(), strict=False))
+        missing = [name for name in names if not math.isfinite(positions.get(name, math.nan))]
+        if missing:
+            raise MessageError(f"joint_states: has no position of {', '.join(missing)} (key joint_names)")
+        return np.array([positions[name] for name in names])
 
 
 @dataclass(frozen=True, eq=False)

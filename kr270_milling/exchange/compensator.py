@@ -12,7 +12,7 @@ from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedRe
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator
 from kr270_milling.exchange.inbox import PassInbox
-from kr270_milling.exchange.inputs import Output, WrenchFrames, checked_pose, checked_wrench
+from kr270_milling.exchange.inputs import Output, WrenchFrames, checked_length, checked_pose, checked_wrench
 from kr270_milling.exchange.joint_program import joint_program
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -67,6 +67,7 @@ class CompensatorProtocol:
 
     def begin(self, target: Trajectory) -> list[Output]:
         """Continue along another target; raises MillingError where it is refused."""
+        checked_length(target, self.cell.clock)
         outputs = self._continue(compensator(self.cell, target), ())
         self._first = ()
         return outputs

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MessageError
 from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
 from kr270_milling.cell.cell import Cell
@@ -21,7 +21,7 @@ __all__ = ["CutProtocol", "NoWorkpiece"]
 MAP_STEP = 0.2e-3  # [m], of the published workpiece map
 
 
-class NoWorkpiece(MillingError):
+class NoWorkpiece(MessageError):
     """The cutting process is not configured."""
 
     def __init__(self):

@@ -12,7 +12,7 @@ from kr270_milling.base.samples import LearnedRecording, PoseSample, WrenchSampl
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import pass_record
 from kr270_milling.exchange.inputs import WrenchFrames, in_workpiece_axes
-from kr270_milling.exchange.start import StartSeeker, check_follows, lag
+from kr270_milling.exchange.start import BREAK_NS, StartSeeker, check_follows, is_far, lag
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.exchange import Clock
@@ -78,7 +78,8 @@ class PassInbox:
         clock: Clock | None = None, frames: WrenchFrames | None = None, announced: bool = False,
     ):  # fmt: skip
         self.end_ns = end_ns
-        self.start_ns = start_ns
+        self.start_ns = self._planned_ns = start_ns
+        self.foreign = False  #: the pass of a robot with another clock
         self.problem = ""  #: what does not fit, in one sentence; the caller clears the sentence
         self._reference = reference
         self._clock = clock
@@ -94,16 +95,17 @@ class PassInbox:
         self._wrenches: dict[int, FrameWrench] = dict(wrenches or {})
         self._early: dict[int, FrameWrench] = {}
         self._ignored = 0
-        self.foreign = False  #: the pass of a robot with another clock
+        self.start_ns, self.foreign = self._planned_ns if self.foreign else self.start_ns, False
         self._seeker = None if self._reference is None else StartSeeker(self._reference, self._announced)
         self._standing: list[WrenchSample] = []  # wrenches before the start
+        self._near_ns = 0  # time of the last pose near the reference
         self._gap_ns = GAP_NS  # longest time between two messages that was reported
         self._last_poses = self._last_wrenches = self._iterations
 
     @property
-    def distance(self) -> float:
-        """Distance [m] of a tool that waits from the first point of the reference; 0 where no such tool is known."""
-        return 0.0 if self._seeker is None or self.started else self._seeker.distance
+    def distance(self) -> float | None:
+        """Distance [m] of a tool that waits from the first point of the reference; None where no such tool is known."""
+        return None if self._seeker is None or self.started else self._seeker.distance
 
     @property
     def started(self) -> bool:
@@ -174,6 +176,7 @@ class PassInbox:
         restarted, seeker = self.started, self._seeker
         self.clear()
         self.problem = "the robot began the pass again" if restarted else self.problem
+        self._planned_ns = self.start_ns
         self.foreign, self.start_ns = True, start_ns
         self._last_poses = self._last_wrenches = 1
         if seeker is None:
@@ -195,9 +198,27 @@ class PassInbox:
             self.problem = f"tool_pose: the stamp is {what}, so the pose is not used"
         if time < last or last >= self.end_ns:
             return
-        self._check_gap("tool_pose", time, last)
-        self._poses[time] = sample.position, sample.quaternion
-        self._last_poses -= time >= self.end_ns
+        if self._reference is None or not is_far(self._reference, time, sample.position):
+            self._near_ns = max(time, 0)
+        if time - last > BREAK_NS:
+            self._break_off(f"no tool_pose for {(time - last) * 1e-9:.1f} s", sample)
+        elif time - self._near_ns > BREAK_NS:
+            self._break_off("the tool stands still, is slow or has left the reference (is the override 100 %?)", sample)
+        else:
+            self._check_gap("tool_pose", time, last)
+            self._poses[time] = sample.position, sample.quaternion
+            self._last_poses -= time >= self.end_ns
+
+    def _break_off(self, reason: str, sample: PoseSample | None = None) -> None:
+        """End the pass without a revision and seek the next start, which may be near this pose."""
+        self.clear()
+        self.problem = f"{reason}: the pass is over and is not used; the next start begins another pass"
+        if sample is not None and not self._announced:
+            self.pose(sample)
+
+    def give_up(self) -> None:
+        """End a pass whose poses have stopped."""
+        self._break_off(f"no tool_pose for {BREAK_NS * 1e-9:g} s")
 
     def _check_gap(self, topic: str, time: int, last: int) -> None:
         """State a gap that is longer than those before."""

@@ -11,13 +11,20 @@ from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.frames import TOOL, TOOL0, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.sensor import moved_wrench
 
-__all__ = ["ExchangeError", "Output", "WrenchFrames", "checked_pose", "checked_wrench", "in_workpiece_axes"]
+__all__ = [
+    "ExchangeError", "Output", "WrenchFrames", "checked_length", "checked_pose", "checked_wrench", "in_workpiece_axes",
+]  # fmt: skip
 
 Output = tuple[str, object]  #: topic, record
 
+MOST_STEPS = 20_000_000  #: exchange periods of a pass, 2.8 h at 0.5 ms; assumed: the arrays of a pass then have 3 GB
+FARTHEST = 100.0  #: [m], of a coordinate of the tool; assumed: an arm with its cell is smaller
+STRONGEST = 1e6  #: [N, N m]; assumed: a hundred times what the strongest milling robots carry
 UNIT_LENGTH = 1e-3  #: allowed difference of a quaternion's length from 1: a quaternion of 32-bit floats is far below it
 
 
@@ -34,7 +41,7 @@ def checked_pose(sample: PoseSample) -> PoseSample:
     if sample.frame != WORKPIECE:
         raise MessageError(f"tool_pose: the frame is {sample.frame!r}, but must be {WORKPIECE}")
     quaternion = sample.quaternion.tolist()
-    _expect_finite(sample.position.tolist() + quaternion, "tool_pose")
+    _expect_finite(sample.position.tolist() + quaternion, "tool_pose", FARTHEST, "m")
     if not abs(math.hypot(*quaternion) - 1.0) <= UNIT_LENGTH:
         raise MessageError("tool_pose: the quaternion is not of length 1")
     return sample
@@ -45,7 +52,7 @@ def checked_wrench(sample: WrenchSample, frames: Sequence[str] = (WORKPIECE, TOO
     if sample.frame not in frames:
         allowed = f"{', '.join(frames[:-1])} or {frames[-1]}"
         raise MessageError(f"wrench: the frame is {sample.frame!r}, but must be {allowed}")
-    _expect_finite(sample.wrench.tolist(), "wrench")
+    _expect_finite(sample.wrench.tolist(), "wrench", STRONGEST, "N and N m")
     return sample
 
 
@@ -114,6 +121,19 @@ class WrenchFrames:
         return self._sensor.weight(np.einsum("...ji,j->...i", pose.rotation, self._gravity))
 
 
-def _expect_finite(values: list[float], topic: str) -> None:
-    if not math.isfinite(sum(values)) and not all(map(math.isfinite, values)):  # the sum of finite values may overflow
-        raise MessageError(f"{topic}: a value is not finite")
+def checked_length(run: Trajectory, clock: Clock) -> Trajectory:
+    """Return the trajectory; raises MessageError where a pass along it would have too many exchanges."""
+    steps = clock.steps(run.duration_ns)
+    if steps > MOST_STEPS:
+        longest = MOST_STEPS * clock.period
+        raise MessageError(f"trajectory: takes {run.duration_ns * 1e-9:g} s, but at most {longest:g} s are allowed")
+    return run
+
+
+def _expect_finite(values: list[float], topic: str, most: float, unit: str) -> None:
+    """Raise MessageError unless all values are finite and no larger than ``most``."""
+    if not (max(values) <= most and min(values) >= -most and not math.isnan(sum(values))):
+        finite = all(map(math.isfinite, values))
+        raise MessageError(
+            f"{topic}: a value is beyond {most:g} {unit}" if finite else f"{topic}: a value is not finite"
+        )

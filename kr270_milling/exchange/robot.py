@@ -13,7 +13,7 @@ from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
-from kr270_milling.exchange.inputs import ExchangeError, Output, checked_wrench, in_workpiece_axes
+from kr270_milling.exchange.inputs import ExchangeError, Output, checked_length, checked_wrench, in_workpiece_axes
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import CompliantArm
 from kr270_milling.physics.robot.urdf import urdf
@@ -55,6 +55,7 @@ class RobotProtocol:
         cell, reference = self.cell, self.reference
         if reference is None:
             raise ExchangeError(0, "a pass needs a reference trajectory")
+        checked_length(reference, cell.clock)
         course = imperfect_course(cell, reference, self.passes)
         model = imperfect_arm(cell, reference, cell.arm_model(reference))
         self.steps = cell.clock.steps(course.duration_ns)

@@ -5,7 +5,7 @@ Bytes of the graph's topics in, bytes of ``/tf``, ``/tf_static`` and ``/markers`
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -80,7 +80,7 @@ class Scene:
         if name == "robot_description":
             self._links = links_of(from_bytes("std_msgs/msg/String", data).text)
             self._tool_width = self._width()
-            yield Derived("/tf_static", TRANSFORMS, transforms_bytes(0, self._frames(np.zeros(6), moving=False)), 0)
+            yield Derived("/tf_static", TRANSFORMS, transforms_bytes(0, self._frames({}, moving=False)), 0)
         elif name.endswith("_trajectory"):
             run = trajectory_from_bytes(data)
             if name == "target_trajectory" or self._target is None:
@@ -96,8 +96,13 @@ class Scene:
             self._start_ns = self._next_ns
         if name == "joint_states":
             if self._links and stamp >= self._joints_due:
+                names = [link.joint for link in self._links if link.joint]
+                state = from_bytes("sensor_msgs/msg/JointState", data)
+                if not {*names} & {*state.names}:
+                    return  # of a gripper or of another robot
+                position = state.of(names)
                 self._joints_due = stamp + PERIOD_NS
-                joints = from_bytes("sensor_msgs/msg/JointState", data).position
+                joints = dict(zip(names, position, strict=True))
                 yield Derived("/tf", TRANSFORMS, transforms_bytes(stamp, self._frames(joints, moving=True)), stamp)
         elif name == "wrench":
             if stamp >= self._wrench_due:
@@ -108,8 +113,9 @@ class Scene:
             self._add_point(stamp, np.asarray(pose_from_bytes(data).position))
             yield Derived("/markers", MARKERS, markers_bytes(stamp, self._markers()), stamp)
 
-    def _frames(self, joints: np.ndarray, moving: bool) -> list[Placed]:
-        links = [link for link in self._links if link.parent >= 0 and (link.joint >= 0) == moving]
+    def _frames(self, joints: Mapping[str, float], moving: bool) -> list[Placed]:
+        """Return the frames of the moving or of the fixed links; joints: positions by name [rad]."""
+        links = [link for link in self._links if link.parent >= 0 and bool(link.joint) == moving]
         turns = [link.rotation @ _turn(link.axis, joints[link.joint]) if moving else link.rotation for link in links]
         quaternions = quaternion_from_rotation(np.array(turns).reshape(-1, 3, 3))
         parents = [self._links[link.parent].name for link in links]

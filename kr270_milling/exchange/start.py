@@ -10,12 +10,14 @@ from kr270_milling.base.errors import MessageError
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["StartSeeker", "check_follows", "lag"]
+__all__ = ["BREAK_NS", "StartSeeker", "check_follows", "is_far", "lag"]
 
 START_TOLERANCE = 0.5e-3  #: [m], from the first point of the reference, in which a robot with another clock waits
 SEEK_NS = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
 MOST_EARLY = 2000  # poses and wrenches before the start is known
 LAG_ROUNDS = 3
+BREAK_NS = 2_000_000_000  #: without progress, after which a pass is over; assumed: longer than any lag of a controller
+LOOKS = 401  # at the reference within BREAK_NS, one every 5 ms: 2 mm at 0.4 m/s
 FAR = 5e-3  # [m], from the reference; far above the deflection of an arm
 FEWEST = 10  # poses of a pass
 
@@ -28,7 +30,7 @@ class StartSeeker:
     """
 
     def __init__(self, reference: Trajectory, announced: bool = False):
-        self.distance = 0.0  #: [m], of the tool from the first point of the reference
+        self.distance: float | None = None  #: [m], of the tool from the first point of the reference; None: no pose yet
         self.poses: deque[PoseSample] = deque(maxlen=MOST_EARLY)
         self.wrenches: deque[WrenchSample] = deque(maxlen=MOST_EARLY)
         self._reference = reference
@@ -65,6 +67,17 @@ def lag(reference: Trajectory, time_ns: np.ndarray, position: np.ndarray) -> int
         behind = np.sum(velocity * (position - reference.sample(time_ns - delay)))
         delay -= round(1e9 * behind / max(np.sum(velocity**2), 1e-12))
     return delay
+
+
+def is_far(reference: Trajectory, time_ns: int, position: np.ndarray) -> bool:
+    """Return whether a tool at a position (3,) [m] is far from the reference of the last ``BREAK_NS``.
+
+    A robot that lags is near an earlier point; a robot that has stopped is near none when this time has passed.
+    """
+    if float(np.linalg.norm(position - reference.sample(min(time_ns, reference.duration_ns)))) <= FAR:
+        return False
+    times = np.linspace(time_ns - BREAK_NS, time_ns, LOOKS).clip(0, reference.duration_ns).astype(np.int64)
+    return float(np.linalg.norm(reference.sample(times) - position, axis=1).min()) > FAR
 
 
 def check_follows(reference: Trajectory, time_ns: np.ndarray, position: np.ndarray) -> None:

@@ -360,6 +360,32 @@ def test_a_pass_that_does_not_follow_the_reference_is_refused(announced, ran):
     assert not announced.under_way and announced.passes == 0
 
 
+@pytest.mark.parametrize("ends", ["no tool_pose for 6", "the tool stands still"])
+def test_a_robot_that_stops_in_mid_pass_ends_the_pass_and_its_next_start_counts(short_cell, ends):
+    """A pass of 10 s at a slow feed; stamps on the grid of the exchange."""
+    cell = short_cell.replace(path=short_cell.path.replace(length=40e-3, feed_rate=4e-3))
+    protocol = CompensatorProtocol(cell)
+    protocol.begin(cell.target())
+    reference, ms = protocol.active.reference, 1_000_000
+    assert protocol.inbox.distance is None
+    begin = [(k * ms, 0) for k in range(0, 300, 4)] + [(k * ms, (k - 300) * ms) for k in range(300, 2300, 4)]
+    rest = [] if ends.startswith("no") else [(k * ms, 2000 * ms) for k in range(2300, 8000, 4)]
+    again = [(8300 * ms + t, at) for t, at in begin]
+    problems = []
+    for stamp, at in begin + rest + again:
+        protocol.pose(PoseSample(WALL // ms * ms + stamp, "workpiece", reference.sample(at), DOWN))
+        problems += [protocol.inbox.problem] if protocol.inbox.problem not in problems[-1:] else []
+    (over,) = [problem for problem in problems if problem.endswith("the next start begins another pass")]
+    assert over.startswith(ends)
+    assert protocol.under_way and protocol.inbox.foreign
+    assert abs(protocol.inbox.start_ns - WALL - 8600 * ms) < 8 * ms
+
+
+def test_a_tool_exactly_at_the_first_point_is_known_to_wait_there(protocol):
+    protocol.pose(PoseSample(WALL, "workpiece", protocol.active.reference.position[0], DOWN))
+    assert protocol.inbox.distance == 0.0 and not protocol.under_way
+
+
 def test_a_robot_of_another_clock_starts_when_it_leaves_the_first_point(protocol, ran):
     poses = [sample for sample in foreign_pass(ran, 0) if isinstance(sample, PoseSample)]
     for sample in poses:

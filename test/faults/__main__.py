@@ -19,7 +19,7 @@ from faults import soak, trials
 from faults.faults import FAULTS
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.errors import MillingError
-from kr270_milling.live.graph.plan import fresh_directory
+from kr270_milling.base.files import fresh_directory
 from kr270_milling.live.ros.environment import require_ros
 
 

@@ -125,10 +125,20 @@ def _fill_disk(graph: Disturbed) -> None:
     resource.prlimit(graph.children[RECORDER].pid, resource.RLIMIT_FSIZE, (size, size))
 
 
+SUBSCRIBER = """
+import rclpy
+from geometry_msgs.msg import PoseStamped
+rclpy.init()
+node = rclpy.create_node("late")
+node.create_subscription(PoseStamped, "tool_pose", print, 100)
+rclpy.spin(node)
+"""
+
+
 def _start_subscriber(graph: Disturbed) -> None:
-    """Start the live page in mid-pass."""
-    watch = [sys.executable, "-m", "kr270_milling.cli", "watch", "--port", "0"]
-    graph.beside.append(subprocess.Popen(watch, stdout=subprocess.DEVNULL, start_new_session=True))
+    """Start a subscriber of every pose in mid-pass."""
+    late = subprocess.Popen([sys.executable, "-c", SUBSCRIBER], stdout=subprocess.DEVNULL, start_new_session=True)
+    graph.beside.append(late)
 
 
 CLOSED = "the run ends with a sentence; the recording is closed"

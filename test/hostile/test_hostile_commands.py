@@ -221,7 +221,7 @@ def test_a_number_of_an_option_is_finite_within_its_bounds_and_written_in_digits
     ["compensate", *CELL, "--method=LINEAR"], ["run", *CELL, "--method="], ["compensate", *CELL, "--krl=PTP"],
     ["check", *CELL, "--motion=PTP"],
     *[["replay", "none.mcap", f"{option}=nan"]
-      for option in ("--rate", "--start-offset", "--playback-duration", "--delay", "--clock")],
+      for option in ("--rate", "--start-offset", "--playback-duration", "--clock")],
     ["stiffness", "kr270_2.yaml", "--joints-deg"], ["stiffness", "kr270_2.yaml"], ["stiffness"],
     ["simulate", "paper.yaml", "--set"], ["check", "paper.yaml", "--reference"], ["run"], ["replay"], ["info"],
     ["replay", "a", "--recompute", "--compensate"], ["export"], ["export", "a"], ["recover"], ["report"],

@@ -18,9 +18,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
+from kr270_milling.base.errors import MessageError
 from kr270_milling.live.graph.processes import RunError
 from kr270_milling.live.ros.node import Silence
-from kr270_milling.live.ros.status import Status, subscribe_status
+from kr270_milling.live.ros.status import Status, status_topic
 
 __all__ = ["Driver"]
 
@@ -55,10 +56,14 @@ class Driver:
     def expect(self, node: str, pid: int) -> None:
         """Take the statuses of this process under the name of the node from now on."""
         self.silences[node] = Silence()
-        subscribe_status(self.node, node, partial(self._on_status, node, pid))
+        topic = status_topic(node)
+        self.node.create_subscription(topic.type, topic.name, partial(self._on_status, node, pid), topic.qos)
 
     def _on_status(self, node: str, pid: int, msg) -> None:
-        status = Status.from_msg(msg)
+        try:
+            status = Status.from_text(msg.data)
+        except MessageError:  # of a stranger
+            return
         if status.pid != pid:
             self.foreign = self.name_of(node)
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kr270_milling.base.errors import one_line
+from kr270_milling.base.process import STOPS
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import write_cell_file
 from kr270_milling.live.graph.driver import Driver
@@ -19,6 +21,7 @@ from kr270_milling.live.graph.processes import (
     AlreadyRunning,
     Child,
     RunError,
+    own_graph,
     recording_parameters,
     ros_arguments,
     stop,
@@ -70,6 +73,8 @@ class Graph:
         self._composed = composed
         self._namespace = namespace
         self._in_pass = False
+        self._judged = 0.0  # time of the first error [s of the monotonic clock]
+        self._lock: socket.socket | None = None
         self._signals: list[int] = []
         self._handlers: dict[int, Any] = {}
 
@@ -92,9 +97,10 @@ class Graph:
         if self.plant is not None:
             write_cell_file(self.plant, self.out / "plant.yaml")
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in STOPS:
                 self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
         self.driver = Driver(self._namespace, self.check)
+        self._lock = own_graph(self.driver.node.context.get_domain_id(), self.driver.namespace)
         self._refuse_second()
         self._start_nodes()
         self.driver.transition("configure", *CELL, deadline=UP)
@@ -103,7 +109,7 @@ class Graph:
         return self
 
     def _refuse_second(self) -> None:
-        """Raise AlreadyRunning before the nodes start: their first messages would disturb the other graph."""
+        """Raise AlreadyRunning before the nodes start: their first messages would disturb nodes started by hand."""
         end = time.monotonic() + DISCOVERY
         while time.monotonic() < end:
             self.check()
@@ -147,8 +153,8 @@ class Graph:
     def check(self) -> None:
         """Called some 50 times a second while the run waits; raises when the run cannot continue."""
         if self._signals:
-            if self._signals[0] == signal.SIGTERM:
-                raise SystemExit(128 + signal.SIGTERM)
+            if self._signals[0] != signal.SIGINT:
+                raise SystemExit(128 + self._signals[0])
             raise KeyboardInterrupt
         ended = [node for node, child in self.children.items() if not child.alive]
         if ended:  # the others may have ended because of the first
@@ -157,13 +163,28 @@ class Graph:
         silences = {node: self.driver.silences[node] for node in self.children if self._in_pass}
         silent = {node: silence.seconds() for node, silence in silences.items()}
         longest = max(silent, key=silent.__getitem__, default="")
-        if longest and silent[longest] > (QUIET if self.driver.error else LOST):  # its partners report its silence
+        if longest and silent[longest] > LOST:
             raise RunError(longest, f"has not reported for {silent[longest]:.0f} s")
         if self.children and self.driver.error:
-            raise RunError(*self.driver.error)
+            self._blame(*self.driver.error)
         for node, silence in silences.items():
             if silence.is_due(silent[node], QUIET):
                 self.warn(f"{node}: has not reported for {QUIET:g} s; waiting")
+
+    def _blame(self, node: str, error: str) -> None:
+        """Raise RunError for a node that is silent, or for the one with the error where all others still report.
+
+        A node reports the silence of its partner. On a busy machine the reports are late, so each node has time for
+        one more.
+        """
+        now = time.monotonic()
+        self._judged = self._judged or now
+        silent = [name for name in self.children if self.driver.arrivals.get(name, 0.0) < self._judged]
+        if not self._in_pass or not silent:
+            raise RunError(node, error)
+        if now - self._judged > LOST / 2:
+            first = min(silent, key=lambda name: self.driver.arrivals.get(name, 0.0))
+            raise RunError(first, f"has not reported for {now - self.driver.arrivals.get(first, now):.0f} s")
 
     def warn(self, sentence: str) -> None:
         """Print a warning while the run continues."""
@@ -241,5 +262,7 @@ class Graph:
         recorder = {child for node, child in self.children.items() if node == RECORDER}
         stop(set(self.children.values()) - recorder)
         stop(recorder)
+        if self._lock is not None:
+            self._lock.close()
         for number, handler in self._handlers.items():
             signal.signal(number, handler)

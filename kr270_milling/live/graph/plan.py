@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from kr270_milling.base.column import as_dict, column, computed
 from kr270_milling.cell.cell import Cell
@@ -14,7 +13,7 @@ from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph, RunValues
 from kr270_milling.physics.compensation.compensator import Compensator
 
-__all__ = ["RunRow", "fresh_directory", "run_plan"]
+__all__ = ["RunRow", "run_plan"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,21 +43,6 @@ class RunRow:
         """Return the row with the keys that the command prints."""
         row = {**self.scored.row(), "recording": str(self.run.recording), **as_dict(self)}
         return {**row, "learning": [ran.row() for ran in self.learning]} if self.learning else row
-
-
-def fresh_directory(out) -> Path:
-    """Return ``out``, or a new ``out/run_N`` where ``out`` contains recordings: recordings are never overwritten."""
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    if not any(out.glob("*/*.mcap")) and not (out / "cell.yaml").exists():
-        return out
-    for number in range(2, 100_000):
-        try:
-            (out / f"run_{number}").mkdir()
-        except FileExistsError:
-            continue
-        return out / f"run_{number}"
-    raise FileExistsError(f"{out}: contains too many runs")
 
 
 def run_plan(

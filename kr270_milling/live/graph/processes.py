@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import os
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -15,11 +17,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.process import STOPS
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import write_cell_file
 from kr270_milling.live.ros.environment import child_environment
+from kr270_milling.recordings.messages.topics import ROBOT
 
-__all__ = ["AlreadyRunning", "Child", "RunError", "recording_parameters", "ros_arguments", "stop"]
+__all__ = ["AlreadyRunning", "Child", "RunError", "own_graph", "recording_parameters", "ros_arguments", "stop"]
 
 GRACE = 3.0  # [s] for a node to close its files and to leave the graph, before it is killed
 TOGETHER = "milling_cell"  # the program that holds several nodes
@@ -44,10 +48,26 @@ class AlreadyRunning(MillingError):
         )
 
 
+def own_graph(domain: int, namespace: str) -> socket.socket:
+    """Return the right to start the nodes of a namespace in a ROS domain, until it is closed. Raises AlreadyRunning.
+
+    Of two runs that start at once, the first has it. The name of a socket is free again when its process ends, and it
+    belongs to the network of this host, as the loopback interface does.
+    """
+    own = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        own.bind(f"\0kr270_milling/{domain}{namespace}")
+    except OSError as error:  # another one: this system has no such names
+        if error.errno == errno.EADDRINUSE:
+            own.close()
+            raise AlreadyRunning(f"{namespace.rstrip('/')}/{ROBOT}") from None
+    return own
+
+
 @contextlib.contextmanager
 def _signals_blocked() -> Iterator[None]:
     """Block signals in a process that starts within, until it installs its handlers (``nodes.start``)."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
         yield
     finally:

@@ -9,14 +9,13 @@ from rcl_interfaces.msg import FloatingPointRange
 from rclpy.timer import Timer
 
 from kr270_milling.base.frames import WORKPIECE
-from kr270_milling.base.samples import WrenchSample
+from kr270_milling.base.samples import Text, WrenchSample
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, LOST, OK, WARN, ManagedNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
-from kr270_milling.live.ros.status import Status, subscribe_status
-from kr270_milling.path.trajectory import fingerprint
-from kr270_milling.recordings.messages.codec import trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.live.ros.status import Status, status_topic
+from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import COMPENSATOR, RECORDER, ROBOT
 
 __all__ = ["CompliantRobot"]
@@ -46,8 +45,8 @@ class CompliantRobot(ManagedNode):
         self.open_outlets(ROBOT)
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
-        self._planner = subscribe_status(self, COMPENSATOR, self._on_planner)
-        subscribe_status(self, RECORDER, self._on_recorder)
+        self._planner = self.subscribe(status_topic(COMPENSATOR), self._on_planner)
+        self.subscribe(status_topic(RECORDER), self._on_recorder)
         self._readers: dict[str, tuple[float, int]] = {}  # node: arrival of its status [s], stamp of its last pose [ns]
         self._ready = False  # as the compensator reported last
         self.create_timer(LOOK, self._watch_answer)
@@ -71,20 +70,17 @@ class CompliantRobot(ManagedNode):
         self.protocol.stop()
         self.report(OK, "stopped")
 
-    @guarded
-    def _on_reference(self, data: bytes) -> None:
-        reference = self.protocol.reference = trajectory_from_bytes(data)
+    def _on_reference(self, reference: Trajectory) -> None:
+        self.protocol.reference = reference
         self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
 
-    @guarded
-    def _on_planner(self, msg) -> None:
-        status = Status.from_msg(msg)
+    def _on_planner(self, text: Text) -> None:
+        status = Status.from_text(text.text)
         self._ready = not status.values.get("waiting_for")
         self._note_reader(COMPENSATOR, status)
 
-    @guarded
-    def _on_recorder(self, msg) -> None:
-        self._note_reader(RECORDER, Status.from_msg(msg))
+    def _on_recorder(self, text: Text) -> None:
+        self._note_reader(RECORDER, Status.from_text(text.text))
 
     def _note_reader(self, node: str, status: Status) -> None:
         """Note the last pose that a node has read."""
@@ -106,8 +102,8 @@ class CompliantRobot(ManagedNode):
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
         if not protocol.started:
             ready = self._ready or not self._planner.get_publisher_count()
-            if cut and ready and protocol.reference is not None:
-                self._start()
+            if cut and ready and protocol.reference is not None and not self.used("reference_trajectory", self._start):
+                protocol.reference = None  # a pass cannot follow it
             return
         if not cut and not protocol.time_ns:
             self.activate()  # the cut left before the pass began
@@ -120,18 +116,17 @@ class CompliantRobot(ManagedNode):
             self.report(WARN, silence if protocol.time_ns else "the cutting process is not active yet")
             self.send(protocol.repeat())
 
-    def _start(self) -> None:
+    def _start(self) -> bool:
         outputs = self.protocol.start()
         self._given_up = False
         self._started = time.monotonic()
         self.report(OK, "pass running")
         self._answer(outputs)
+        return True
 
-    @guarded
-    def _on_wrench(self, data: bytes) -> None:
+    def _on_wrench(self, sample: WrenchSample) -> None:
         if not self.active or self._given_up or self.protocol.done:
             return
-        sample = wrench_from_bytes(data)
         outputs = self.protocol.wrench(sample)
         if not outputs and not self.protocol.done:
             return  # not the awaited wrench

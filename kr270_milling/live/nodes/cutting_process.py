@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from std_srvs.srv import Trigger
 
-from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
+from kr270_milling.base.samples import PoseSample
+from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
-from kr270_milling.path.trajectory import fingerprint
-from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes
+from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import CUT
 
 __all__ = ["CuttingProcess"]
@@ -61,12 +61,12 @@ class CuttingProcess(ManagedNode):
         self.protocol.release()
         self.report(OK, "unconfigured")
 
-    @guarded
-    def _on_pose(self, data: bytes) -> None:
+    def _on_pose(self, sample: PoseSample) -> None:
         if not self.active:
             return
+        answer = self.protocol.pose(sample)
         again = self._silence.end()
-        self.send(self.protocol.pose(pose_from_bytes(data)))
+        self.send(answer)
         self._mapped = False
         self.stamp_ns = self.protocol.stamp_ns
         if self._robots == 0 and self.protocol.step == 1:
@@ -75,9 +75,7 @@ class CuttingProcess(ManagedNode):
         elif again:
             self.report(OK, "cutting again")
 
-    @guarded
-    def _on_reference(self, data: bytes) -> None:
-        reference = trajectory_from_bytes(data)
+    def _on_reference(self, reference: Trajectory) -> None:
         self.protocol.reference(reference)
         self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
 
@@ -96,20 +94,13 @@ class CuttingProcess(ManagedNode):
         elif self._silence.is_due(silent):
             self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: is the robot gone?")
 
-    @guarded
-    def _publish_map(self) -> bool:
-        try:
-            self.send(self.protocol.workpiece())
-        except NoWorkpiece as error:
-            self.report(WARN, str(error))
-            return False
+    def _publish_map(self) -> str:
+        self.send(self.protocol.workpiece())
         self._mapped = True
-        return True
+        return "workpiece published"
 
     def _on_request(self, _, response):
-        response.success = bool(self._publish_map())
-        response.message = "" if response.success else str(NoWorkpiece())
-        return response
+        return self.answer(response, "~/publish_workpiece", self._publish_map)
 
     def watch(self) -> dict:
         volume = self.protocol.removed_volume

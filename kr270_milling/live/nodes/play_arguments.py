@@ -20,25 +20,17 @@ PLAY: tuple[tuple[tuple[str, ...], dict], ...] = (
         type=_LEAST, default=0.0, metavar="S",
         help="start so many seconds into the recording; latched messages from before come first")),
     (("--playback-duration",), dict(type=_LEAST, metavar="S", help="play so many seconds of the recording")),
-    (("-l", "--loop"), dict(action="store_true", help="begin again at the end")),
     (("--topics",), dict(nargs="+", metavar="TOPIC", help="only these")),
     (("-p", "--start-paused"), dict(action="store_true", help="wait for the service ~/resume")),
     (("--clock",), dict(
         type=_ABOVE, nargs="?", const=CLOCK_RATE, metavar="HZ",
         help=f"publish /clock at this rate ({CLOCK_RATE:g} without a number) in place of the recorded one")),
-    (("--remap",), dict(
-        action="append", default=[], metavar="NAME:=RECORDED",
-        help="our topic NAME was recorded as RECORDED, as wrench:=force/measured; may be given several times")),
-    (("-d", "--delay"), dict(type=_LEAST, default=0.0, metavar="S", help="wait before the playback begins")),
 )  # fmt: skip
 
 
 def play_options(args: argparse.Namespace) -> PlayOptions:
     """Return the options of a playback; args has ``file`` and the options of ``PLAY``."""
-    from kr270_milling.recordings.bag.remap import remapping
-
     topics = None if args.topics is None else tuple(args.topics)
     return PlayOptions(
-        Path(args.file), args.rate, args.start_offset, args.playback_duration, args.loop, topics, args.start_paused,
-        args.clock, args.delay, remapping(args.remap),
-    )  # fmt: skip
+        Path(args.file), args.rate, args.start_offset, args.playback_duration, topics, args.start_paused, args.clock
+    )

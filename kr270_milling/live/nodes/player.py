@@ -37,7 +37,7 @@ class Player(ReportingNode):
     """Publish the messages of a recording at the pace of their log times; end after the last message."""
 
     def __init__(self, options: PlayOptions, progress=None, **kwargs):
-        self.recording = Recording(options.file, remap=options.remap)
+        self.recording = Recording(options.file)
         try:
             super().__init__("player", **kwargs)
             self._prepare(options)
@@ -45,10 +45,9 @@ class Player(ReportingNode):
             self.recording.close()
             raise
         self._progress = progress
-        self.count, self.rounds = 0, 0
+        self.count = 0
         for name, paused in (("pause", True), ("resume", False), ("toggle_paused", None)):
             self.create_service(Trigger, f"~/{name}", functools.partial(self._set_paused, paused))
-        self._begin_at = time.monotonic() + options.delay
         self._start()
         self._timer = self.create_timer(TICK, self._tick)
         self.report(OK, "paused" if options.start_paused else "playing")
@@ -84,8 +83,7 @@ class Player(ReportingNode):
 
     def _start(self) -> None:
         start, end = self._span
-        paused = self.options.start_paused and self.rounds == 0
-        self._pace = PlayClock(start, self.options.rate, self._begin_at, paused)
+        self._pace = PlayClock(start, self.options.rate, time.monotonic(), self.options.start_paused)
         topics = set(self._outlets)
         first = opening(self.recording, start, topics)
         self._opening, self._passage = first, passage(self.recording, start, end, topics)
@@ -96,12 +94,12 @@ class Player(ReportingNode):
     def _tick(self) -> None:
         try:
             self._play_on(time.monotonic())
-        except RecordingError as error:  # nothing can be read after a damage, also in a loop
+        except RecordingError as error:  # nothing can be read after a damage
             self.end(str(error))
             self.report(ERROR, str(error))
 
     def _play_on(self, now: float) -> None:
-        if self.done or self._pace.paused or now < self._begin_at:
+        if self.done or self._pace.paused:
             return
         position = self._pace.position(now)
         for message in self._opening:
@@ -111,7 +109,7 @@ class Player(ReportingNode):
             if self._next is None:
                 self._next = next(self._passage, None)
             if self._next is None:
-                self._end()
+                self.end()
                 return
             if self._next.log_time > position:
                 break
@@ -133,14 +131,6 @@ class Player(ReportingNode):
             period = max(1, int(1e9 * self.options.rate / self.options.clock))
             self._clock_due += period * ((position - self._clock_due) // period + 1)
 
-    def _end(self) -> None:
-        self.rounds += 1
-        if self.options.loop:
-            self._begin_at = time.monotonic()
-            self._start()
-        else:
-            self.end()
-
     def _set_paused(self, wanted: bool | None, _, response):
         """Pause or resume; wanted: None toggles."""
         paused = not self._pace.paused if wanted is None else wanted
@@ -150,7 +140,7 @@ class Player(ReportingNode):
         return response
 
     def watch(self) -> dict:
-        return {"messages": getattr(self, "count", 0), "rounds": getattr(self, "rounds", 0)}
+        return {"messages": getattr(self, "count", 0)}
 
     def close(self) -> None:
         """After the last message: wait until the subscribers have received it, and close the file."""

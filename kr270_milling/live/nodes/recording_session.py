@@ -11,7 +11,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.exchange.scene import INPUTS, Derived, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, WARN, ReportingNode
@@ -56,7 +56,7 @@ class RecordingSession:
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             if publishers:
-                self._subscribe(topic, types, publishers)
+                self._subscriptions[topic] = self._node.used(topic, self._subscribe, topic, types, publishers)
         self._write(self.writer.tick, time.monotonic())
         self._check_publishers()
 
@@ -71,9 +71,7 @@ class RecordingSession:
         self.writer.write(topic, data, published)
         namespace, _, name = topic.rpartition("/")
         scene = self._scenes.setdefault(namespace, Scene())
-        derived: list[Derived] = []
-        with contextlib.suppress(MillingError, ValueError):  # recorded; nothing to show
-            derived += scene.take(name, data)
+        derived: list[Derived] = self._node.used(topic, lambda: list(scene.take(name, data))) or []
         for message in derived:
             name = namespace + message.topic
             if name in self._live or (name not in self._subscriptions and is_recorded(name, self._topics)):
@@ -92,20 +90,20 @@ class RecordingSession:
         if publisher is not None:
             publisher.publish(data)
 
-    def _subscribe(self, topic: str, types: list[str], publishers) -> None:
+    def _subscribe(self, topic: str, types: list[str], publishers) -> Subscription | None:
+        """Subscribe to a topic; return None, with a warning, where the topic cannot be recorded."""
         try:
             if len(types) != 1:
                 raise RecordingError(self.writer.path, f"{topic} has several types: {', '.join(types)}")
             kind = message_class(types[0])
             self.writer.add_topic(topic, types[0], [p.qos_profile for p in publishers])
         except (ImportError, NameRefused, RecordingError) as error:
-            self._subscriptions[topic] = None
             self._node.report(WARN, f"{topic} is not recorded: {error}")
-            return
+            return None
 
         follow = self._viewers and topic.rpartition("/")[2] in INPUTS
         write = functools.partial(self._on_scene if follow else self.writer.write, topic)
-        self._subscriptions[topic] = polled_subscription(self._node, kind, topic, write, _matching(publishers))
+        return polled_subscription(self._node, kind, topic, write, _matching(publishers))
 
     def poll(self) -> None:
         """Write the messages that have arrived, in the order of arrival.
@@ -118,7 +116,7 @@ class RecordingSession:
         ready = self._waiting + [message for message in messages if message.arrival <= begin]
         self._waiting = [message for message in messages if message.arrival > begin]
         for message in in_order(ready):
-            self._write(message.callback, message.data, message.published)
+            self._node.used("a message", self._write, message.callback, message.data, message.published)
 
     def _write(self, call, *args) -> None:
         """Write, count a refused message, and stop at the first error of the file, which stays readable."""

@@ -14,8 +14,9 @@ import signal
 import sys
 from pathlib import Path
 
-from kr270_milling.base.extras import MissingExtra
-from kr270_milling.live.ros.environment import require_ros
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.process import STOPS
+from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
 
 __all__ = ["NODES", "start"]
 
@@ -34,12 +35,13 @@ def start(name: str | None = None) -> int:
     name = name or Path(sys.argv[0]).stem
     try:
         require_ros(name)
-    except MissingExtra as error:
+        keep_to_this_host()  # before the imports, which take seconds on a busy machine
+    except MillingError as error:
         print(error, file=sys.stderr)
         return 2
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in STOPS:
         signal.signal(number, _end)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # blocked by ``run`` until here
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)  # blocked by ``run`` until here
     if name == "player":
         from kr270_milling.live.nodes.player import player_main
 

@@ -12,24 +12,21 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.base.errors import MessageError
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.samples import JointSample, PoseSample, Text, WrenchSample
 from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
-from kr270_milling.live.ros.polling import POLL_PERIOD, poll, polled_subscription
+from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, poll
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
-from kr270_milling.path.trajectory import fingerprint
+from kr270_milling.live.ros.topics import RosTopic
+from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.recordings.messages.cdr import stamp_of
-from kr270_milling.recordings.messages.codec import (
-    from_bytes,
-    pose_from_bytes,
-    trajectory_from_bytes,
-    wrench_from_bytes,
-)
 from kr270_milling.recordings.messages.topics import COMPENSATOR
 from kr270_milling.recordings.messages.viewer import path_bytes
 
@@ -41,8 +38,9 @@ LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
 WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
 JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a joint trajectory may start
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
-#: reliable and best-effort publishers match; only the last message counts
+#: reliable and best-effort publishers match; of the joints only the last message counts
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+SENSOR = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
 REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
@@ -72,23 +70,21 @@ class TrajectoryCompensator(ReportingNode):
         self.open_outlets(COMPENSATOR)
         self.subscribe(topics.RECORDING, self._on_recording)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
-        pose, wrench = topics.TOOL_POSE, topics.WRENCH
-        self._pose = polled_subscription(self, pose.type, pose.name, self._on_pose, pose.qos)
-        self._wrench = polled_subscription(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
+        self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose, polled=True)
+        self._wrench = self.subscribe(topics.WRENCH, self._on_wrench, polled=True)
         if self._start_topic:
             where = f"parameters of {self.get_fully_qualified_name()}: start_topic"
             start = resolved_topic(self, self._start_topic, where)
-            self.create_subscription(start_type, start, self._on_start, topics.LOOP, raw=True)
+            self.subscribe(RosTopic(start_type, start, topics.LOOP), self._on_start, stamp_of)
         about = "nodes that a pass waits for, separated by commas; with ?: only where the node is in the graph"
         names = self.declared("wait_for", WAIT_FOR, about)
         self._readiness = Readiness(self, names, (self._pose.topic_name, self._wrench.topic_name))
         self.set_values(waiting_for=self._readiness.waiting_for)
-        states = topics.JOINT_STATES
-        self.create_subscription(states.type, states.name, self._on_joints, LATEST, raw=True)
+        self.subscribe(topics.JOINT_STATES._replace(qos=LATEST), self._on_joints)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/send_joint_trajectory", self._on_send)
         self._revision = 0
-        self._joints: tuple[float, bytes] | None = None  # arrival [s of the monotonic clock], last joint_states
+        self._joints: tuple[float, np.ndarray] | None = None  # arrival [s of the monotonic clock], positions [rad]
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
         self._silence = Silence()
         self._report_time = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
@@ -103,14 +99,12 @@ class TrajectoryCompensator(ReportingNode):
     def _now_ns(self) -> int:
         return self.get_clock().now().nanoseconds
 
-    @guarded
-    def _on_target(self, data: bytes) -> None:
-        self._publish(self.protocol.begin(trajectory_from_bytes(data)), TARGET)
+    def _on_target(self, target: Trajectory) -> None:
+        self._publish(self.protocol.begin(target), TARGET)
 
-    @guarded
-    def _on_recording(self, data: bytes) -> None:
+    def _on_recording(self, name: Text) -> None:
         """Take the name of the file to which the next passes are recorded."""
-        self.protocol.recording = from_bytes("std_msgs/msg/String", data).text
+        self.protocol.recording = name.text
         self.set_values(recording=self.protocol.recording)
         self._readiness.check()
         self.publish_report()
@@ -145,25 +139,21 @@ class TrajectoryCompensator(ReportingNode):
         for message in poll((self._pose, self._wrench)):
             message.callback(message.data)
 
-    @guarded
-    def _on_start(self, data: bytes) -> None:
+    def _on_start(self, stamp: int | None) -> None:
         """Begin a pass at the stamp of the robot's own message."""
-        stamp = stamp_of(data)
         if stamp is None:
             raise MessageError(f"{self._start_topic}: the message has no stamp (parameter start_type)")
         self._silence.end()
         self.protocol.start(stamp)
 
-    @guarded
-    def _on_wrench(self, data: bytes) -> None:
-        self._revised(self.protocol.wrench(wrench_from_bytes(data)))
+    def _on_wrench(self, sample: WrenchSample) -> None:
+        self._revised(self.protocol.wrench(sample))
 
-    @guarded
-    def _on_pose(self, data: bytes) -> None:
-        sample = pose_from_bytes(data)
+    def _on_pose(self, sample: PoseSample) -> None:
         outputs = self.protocol.pose(sample)
         inbox = self.protocol.inbox
-        if inbox.ignored == WITHOUT_START and not inbox.distance and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
+        late = inbox.ignored == WITHOUT_START and inbox.distance is None
+        if late and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
             )
@@ -188,7 +178,8 @@ class TrajectoryCompensator(ReportingNode):
             inbox.problem = ""
         if not self.protocol.under_way:
             self._readiness.check()
-            if inbox.distance and time.monotonic() - self._report_time > REPORT_AFTER:
+            self._take_sensors()
+            if inbox.distance is not None and time.monotonic() - self._report_time > REPORT_AFTER:
                 self._report_time = time.monotonic()
                 where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"
                 silent_start = f"no message on {self._start_topic}; " if self._start_topic else ""
@@ -197,7 +188,7 @@ class TrajectoryCompensator(ReportingNode):
         if self.protocol.at_end:
             ended = time.monotonic() if self._ended is None else self._ended
             if time.monotonic() - ended > LAST_WRENCH or not self._wrench.get_publisher_count():
-                self._revised(self.protocol.finish())
+                self.used(self._pose.topic_name, lambda: self._revised(self.protocol.finish()))
             return
         for what in (self._pose, self._wrench):
             if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.has_wrench):
@@ -205,47 +196,54 @@ class TrajectoryCompensator(ReportingNode):
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
         limit = REPORT_AFTER if inbox.foreign else SILENT
-        if self._silence.is_due(silent, limit):
+        if inbox.foreign and silent > BREAK_NS * 1e-9:
+            inbox.give_up()
+        elif self._silence.is_due(silent, limit):
             self.report(WARN, f"no tool_pose for {limit:g} s in mid-pass: waiting for it")
+
+    def _take_sensors(self) -> None:
+        """Subscribe with best effort where a tracker or a force sensor publishes so; this matches all publishers."""
+        if self.incompatible(self._pose):
+            self.destroy_subscription(self._pose)
+            self._pose = self.subscribe(topics.TOOL_POSE._replace(qos=SENSOR), self._on_pose, polled=True)
+        if self.incompatible(self._wrench):
+            self.destroy_subscription(self._wrench)
+            self._wrench = self.subscribe(topics.WRENCH._replace(qos=SENSOR), self._on_wrench, polled=True)
 
     def _on_parameters(self, changes) -> SetParametersResult:
         """Accept another method while the node runs; it starts from the pass along the target."""
         for change in changes:
             if change.name == METHOD and change.value not in METHODS:
                 return SetParametersResult(successful=False, reason=f"{METHOD} must be one of {', '.join(METHODS)}")
-            if change.name == METHOD and self.protocol.compensator is not None and not self._choose(change.value):
-                return SetParametersResult(successful=False, reason=self.message)
+            if change.name != METHOD or self.protocol.compensator is None:
+                continue
+            if not self.used(METHOD, self._choose, change.value):
+                return SetParametersResult(successful=False, reason=self.unusable[METHOD][1])
         return SetParametersResult(successful=True)
 
-    @guarded
     def _choose(self, method: str) -> bool:
-        """Choose a method; return None where the method is refused, with the reason in the node's message."""
+        """Choose a method; a refused one raises MillingError."""
         self._publish(self.protocol.choose(method), f"method {method}")
         return True
 
-    @guarded
-    def _reset(self) -> bool:
+    def _reset(self) -> str:
         self._publish(self.protocol.reset(), TARGET)
-        return True
+        return TARGET
 
-    def _on_joints(self, data: bytes) -> None:
-        self._joints = time.monotonic(), data
+    def _on_joints(self, state: JointSample) -> None:
+        """Take the positions by name; a gripper may publish its joints on the same topic."""
+        self._joints = time.monotonic(), state.of(self.cell.joint_names)
 
     def _present_joints(self) -> np.ndarray:
         """Return the joint positions of the robot [rad], (6,); raises MessageError where these are unknown."""
-        arrival, data = self._joints or (-math.inf, b"")
+        arrival, position = self._joints or (-math.inf, np.empty(0))
         age = time.monotonic() - arrival
         if age > JOINTS_AGE:
-            last = f"the last message is {age:.1f} s old" if data else "no message was received"
-            raise MessageError(f"joint_states: {last}, so the position of the robot is not known")
-        state = from_bytes("sensor_msgs/msg/JointState", data)
-        places = dict(zip(state.names, state.position.tolist(), strict=False))
-        missing = [name for name in self.cell.joint_names if not math.isfinite(places.get(name, math.nan))]
-        if missing:
-            raise MessageError(f"joint_states: has no position of {', '.join(missing)} (parameter joint_names)")
-        return np.array([places[name] for name in self.cell.joint_names])
+            _, reason, _ = self.unusable.get("joint_states", (0, "joint_states: no message was received", 0.0))
+            last = f"joint_states: the last message of the robot is {age:.1f} s old" if self._joints else reason
+            raise MessageError(f"{last}, so the position of the robot is not known")
+        return position
 
-    @guarded
     def _send_program(self) -> str:
         """Publish the reference for a joint controller; return what was published."""
         if self._readiness.waiting_for:
@@ -256,14 +254,7 @@ class TrajectoryCompensator(ReportingNode):
         return f"{len(program.time)} points, {program.time[-1] / SECOND:.3f} s, start in {LEAD:g} s"
 
     def _on_send(self, _, response):
-        sent = self._send_program()
-        response.success, response.message = sent is not None, sent or self.message
-        return response
+        return self.answer(response, "~/send_joint_trajectory", self._send_program)
 
     def _on_reset(self, _, response):
-        if self.protocol.compensator is None:
-            response.success, response.message = False, "no target trajectory yet"
-            return response
-        response.success = bool(self._reset())
-        response.message = "" if response.success else self.message
-        return response
+        return self.answer(response, "~/reset", self._reset)

@@ -6,9 +6,11 @@ This file does not import ROS, so that the command line can report a missing ROS
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Mapping
 from pathlib import Path
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.parameter_file import find_file
 
@@ -21,6 +23,16 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 #: a node ends when its parent is no longer this process, so that a killed runner leaves no orphans
 PARENT = "KR270_MILLING_PARENT"
+ANSWER = 2.0  # [s] for a datagram from this process to itself
+
+
+class NoLoopback(MillingError):
+    """The loopback interface does not carry datagrams."""
+
+    def __init__(self, reason: str):
+        super().__init__(
+            f"the loopback interface 127.0.0.1 does not work ({reason}), but the nodes need it; try: ip link set lo up"
+        )
 
 
 def require_ros(what: str = "a graph of nodes") -> None:
@@ -42,8 +54,26 @@ def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 def keep_to_this_host() -> None:
-    """Set the variables of this process; call this before the first ROS context is created."""
-    os.environ.update(this_host_only(os.environ))
+    """Set the variables of this process; call this before the first ROS context is created.
+
+    Raises NoLoopback where the nodes would wait for each other without an end.
+    """
+    added = this_host_only(os.environ)
+    if added:
+        _check_loopback()
+    os.environ.update(added)
+
+
+def _check_loopback() -> None:
+    """Send a datagram to this host itself."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+            end.bind(("127.0.0.1", 0))
+            end.settimeout(ANSWER)
+            end.sendto(b"?", end.getsockname())
+            end.recv(1)
+    except OSError as error:
+        raise NoLoopback(error.strerror or "no answer") from None
 
 
 def child_environment() -> dict[str, str]:

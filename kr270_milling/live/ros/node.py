@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import math
 import os
 import time
+from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,15 +15,18 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MessageError, MillingError, one_line
 from kr270_milling.base.units import SECOND
+from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.polling import is_polled
+from kr270_milling.live.ros.polling import is_polled, polled_subscription
 from kr270_milling.live.ros.rclpy_private import RobustLifecycleNode
 from kr270_milling.live.ros.status import Status
-from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 from kr270_milling.recordings.messages.topics import published_by
 
 __all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
@@ -31,6 +36,8 @@ REPORT_PERIOD = 0.2  # [s] of the wall clock
 SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
 LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a run gives up
 HELD_UP = 0.5  # [s] between two checks; after a longer time this process itself was stopped
+LONGEST = 300  # characters of a reason
+SAY_AGAIN = 1.0  # [s] of the wall clock between two warnings about messages of one topic
 HARDWARE = "simulated robot cell"  # hardware_id of every status: no node of this package represents a machine
 OWN = ("/rosout", "/parameter_events")  # topics of every ROS node
 
@@ -52,6 +59,16 @@ def guarded(callback):
         return None
 
     return wrapped
+
+
+def _read(type_name: str, topic: str, data: bytes):
+    """Return the record of a message; raises MillingError."""
+    try:
+        return from_bytes(type_name, data)
+    except (MessageError, ExchangeError):
+        raise
+    except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
+        raise MessageError(f"{topic}: cannot be read as {type_name.rpartition('/')[2]}: {error}") from None
 
 
 class Silence:
@@ -105,6 +122,7 @@ class ReportingNode(Ending, Node):
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
         self.refused = 0  #: messages and requests that could not be used
+        self.unusable: dict[str, tuple[int, str, float]] = {}  #: by source: count, last reason, last report [s]
         self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
         self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
         self.stamp_ns = 0  #: time of the pass, for messages without a stamp
@@ -112,7 +130,7 @@ class ReportingNode(Ending, Node):
         self._values: dict[str, object] = {}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._status_publisher = self.create_publisher(*topics.STATUS)
-        self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
+        self._report_timer = self.create_timer(REPORT_PERIOD, self._report)
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
         """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
@@ -124,9 +142,48 @@ class ReportingNode(Ending, Node):
         descriptor = ParameterDescriptor(description=about, read_only=read_only, **fields)
         return self.declare_parameter(name, default, descriptor).value
 
-    def subscribe(self, topic: topics.RosTopic, callback):
-        """Subscribe to the serialised messages of a topic."""
-        return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
+    def subscribe(self, topic: topics.RosTopic, use: Callable, read: Callable | None = None, polled: bool = False):
+        """Subscribe to a topic; ``use`` receives the record of each message, see ``used``.
+
+        read: bytes -> record, default: as the table of topics states; polled: ``polling.poll`` takes the messages.
+        """
+        package, name = topic.type.__module__.partition(".")[0], topic.name.strip("/")
+        read = read or functools.partial(_read, f"{package}/msg/{topic.type.__name__}", name)
+
+        def take(data: bytes) -> None:
+            self.used(name, lambda: use(read(data)))
+
+        create = polled_subscription if polled else functools.partial(ReportingNode.create_subscription, raw=True)
+        return create(self, topic.type, topic.name, take, topic.qos)
+
+    def used(self, source: str, use: Callable, *args):
+        """Return ``use(*args)``: the one place where a message or a request of another node is read and used.
+
+        An error does not end this node and returns None. It is counted under ``source``, the topic or service, and
+        reported: as a warning where the message cannot be used, as an error where the computation failed.
+        """
+        try:
+            return use(*args)
+        except Exception as error:  # noqa: BLE001 - no message of another node ends this node
+            what = "" if isinstance(error, MillingError) else f"{source}: {type(error).__name__}: "
+            self._refuse(source, one_line(f"{what}{error}")[:LONGEST], isinstance(error, (MessageError, ExchangeError)))
+        return None
+
+    def answer(self, response, source: str, use: Callable):
+        """Return the response of a Trigger service: the text of ``use()``, or the reason of its refusal."""
+        text = self.used(source, use)
+        response.success, response.message = text is not None, self.unusable[source][1] if text is None else text
+        return response
+
+    def _refuse(self, source: str, sentence: str, message: bool) -> None:
+        """Count what cannot be used; message: the reason is the content of the message."""
+        self.refused += 1
+        count, before, said = self.unusable.get(source, (0, "", -math.inf))
+        now = time.monotonic()
+        say = not message or (sentence != before and now - said > SAY_AGAIN)
+        self.unusable[source] = count + 1, sentence, now if say else said
+        if say:
+            self.report(WARN if message else ERROR, sentence)
 
     def open_outlets(self, node: str) -> None:
         """Create the publishers that the table of topics has for a node, by the names of the topics."""
@@ -175,6 +232,24 @@ class ReportingNode(Ending, Node):
         """Subscriptions that an executor serves: all but the polled ones, which EventsExecutor would take."""
         return (s for s in super().subscriptions if not is_polled(s))
 
+    def incompatible(self, subscription: Subscription) -> list[str]:
+        """Return the nodes that publish on the topic of a subscription with best effort where it is reliable."""
+        takes = subscription.qos_profile.reliability
+        if takes == ReliabilityPolicy.BEST_EFFORT or (
+            self.count_publishers(subscription.topic_name) <= subscription.get_publisher_count()
+        ):
+            return []
+        infos = self.get_publishers_info_by_topic(subscription.topic_name)
+        return [i.node_name for i in infos if i.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT]
+
+    def _report_incompatible(self) -> None:
+        """Name the publishers whose messages this node does not receive."""
+        for subscription in super().subscriptions:
+            names = self.incompatible(subscription)
+            if names and subscription.topic_name not in self.unusable:
+                where = subscription.topic_name
+                self._refuse(where, f"{', '.join(names)} must publish reliably on {where}, not with best effort", True)
+
     def stamps(self) -> dict[str, int]:
         """Return the stamp [ns] of the last message of each topic."""
         return {self.outlets[name].topic_name: ns for name, ns in self.sent.items() if ns}
@@ -184,10 +259,15 @@ class ReportingNode(Ending, Node):
         own = {*OWN, self._status_publisher.topic_name}
         listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers if p.topic_name not in own}
         sources = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
-        values = {**self._values, **self.watch(), "refused": self.refused}
+        refused = {f"refused {name}": f"{count}, the last: {text}" for name, (count, text, _) in self.unusable.items()}
+        values = {**self._values, **self.watch(), "refused": self.refused, **refused}
         return Status(
             os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values
         )  # fmt: skip
+
+    def _report(self) -> None:
+        self._report_incompatible()
+        self.publish_report()
 
     def publish_report(self) -> None:
         status = self.status()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import fnmatch
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from kr270_milling.base.errors import MessageError
-from kr270_milling.live.ros.status import Status, subscribe_status
+from kr270_milling.base.samples import Text
+from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["WAIT_FOR", "Readiness", "is_recorded", "unmatched"]
@@ -32,16 +31,17 @@ class Readiness:
         self._needed = [name for name in words if not name.endswith("?")]
         self._statuses: dict[str, Status] = {}
         self._confirmed: set[str] = set()  # nodes with a status since all nodes were matched
-        self._topics = {n: subscribe_status(node, n, partial(self._take, n)) for n in (w.rstrip("?") for w in words)}
+        names_alone = [word.rstrip("?") for word in words]
+        self._topics = {name: node.subscribe(status_topic(name), partial(self._take, name)) for name in names_alone}
 
-    def _take(self, name: str, msg) -> None:
-        with contextlib.suppress(MessageError):  # no status of this package: the node stays in waiting_for
-            self._statuses[name] = Status.from_msg(msg)
-            self._confirmed.add(name)
+    def _take(self, name: str, text: Text) -> None:
+        self._statuses[name] = Status.from_text(text.text)
+        self._confirmed.add(name)
 
     def check(self) -> None:
         """Decide again, and publish the answer in the status of the node where it has changed."""
-        before, self.waiting_for = self.waiting_for, self._missing()
+        before, missing = self.waiting_for, self._node.used("~/status", self._missing)
+        self.waiting_for = "a status cannot be used" if missing is None else missing
         if self.waiting_for != before:
             self._node.set_values(waiting_for=self.waiting_for)
             self._node.publish_report()

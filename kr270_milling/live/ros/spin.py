@@ -1,4 +1,4 @@
-"""Run nodes as a process: exit code 0 on SIGINT and SIGTERM, one sentence and another exit code on failure."""
+"""Run nodes as a process: exit code 0 on SIGINT, SIGTERM and SIGHUP, one sentence and another exit code on failure."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import end_process, flush
+from kr270_milling.base.process import STOPS, end_process, flush
 from kr270_milling.live.ros.environment import PARENT, keep_to_this_host
 
 __all__ = ["own_arguments", "run_node", "run_nodes"]
 
 LAP = 0.1  # [s] between two checks for signals and for the parent process
-STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 def own_arguments() -> list[str]:
@@ -80,9 +79,9 @@ def use_batch_scheduling() -> None:
 
 
 def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[int]) -> int:
-    keep_to_this_host()
     context = Context()
     try:
+        keep_to_this_host()
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # noqa: BLE001 - rclpy raises several exception types for arguments that it refuses
         _print_error(error)

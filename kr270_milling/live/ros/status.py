@@ -6,12 +6,10 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from rclpy.node import Node
-
 from kr270_milling.base.errors import MessageError
 from kr270_milling.live.ros import topics
 
-__all__ = ["Status", "subscribe_status"]
+__all__ = ["Status", "status_topic"]
 
 
 @dataclass(frozen=True)
@@ -32,15 +30,20 @@ class Status:
         return topics.STATUS.type(data=json.dumps(asdict(self)))
 
     @classmethod
-    def from_msg(cls, msg) -> Status:
+    def from_text(cls, text: str) -> Status:
         """Return the status of a message. Raises MessageError where the text is no status."""
         try:
-            return cls(**json.loads(msg.data))
-        except (ValueError, TypeError):
-            raise MessageError(f"status: {msg.data[:60]!r} is not the status of a node") from None
+            status = cls(**json.loads(text))
+            tables = (status.listeners, status.sources, status.stamps_ns)
+            numbers = (status.pid, status.level, *(number for table in tables for number in dict(table).values()))
+            whole = all(isinstance(number, int) for number in numbers) and isinstance(status.values, dict)
+            if not (whole and isinstance(status.message, str) and isinstance(status.error, str)):
+                raise TypeError
+        except (ValueError, TypeError, RecursionError):
+            raise MessageError(f"status: {text[:60]!r} is not the status of a node") from None
+        return status
 
 
-def subscribe_status(node: Node, name: str, callback):
-    """Subscribe to the status of the node ``name``, relative to the namespace of ``node``."""
-    topic = topics.STATUS
-    return node.create_subscription(topic.type, topic.name.replace("~", name), callback, topic.qos)
+def status_topic(name: str) -> topics.RosTopic:
+    """Return the topic of the status of the node ``name``, relative to the namespace of the subscriber."""
+    return topics.STATUS._replace(name=topics.STATUS.name.replace("~", name))

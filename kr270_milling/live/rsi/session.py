@@ -1,12 +1,16 @@
-"""The sensor side of RSI: receive the telegrams of one robot, answer within the cycle, report and record."""
+"""The sensor side of RSI: receive the telegrams of one robot, answer the newest, report and record."""
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import os
+import select
 import socket
+import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,10 +20,16 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.live.rsi.corrector import Corrector
 from kr270_milling.live.rsi.telegram import MOST_BYTES, RobotTelegram, read_telegram, write_answer
 
-__all__ = ["AnsweredCycle", "Counts", "RsiSession", "open_socket"]
+__all__ = ["AnsweredCycle", "Counts", "RsiSession", "open_socket", "real_time"]
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
 POLL = 0.2  #: [s]
+WAITING = 1000  #: telegrams read at once at most, 4 s at 4 ms, so that a flood does not keep the session from answering
+WRAP = 2**32  #: IPOC counts milliseconds in 32 bits
+FARTHEST = 60_000  #: [ms]; a counter that is farther ahead is no next telegram; assumed: a robot waits a second at most
+PRIORITY = 10  #: of SCHED_FIFO, 1 to 99; assumed: above all usual programs, below the kernel's threads of 50
+TIMESTAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux, asm-generic/socket.h
+TIME = struct.Struct("qq")  # timespec
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +47,11 @@ class Counts:
 
     answered: int = 0
     repeated: int = 0  #: telegrams with the counter of the last one
-    late: int = 0  #: answers that took longer than the cycle on this host
-    missed: int = 0  #: cycles without a telegram
+    late: int = 0  #: answers that left this host later than a cycle after the arrival of the telegram
+    missed: int = 0  #: cycles without a telegram or without an answer, because a newer telegram waited
     refused: int = 0  #: telegrams that could not be read, or came from another sender
     most_delay: int = 0  #: largest Delay that the robot reported
-    longest: float = 0.0  #: [s], from the receipt of a telegram to the answer
+    longest: float = 0.0  #: [s], from the arrival of a telegram in the kernel to the answer
     total: float = 0.0  #: [s]
     first: str = ""  #: text of the first refused telegram
 
@@ -68,61 +78,87 @@ class RsiSession:
         self.counts = Counts()
         self._robot: tuple | None = None
         self._last: int | None = None  # IPOC
-        self._first = 0
+        self._elapsed = 0  # [ms], from the first telegram to the last one
         self._reason = ""
 
     def run(self) -> Counts:
         """Answer telegrams; return the counts at the end."""
-        self.connection.settimeout(POLL)
         latest = time.monotonic()
         gc.freeze()  # objects of the start are not searched again during the cycles
         while not self.stop.is_set():
-            try:
-                data, sender = self.connection.recvfrom(MOST_BYTES + 1)
-            except TimeoutError:
-                if self._robot is not None and time.monotonic() - latest > SILENCE:
-                    self._lose_robot()
-                continue
-            received = time.monotonic()
+            newest = self._newest()
+            if newest is not None:
+                self._answer(*newest)
+                latest = time.monotonic()
+            elif self._robot is not None and time.monotonic() - latest > SILENCE:
+                self._lose_robot()
+        return self.counts
+
+    def _newest(self) -> tuple[RobotTelegram, np.ndarray, int] | None:
+        """Wait for telegrams, read all that have arrived, and return the newest with its point and its arrival [ns].
+
+        The robot needs the answer to its last telegram only: after a stop, answers in order would all be late.
+        """
+        newest: tuple[RobotTelegram, np.ndarray, int] | None = None
+        for data, sender, arrival in self._arrived():
             if self._robot is not None and sender != self._robot:
                 self._refuse(f"a telegram from a second sender {sender[0]}:{sender[1]}")
                 continue
-            self._answer(data, sender, received)
-            latest = received
-        return self.counts
+            try:
+                telegram = read_telegram(data)
+                point = self._point(telegram)
+                before = self._last if newest is None else newest[0].ipoc
+                ahead = 0 if before is None else (telegram.ipoc - before) % WRAP
+                if ahead > FARTHEST:
+                    raise MessageError(f"IPOC {telegram.ipoc} after {before}")
+            except MessageError as error:
+                self._refuse(str(error))
+                continue
+            if self._robot is None:
+                self._robot = sender
+                self.report(f"robot {sender[0]}:{sender[1]} is connected")
+            self.counts.repeated += before is not None and ahead == 0
+            newest = telegram, point, arrival
+        return newest
 
-    def _answer(self, data: bytes, sender: tuple, received: float) -> None:
-        try:
-            telegram = read_telegram(data)
-            point = self._point(telegram)
-            if self._last is not None and telegram.ipoc < self._last:
-                raise MessageError(f"IPOC {telegram.ipoc} after {self._last}")
-        except MessageError as error:
-            self._refuse(str(error))
+    def _arrived(self) -> Iterator[tuple[bytes, tuple, int]]:
+        """Wait for a telegram, and yield all that have arrived: bytes, sender, arrival [ns of the wall clock]."""
+        if not select.select([self.connection], [], [], POLL)[0]:
             return
-        if self._robot is None:
-            self._robot, self._first = sender, telegram.ipoc
-            self.report(f"robot {sender[0]}:{sender[1]} is connected")
+        for _ in range(WAITING):
+            try:
+                data, about, _, sender = self.connection.recvmsg(MOST_BYTES + 1, socket.CMSG_SPACE(TIME.size))
+            except BlockingIOError:
+                return
+            now = time.clock_gettime_ns(time.CLOCK_REALTIME)
+            stamps = [TIME.unpack(item) for _, kind, item in about if kind == TIMESTAMP]
+            yield data, sender, min(now, *(s * SECOND + ns for s, ns in stamps)) if stamps else now
+
+    def _answer(self, telegram: RobotTelegram, point: np.ndarray, arrival: int) -> None:
         correction = self._correction(telegram, point)
-        self.connection.sendto(write_answer(telegram.ipoc, correction), sender)
-        took = time.monotonic() - received
+        try:
+            self.connection.sendto(write_answer(telegram.ipoc, correction), self._robot or ())
+        except OSError as error:  # the cable, an interface
+            self._refuse(f"no answer can be sent ({error.strerror})")
+        took = max(time.clock_gettime_ns(time.CLOCK_REALTIME) - arrival, 0) * 1e-9
         counts = self.counts
         counts.answered += 1
         counts.late += took > 1e-3 * self.cycle_ms
         counts.longest, counts.total = max(counts.longest, took), counts.total + took
         counts.most_delay = max(counts.most_delay, telegram.delay)
-        self._record(AnsweredCycle((telegram.ipoc - self._first) * SECOND // 1000, telegram.actual, correction))
+        self._record(AnsweredCycle(self._elapsed * SECOND // 1000, telegram.actual, correction))
         if self.corrector.reason != self._reason:
             self._reason = self.corrector.reason
             self.report(f"{self._reason}, {1e3 * self.corrector.progress:.1f} mm of the path")
 
     def _correction(self, telegram: RobotTelegram, point: np.ndarray) -> np.ndarray:
+        """Return the correction of a cycle, and count the cycles before it that have no answer."""
         if telegram.ipoc == self._last:
-            self.counts.repeated += 1
             return self.corrector.repeat()
-        cycles = 1 if self._last is None else max(1, round((telegram.ipoc - self._last) / self.cycle_ms))
+        ahead = 0 if self._last is None else (telegram.ipoc - self._last) % WRAP
+        cycles = max(1, round(ahead / self.cycle_ms))
         self.counts.missed += cycles - 1
-        self._last = telegram.ipoc
+        self._last, self._elapsed = telegram.ipoc, self._elapsed + ahead
         return self.corrector.step(point, cycles)
 
     def _point(self, telegram: RobotTelegram) -> np.ndarray:
@@ -158,9 +194,28 @@ class RsiSession:
 def open_socket(host: str, port: int) -> socket.socket:
     """Return a bound UDP socket; raise InputError."""
     connection = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    connection.setblocking(False)
     try:
+        with contextlib.suppress(OSError):  # another system: then a telegram arrives when it is read
+            connection.setsockopt(socket.SOL_SOCKET, TIMESTAMP, 1)
         connection.bind((host, port))
     except OSError as error:
         connection.close()
         raise InputError(f"{host}:{port}", f"cannot be used ({error.strerror})") from None
     return connection
+
+
+@contextlib.contextmanager
+def real_time() -> Iterator[str]:
+    """Run this thread with SCHED_FIFO in the block; yield a sentence where that is not allowed, else an empty text."""
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except (OSError, AttributeError) as error:
+        reason = getattr(error, "strerror", None) or "not on this system"
+        yield f"no real-time priority (SCHED_FIFO: {reason}), so answers may be late on a busy machine; see ulimit -r"
+        return
+    try:
+        yield ""
+    finally:
+        os.sched_setscheduler(0, *before)

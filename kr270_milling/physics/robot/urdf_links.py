@@ -23,14 +23,14 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """parent: row of the parent link, -1 for the base; joint: number of the joint that turns the link, -1: fixed."""
+    """parent: row of the parent link, -1 for the base; joint: name of the joint that turns the link; empty: fixed."""
 
     name: str
     parent: int
     rotation: np.ndarray  #: of the joint's frame in that of the parent, (3, 3)
     xyz: np.ndarray  #: its origin there [m], (3,)
     axis: np.ndarray  #: (3,)
-    joint: int
+    joint: str
     meshes: tuple[Mesh, ...]
 
 
@@ -46,22 +46,19 @@ def _links(root) -> tuple[Link, ...]:
     links = {link.get("name"): link for link in root.iter("link")}
     joints = {joint.find("child").get("link"): joint for joint in root.iter("joint")}
     order = [name for name in links if name not in joints]
-    moving = 0
     parsed: list[Link] = []
     for name in order:
         order.extend(child for child, joint in joints.items() if joint.find("parent").get("link") == name)
         joint = joints.get(name)
-        number = -1
-        if joint is not None and joint.get("type") == "revolute":
-            number, moving = moving, moving + 1
+        moving = joint.get("name") if joint is not None and joint.get("type") == "revolute" else ""
         parent, axis = -1, np.zeros(3)
         if joint is not None:
             parent = order.index(joint.find("parent").get("link"))
-            if number >= 0:
+            if moving:
                 axis = _numbers(joint.find("axis").get("xyz"))
         rotation, xyz = _origin(None if joint is None else joint.find("origin"))
         meshes = tuple(_mesh(visual) for visual in links[name].iter("visual"))
-        parsed.append(Link(name, parent, rotation, xyz, axis, number, meshes))
+        parsed.append(Link(name, parent, rotation, xyz, axis, moving, meshes))
     return tuple(parsed)
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 __all__ = ["MOST", "PlayOptions"]
@@ -19,9 +18,6 @@ class PlayOptions:
     rate: float = 1.0
     start_offset: float = 0.0  #: [s]
     playback_duration: float | None = None  #: [s]; None: to the end
-    loop: bool = False
     topics: tuple[str, ...] | None = None  #: None: all
     start_paused: bool = False
     clock: float | None = None  #: [Hz]
-    delay: float = 0.0  #: [s]
-    remap: Mapping[str, str] = field(default_factory=dict)  #: our names -> recorded names, see ``remapping``

@@ -35,7 +35,6 @@ class Topic:
     latched: bool = False  #: late subscribers receive the last message
     stamped: bool = False  #: the message has the time of the pass
     scene: bool = False  #: input of the scene for viewers
-    page: bool = False  #: input of the live page
     note: str = ""  #: for the page of the nodes
 
     @property
@@ -47,12 +46,12 @@ class Topic:
 #: in the order of causes: of two differences at one time, a recompute names the one whose topic comes first
 TOPICS = (
     Topic("target_trajectory", "trajectory_msgs/msg/MultiDOFJointTrajectory", Trajectory, "", (COMPENSATOR,),
-          latched=True, scene=True, page=True, note="default: the path of the cell file"),
+          latched=True, scene=True, note="default: the path of the cell file"),
     Topic("robot_description", "std_msgs/msg/String", Text, ROBOT, latched=True, scene=True, note="URDF"),
     Topic("tool_pose", "geometry_msgs/msg/PoseStamped", PoseSample, ROBOT, (CUT, COMPENSATOR), stamped=True,
-          scene=True, page=True, note="every exchange"),
+          scene=True, note="every exchange"),
     Topic("wrench", "geometry_msgs/msg/WrenchStamped", WrenchSample, CUT, (ROBOT, COMPENSATOR), stamped=True,
-          scene=True, page=True, note="every exchange; a force sensor may publish it"),
+          scene=True, note="every exchange; a force sensor may publish it"),
     Topic("deflection", "geometry_msgs/msg/TwistStamped", TwistSample, ROBOT, stamped=True,
           note="a small displacement [m] and rotation [rad], not a velocity; see `publish.every`"),
     Topic("joint_states", "sensor_msgs/msg/JointState", JointSample, ROBOT, (COMPENSATOR,), stamped=True, scene=True,
@@ -63,7 +62,7 @@ TOPICS = (
     Topic("compensator_state", "diagnostic_msgs/msg/DiagnosticStatus", CompensatorState, COMPENSATOR, latched=True,
           note="method, passes, and the recordings that the reference follows from"),
     Topic("reference_trajectory", "trajectory_msgs/msg/MultiDOFJointTrajectory", Trajectory, COMPENSATOR,
-          (ROBOT, CUT), latched=True, scene=True, page=True),
+          (ROBOT, CUT), latched=True, scene=True),
     Topic("joint_trajectory", "trajectory_msgs/msg/JointTrajectory", JointProgram, COMPENSATOR,
           note="for a real controller; on request, service `~/send_joint_trajectory`"),
     Topic("target_path", "nav_msgs/msg/Path", None, COMPENSATOR, latched=True, note="for viewers"),
@@ -73,7 +72,7 @@ TOPICS = (
     Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "", stamped=True,
           note="of the command `rsi`: displacement and rotation that the controller adds"),
     Topic("rsi_status", "std_msgs/msg/String", Text, "", note="of the command `rsi`: one sentence"),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "", page=True, note="for people"),
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "", note="for people"),
     Topic("~/status", "std_msgs/msg/String", None, "", latched=True,
           note="JSON, for programs; not recorded: process, level, message, values, matched publishers and subscribers"),
 )  # fmt: skip

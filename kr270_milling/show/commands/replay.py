@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from kr270_milling.base.arguments import UsageError
 from kr270_milling.base.column import table_of
 from kr270_milling.base.errors import one_line
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.show.commands.command import Group, command, option
+from kr270_milling.show.commands.command import REMAP, Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
@@ -35,6 +36,7 @@ COMMANDS = {
         )),
         option("--method", "with --compensate: in place of the recorded method", choices=METHODS),
         option("--out DIR", "with --compensate: write reference_trajectory.csv there"),
+        REMAP,
         Group("playback (names as in ros2 bag play)", PLAY),
         option("--ros-args", "remapping and namespace; the last", default=[], nargs=argparse.REMAINDER),
     ),
@@ -50,6 +52,9 @@ def run_replay(args) -> Answer:
 
 
 def _play(args) -> Answer:
+    if args.remap:
+        allowed = "names topics for --recompute and --compensate; a playback takes --ros-args -r RECORDED:=NAME"
+        raise UsageError(f"--remap: {allowed}")
     require_ros("the playback")
     from kr270_milling.live.nodes.player import run_player
 

@@ -8,6 +8,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from kr270_milling.base.process import STOPS
 from kr270_milling.live.nodes.play_arguments import bounded
 from kr270_milling.show.commands.command import command, option
 from kr270_milling.show.commands.console import Answer, command_line, shown_path
@@ -34,10 +35,10 @@ COMMANDS = {
 
 
 def run_rsi(args) -> Answer:
-    from kr270_milling.live.graph.plan import fresh_directory
+    from kr270_milling.base.files import fresh_directory
     from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
     from kr270_milling.live.rsi.recording import RsiRecording
-    from kr270_milling.live.rsi.session import RsiSession, open_socket
+    from kr270_milling.live.rsi.session import RsiSession, open_socket, real_time
 
     table = read_corrections(_table(args.file))
     limits = CorrectionLimits(
@@ -55,9 +56,14 @@ def run_rsi(args) -> Answer:
 
         report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
         session = RsiSession(connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist")
+        ended: list[int] = []
         with suppress(ValueError):  # only the main thread may
-            signal.signal(signal.SIGINT, lambda *_: session.stop.set())  # between two answers
-        session.run()
+            for number in STOPS:  # between two answers
+                signal.signal(number, lambda caught, _: ended.append(caught) or session.stop.set())
+        with real_time() as refused:
+            if refused:
+                report(refused)
+            session.run()
     counts = session.counts
     done = corrector.progress / corrector.length
     result = {
@@ -74,7 +80,8 @@ def run_rsi(args) -> Answer:
         f"{100 * done:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
         f"recording: {shown_path(directory)}",
     ]
-    return Answer(result, shown, code=int(bool(counts.late or counts.missed or session.recording_failed)))
+    code = int(bool(counts.late or counts.missed or session.recording_failed))
+    return Answer(result, shown, code=128 + ended[0] if ended and ended[0] != signal.SIGINT else code)
 
 
 def _attached(name: str) -> dict[str, bytes | str]:

@@ -1,23 +1,18 @@
-"""The commands that need ROS 2: ``run`` (the passes of a cell as nodes) and ``watch`` (a page of a running graph)."""
+"""The command ``run``: the passes of a cell as ROS 2 nodes."""
 
 from __future__ import annotations
 
-import json
 import sys
-import time
 from pathlib import Path
 
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.live.ros.environment import require_ros
+from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import CELL, PLANT, command, option
 from kr270_milling.show.commands.console import Answer, cell_of, plant_of, shown_path
 from kr270_milling.show.commands.progress import steps
-
-LAST_LOOK = 1.0  #: [s] for an open page to receive the last events
-
 
 COMMANDS = {
     "run": command(
@@ -32,17 +27,12 @@ COMMANDS = {
         option("--processes", "one process a node; else two nodes share one, which is quicker", bool),
         option("--namespace NAME", "ROS namespace of the four nodes", default=""),
     ),
-    "watch": command(
-        "run.run_watch", "watch --port 8270",
-        option("--namespace NAME", "ROS namespace of the robot", default=""),
-        option("--host", "where it is served (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
-        option("--port", "default: 8270; 0: any that is free", bounded(0, 65535, int), 8270),
-    ),
 }  # fmt: skip
 
 
 def run_graph(args) -> Answer:
     require_ros("run")
+    keep_to_this_host()
     from kr270_milling.live.graph.plan import RunRow
     from kr270_milling.physics.motion.scores import Scores
 
@@ -75,8 +65,9 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     say: called with a sentence at the start of each step. Returns graph_up_s, out (the directory used) and passes, a
     list of RunRow.
     """
+    from kr270_milling.base.files import fresh_directory
     from kr270_milling.live.graph.graph import Graph
-    from kr270_milling.live.graph.plan import fresh_directory, run_plan
+    from kr270_milling.live.graph.plan import run_plan
     from kr270_milling.live.ros.names import full_namespace
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""
@@ -109,29 +100,3 @@ def _compile(cell) -> None:
 def summary(ran: dict) -> dict:
     """Return the result for JSON."""
     return {**ran, "out": str(ran["out"]), "passes": [one.row() for one in ran["passes"]]}
-
-
-def run_watch(args) -> int:
-    """Print the address and serve the page until Ctrl-C or the end of the graph."""
-    require_ros("watch")
-    from kr270_milling.live.nodes.watcher import Watcher
-    from kr270_milling.live.ros.names import full_namespace
-    from kr270_milling.live.ros.spin import run_node
-    from kr270_milling.live.watch.server import Events, serve
-    from kr270_milling.show.report.watch_page import watch_page
-
-    namespace = full_namespace(args.namespace, "--namespace") if args.namespace else ""
-    events = Events()
-    server = serve(events, watch_page(), args.host, args.port)
-    url = f"http://{args.host}:{server.server_port}/"
-    text = json.dumps({"url": url}) if args.json else f"live view: {url} (Ctrl-C ends it; it ends with the graph)"
-    print(text, flush=True)
-    try:
-        code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
-        if not events.ended:
-            events.add({"kind": "end"})
-        time.sleep(LAST_LOOK)
-    finally:
-        server.shutdown()
-        server.server_close()
-    return code

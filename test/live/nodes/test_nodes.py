@@ -176,7 +176,7 @@ def test_node_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(
     again.trigger_configure()
     again.trigger_activate()
     for report in restarted:
-        loop.reports.until(*report, ERROR)
+        loop.reports.until(*report, WARN)
     for node in (loop.robot, loop.cut):
         node.trigger_deactivate()
         node.trigger_cleanup()
@@ -303,6 +303,24 @@ def test_what_does_not_fit_the_start_message_is_reported(world, short_cell, tmp_
     machine.pose.publish(to_bytes(PoseSample(WALL - 10**10, "workpiece", ran.tool[0], UPRIGHT)))
     machine.reports.until(COMPENSATOR, "s before the start of the pass, so the pose is not used", WARN)
     machine.reports.until(COMPENSATOR, "no tool_pose for 0.8 s in mid-pass", WARN)
+    machine.reports.until(COMPENSATOR, "no tool_pose for 2 s: the pass is over and is not used", WARN)
+    assert not node.protocol.under_way
+
+
+def test_a_tracker_by_best_effort_is_taken_by_the_compensator_and_named_by_a_node_that_needs_every_pose(
+    world, node, short_cell, tmp_path, ran
+):
+    world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
+    tracker = world.partner("tracker")
+    poses = tracker.create_publisher(*topics.TOOL_POSE[:2], qos_profile_sensor_data)
+    references, reports = world.listen(tracker, topics.REFERENCE_TRAJECTORY), world.diagnostics(tracker)
+    world.until(lambda: poses.get_subscription_count() and references)
+    reports.until(CUT, "tracker must publish reliably on /tool_pose, not with best effort", WARN)
+    for sample in foreign_pass(ran, 0):
+        if isinstance(sample, PoseSample):
+            poses.publish(to_bytes(sample))
+            world.executor.spin_once(timeout_sec=0.0)
+    world.until(lambda: len(references) > 1)
 
 
 def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_not_in_a_pass(
@@ -324,7 +342,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     world.until(states.get_subscription_count)
     names = ["external", *(f"joint_{i}" for i in range(6, 0, -1))]
     states.publish(JointState(name=names[:-1], position=[9.0, *stands[:0:-1]]))
-    answered("no position of joint_1 (parameter joint_names)")
+    answered("no position of joint_1 (key joint_names)")
     assert not machine.joints
     before = machine.node.get_clock().now().nanoseconds
     states.publish(JointState(name=names, position=[9.0, *stands[::-1]]))

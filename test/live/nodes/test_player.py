@@ -30,9 +30,9 @@ def bag(tmp_path_factory):
 
 
 def test_the_options_parse_as_in_ros2_bag_play():
-    short = options("bag", "-r", "2", "-l", "-p", "-d", "0.5", "--clock")
-    long = options("bag", "--rate", "2", "--loop", "--start-paused", "--delay", "0.5", "--clock", "40")
-    assert short == long == PlayOptions(Path("bag"), 2.0, loop=True, start_paused=True, clock=40.0, delay=0.5)
+    short = options("bag", "-r", "2", "-p", "--clock")
+    long = options("bag", "--rate", "2", "--start-paused", "--clock", "40")
+    assert short == long == PlayOptions(Path("bag"), 2.0, start_paused=True, clock=40.0)
     some = options("bag", "--start-offset", "0.5", "--playback-duration", "2", "--topics", "/a", "/b")
     assert (some.start_offset, some.playback_duration, some.topics) == (0.5, 2.0, ("/a", "/b"))
     assert options("bag") == PlayOptions(Path("bag"))
@@ -104,17 +104,6 @@ def test_messages_arrive_byte_by_byte_and_in_their_order(world, bag):
         world.until(lambda topic=topic: of_topic(received, topic)[-1:] == of_topic(recorded, topic)[-1:])
 
 
-def test_a_loop_begins_again(world, bag):
-    """The player stops after three rounds: a subscriber that is slower, as on a busy machine, stores 1000 messages."""
-    player, received = listened(world, bag, "--loop", "--rate", "0.5", "--topics", "/wrench", names=("/wrench",))
-    world.request("/player/resume")
-    world.until(lambda: player.count >= 300)
-    world.request("/player/pause")
-    world.until(lambda: len(received) >= 300)
-    assert not player.done and player.count < 1000
-    assert of_topic(received, "/wrench")[:300] == (of_topic(made.raw(bag), "/wrench") * 3)[:300]
-
-
 def test_names_follow_namespace_and_remapping_and_the_clock_does_not(world, bag):
     from rclpy.serialization import deserialize_message
     from rosgraph_msgs.msg import Clock
@@ -161,7 +150,7 @@ def play(ros_environment, monkeypatch, capfd):
 
 
 def test_a_signal_ends_the_player_with_exit_code_0(play, bag):
-    code, errors = play(bag, "--loop", progress=lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    code, errors = play(bag, progress=lambda *_: os.kill(os.getpid(), signal.SIGINT))
     assert code == 0 and "Traceback" not in errors
 
 
@@ -178,7 +167,7 @@ def test_what_cannot_be_played_ends_with_2_before_it_is_played_and_with_1_where_
     late, early = damaged(tmp_path / "late", 10**18), damaged(tmp_path / "early", 0)
     for words, code, *sentence in (
         ((bag, "--topics", "/nothing"), 2, "has no topic /nothing"), ((late,), 1, "late.mcap"),
-        ((late, "--loop"), 1, "late.mcap"), ((early,), 2, "early.mcap", "recover"),
+        ((early,), 2, "early.mcap", "recover"),
     ):  # fmt: skip
         ended, errors = play(*words)
         assert ended == code and "Traceback" not in errors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -16,12 +17,14 @@ from ros_domain import running
 
 pytest.importorskip("rclpy")
 
+from kr270_milling.base.process import STOPS
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.live.graph.processes import Child
 from kr270_milling.live.nodes.start import NODES, start
 from kr270_milling.live.ros import spin
 from kr270_milling.live.ros.environment import PARENT
 from kr270_milling.live.ros.node import ReportingNode, guarded
+from kr270_milling.recordings.bag.reader import Recording
 
 ROOT = Path(__file__).resolve().parents[3]
 PAPER = str(ROOT / "config" / "paper.yaml")
@@ -29,7 +32,7 @@ NODE = [sys.executable, "-m", "kr270_milling.live.nodes", "compliant_robot", "--
 
 
 def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment):
-    for turn, number in enumerate((signal.SIGINT, signal.SIGTERM)):
+    for turn, number in enumerate(STOPS):
         begin = time.monotonic()
         process = subprocess.Popen(
             NODE, env=ros_environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -37,7 +40,7 @@ def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment):
         while "numpy" not in Path(f"/proc/{process.pid}/maps").read_text() and process.poll() is None:
             time.sleep(0.002)  # until its first compiled library is there
         imports = time.monotonic() - begin  # grows with the load of the machine, as the rest of the imports does
-        time.sleep(imports * turn)
+        time.sleep(imports * turn / 2)
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
         assert "Traceback" not in errors and "ignored" not in errors and process.returncode == 0, errors
@@ -60,7 +63,7 @@ def ended_here(monkeypatch, program: str, *words: str) -> int:
     monkeypatch.setattr(sys, "argv", [program, *words])
     monkeypatch.setattr(spin, "end_process", sys.exit)
     monkeypatch.setattr(spin, "use_batch_scheduling", lambda: None)
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in STOPS}
     try:
         return start(program)
     except SystemExit as ended:
@@ -113,6 +116,30 @@ def test_the_script_makes_one_pass_that_recomputes_and_stops_everything(ros_envi
     asked = STEPS + result.channels["/tool_pose"].repeated  # on a busy machine the robot repeats a pose
     expected = {"wrench": asked, "deflection": STEPS, "robot_description": 1, "reference_trajectory": 2, "clock": 7}
     assert {name: result.channels[f"/{name}"].compared for name in expected} == expected
+
+
+def test_a_terminal_that_closes_ends_a_recorder_with_a_closed_file(ros_environment, tmp_path):
+    words = [*NODE[:3], "recorder", "--ros-args", "-p", f"directory:={tmp_path / 'r'}"]
+    with running(words, ros_environment, stderr=subprocess.PIPE, text=True) as process:
+        assert any("recording to" in line for line in process.stderr)
+        process.send_signal(signal.SIGHUP)
+        assert process.wait(60) == 0
+    with Recording(tmp_path / "r") as recording:
+        assert not recording.cut_off
+
+
+def test_without_a_loopback_interface_a_node_and_a_run_end_with_a_sentence_within_10_s(ros_environment, tmp_path):
+    """In a network of their own; the time is that of the processor, as other processes may have this one's."""
+    alone = ["unshare", "--map-root-user", "--net"]
+    if subprocess.run([*alone, "true"], check=False).returncode:
+        pytest.skip("this kernel gives no network to a user")
+    words = ["-m", "kr270_milling.cli", "run", PAPER, "--out", str(tmp_path / "o")]
+    for command in ([sys.executable, *words], NODE):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+        ended = subprocess.run([*alone, *command], env=ros_environment, capture_output=True, text=True, timeout=100)
+        assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 10.0
+        assert ended.returncode == 2 and not (tmp_path / "o").exists()
+        assert "127.0.0.1 does not work" in ended.stderr and ended.stderr.count("\n") == 1
 
 
 BLOCKED = """

@@ -194,6 +194,42 @@ def test_lost_repeated_foreign_and_wrong_telegrams_do_not_disturb_the_correction
     other.close()
 
 
+def test_the_counter_of_the_robot_may_wrap(running):
+    table, session, controller, _ = running
+    controller.ipoc = 2**32 - 200
+    applied = np.array([controller.cycle(point) for point in 1e3 * table.position[:150]])
+    np.testing.assert_allclose(1e-3 * applied[60:, :3], table.correction[60:150, :3], rtol=0, atol=1e-6)
+    assert (session.counts.missed, session.counts.refused) == (0, 0)
+
+
+def test_after_a_stop_of_this_host_the_newest_telegram_is_answered_and_the_others_are_missed(running):
+    """49 of 50 cycles; the time that a telegram waited counts to its answer."""
+    _, session, controller, _ = running
+    controller.cycle((0.0, 0.0, 0.0))
+    blocked, free = threading.Event(), threading.Event()
+    session.record = lambda _: blocked.set() or free.wait(LIMIT)
+    controller.cycle((0.0, 0.0, 0.0))
+    assert blocked.wait(LIMIT)
+    for _ in range(50):
+        controller.ipoc += 4
+        controller.send(telegram(controller.ipoc, (0.0, 0.0, 0.0)))
+    time.sleep(0.1)
+    session.record = None
+    free.set()
+    assert controller.receive()[0] == controller.ipoc and not controller.has_answer()
+    counts = session.counts
+    assert (counts.answered, counts.missed, counts.late) == (3, 49, counts.late) and counts.late >= 1
+    assert counts.longest >= 0.1
+
+
+def test_a_session_runs_with_priority_or_says_why_not():
+    before = os.sched_getscheduler(0)
+    with rsi_session.real_time() as refused:
+        assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == (not refused)
+        assert not refused or "SCHED_FIFO: " in refused
+    assert os.sched_getscheduler(0) == before
+
+
 def test_a_robot_that_falls_silent_ends_the_session(running, monkeypatch):
     _, session, controller, sentences = running
     monkeypatch.setattr(rsi_session, "SILENCE", 0.1)
@@ -237,12 +273,12 @@ def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path
             for k, point in enumerate(points):
                 applied = controller.cycle(point, actual_mm=point + applied[:3])
                 assert k < 10 or np.abs(1e-3 * applied[:3] - shift).max() < 1e-6
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGHUP)  # its terminal closes
 
     with ThreadPoolExecutor(1) as thread:
         moving = thread.submit(robot)
         words = [str(tmp_path), "--port", str(port), "--ramp-s", "0.01", "--cell", str(tmp_path / "cell.yaml")]
-        main(["rsi", *words, "--out", str(tmp_path / "rsi"), "--json"])
+        assert main(["rsi", *words, "--out", str(tmp_path / "rsi"), "--json"]) == 128 + signal.SIGHUP
         moving.result()
     answer = json.loads(capsys.readouterr().out)
     assert (answer["answered"], answer["path_share"]) == (len(points), 1.0)

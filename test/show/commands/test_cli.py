@@ -82,7 +82,6 @@ def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(wor
     ("pyarrow", "studies", "export nowhere --csv out --parquet out"),
     ("pyuff", "uff", "identify damping nowhere.uff"),
     ("rclpy", "ros", "run paper.yaml --out out"),
-    ("rclpy", "ros", "watch"),
     ("rclpy", "ros", "replay nowhere"),
     ("rclpy", "ros", "the node recorder"),
 ])  # fmt: skip

@@ -237,3 +237,4 @@ def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_p
 ])  # fmt: skip
 def test_a_wrong_remapping_is_one_sentence(remapped, rule, sentence):
     assert sentence in refused("replay", remapped, "--recompute", "--remap", rule)
+    assert "a playback takes --ros-args -r RECORDED:=NAME" in refused("replay", remapped, "--remap", rule)
