@@ -122,9 +122,11 @@ def _plant_seconds(cell: Cell, order: VerdictOrder, each: float) -> float:
 def _affordable(cell: Cell, order: VerdictOrder, each: float) -> VerdictOrder | None:
     """The part of an order for which there is time; each [s]: of a pass.
 
-    What was asked for is made. Else 8 plants compare no other methods where this would take longer than USUAL_BUDGET,
-    and none run where they would take longer than LONGEST_VERDICT even so.
+    What was asked for is made, unless the tool only drills: nothing is judged. Else 8 plants compare no other methods
+    where this would take longer than USUAL_BUDGET, and none run where they would take longer than LONGEST_VERDICT.
     """
+    if not cell.programmed.mills:
+        return None
     if order.asked_for:
         return order
     if FEWEST * _plant_seconds(cell, order, each) > USUAL_BUDGET:
@@ -149,7 +151,7 @@ def compensate(
     programs, LIN or SPLINE; progress(name, passes at most, text): a context that yields a function for the progress of
     a step, see ``weights``; saved: finished passes of an interrupted run.
     """
-    method = method or cell.compensation.method
+    method = (method or cell.compensation.method) if cell.programmed.mills else NO_METHOD
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
     comparison = None

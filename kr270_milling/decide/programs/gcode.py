@@ -82,7 +82,9 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
             "G-code states no joints, so the controller must compensate the sag: compensation.sag_compensated: true"
         )
         raise InputError("--gcode", reason)
-    return read_source(file, {cell.programmed.program.tool for cell in cells})
+    if not all(cell.programmed.program.spindle_speeds for cell in cells):
+        raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
+    return read_source(file, {cell.programmed.program.tool for cell in cells}, float(cells[0].stock.max[2]))
 
 
 def write_gcode(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -50,6 +51,10 @@ def run_init(args) -> Answer:
     else:
         paths = read_toolpaths(args.gcode, args.tool)
         file, program = _program_of(args), paths[0].program
+        for tool in (path.program.current for path in paths):
+            if tool and tool.shape:
+                advice = "is not modelled: check stops it, unless the cell states tool.type: flat"
+                print(f"warning: {args.gcode}, line {tool.line}: {tool.label}, a {tool.shape}, {advice}", file=sys.stderr)
         text = draft_text(file, paths[0], robot) if len(paths) == 1 else tools_text(file, paths, robot)
     result = {"cell": text, "program": program and asdict(program), "file": args.out}
     if args.out is None:

@@ -100,7 +100,7 @@ def run_compensate(args) -> Answer:
             progress=whole.under(title_of(cell)),
             saved=SavedPasses(place, cell, words, args.resume),
         )  # fmt: skip
-        if not (done.decision.verdict or args.no_verdict):
+        if cell.programmed.mills and not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
         return done
 
