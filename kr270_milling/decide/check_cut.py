@@ -68,8 +68,8 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
 
     margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; ran: a pass whose deviation the
     places have. ``inner`` belongs to the place that removes the material. Where the tool leaves along its axis, or goes
-    back along its cut, the deflection of the arm at this moment is no contact either: inertia may bend the arm by more
-    than the cut did.
+    down again along its cut, the deflection of the arm at this moment is no contact either: it is in its hole, and
+    inertia may bend the arm by more than the cut did.
     """
     position, time, block, step = _places(cell)
     timed = cell.timed_path
@@ -83,8 +83,8 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         for k in range(3):
             moved[:, k] += np.interp(at_ns, passed.time_ns, passed.actual[:, k] - passed.target[:, k])
         x, y, z = (np.interp(at_ns, passed.time_ns, passed.deflection[:, k]) for k in range(3))
-        leaves, back = _retraces(position, rapid, cell.stock.max[2], math.hypot(0.5 * step, cell.limits.rapid_contact))
-        sideways, lengthwise = np.where(leaves | back, np.hypot(x, y), 0.0), np.where(leaves, np.abs(z), 0.0)
+        leaves, again = _along_axis(position, rapid, math.hypot(0.5 * step, cell.limits.rapid_contact))
+        sideways, lengthwise = np.where(leaves | again, np.hypot(x, y), 0.0), np.where(leaves, np.abs(z), 0.0)
     grid = height_map(cell.stock, step, moved, radius)
     moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
@@ -94,18 +94,19 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     return Engagement(position, time, rapid, block, series, depth, inner, core, margin + lengthwise, volume)
 
 
-def _retraces(position: np.ndarray, rapid: np.ndarray, top: float, near: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where a rapid move leaves along the tool axis, and where it goes back along an earlier cut of the tool, (m,) each.
+def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where a rapid move leaves along the tool axis, and where it goes down again along an earlier cut, (m,) each.
 
-    position: of the programmed path; top: of the stock; near [m]: from a place of the move to the places of the cut.
+    position: of the programmed path; near [m]: from a place of the move to the places of the cut.
     """
     move = np.diff(position, axis=0, prepend=position[:1])
-    leaves, back = rapid & (np.hypot(*move[:, :2].T) < SAME_AXIS) & (move[:, 2] >= 0.0), np.zeros(len(rapid), bool)
-    rest, cuts = np.flatnonzero(rapid & ~leaves & (position[:, 2] < top)), np.flatnonzero(~rapid)
-    if rest.size and cuts.size:
-        places = cKDTree(position[cuts]).query_ball_point(position[rest], near, return_sorted=True)
-        back[rest] = [bool(found) and cuts[found[0]] < k for found, k in zip(places, rest, strict=True)]
-    return leaves, back
+    along = rapid & (np.hypot(*move[:, :2].T) < SAME_AXIS)
+    leaves, again = along & (move[:, 2] >= 0.0), np.zeros(len(rapid), bool)
+    down, cuts = np.flatnonzero(along & ~leaves), np.flatnonzero(~rapid)
+    if down.size and cuts.size:
+        places = cKDTree(position[cuts]).query_ball_point(position[down], near, return_sorted=True)
+        again[down] = [bool(found) and cuts[found[0]] < k for found, k in zip(places, down, strict=True)]
+    return leaves, again
 
 
 @njit(cache=True)
