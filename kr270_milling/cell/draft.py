@@ -107,7 +107,7 @@ def _box_of(path: Toolpath, radius: float) -> Box:
 def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
     """The box cut back until no rapid move below the top meets it, but for holes and where the tool has cut before."""
     down = np.flatnonzero(path.rapid & ~path.drilling & (path.position[:, 2] < box.high[2] - 1e-6))
-    distance = np.linspace(0.0, path.length, 2 + min(PLACES, int(4.0 * path.length / radius)))
+    distance, step = np.linspace(0.0, path.length, 2 + min(PLACES, int(path.length / CLEARANCE)), retstep=True)
     way, block = path.position_at(distance), path.block_at(distance)
     way, block = way[~path.rapid[block]], block[~path.rapid[block]]
     cut = box
@@ -115,7 +115,7 @@ def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
     for number in down[first[:1000]].tolist():
         *place, height = path.position[number].tolist()
         cleared = ((block < number) & (way[:, 2] < height + 1e-6)) | path.drilling[block]
-        if (np.hypot(*(way[cleared, :2] - place).T) < radius).any():
+        if (np.hypot(*(way[cleared, :2] - place).T) < max(CLEARANCE, step)).any():
             continue
         nearest = np.clip(place, cut.low[:2], cut.high[:2])
         if math.dist(nearest, place) < radius + CLEARANCE:

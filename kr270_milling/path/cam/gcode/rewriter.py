@@ -91,9 +91,8 @@ class _Watch(Interpreter):
             self._refuse(f"the drilling cycle {ABSOLUTE}")
         if "Z" in self._corrected or not self._corrected <= axes.keys():
             self._refuse(UNPLACED)
-        given = set(axes)
         super()._drill(kind, axes)
-        self._note("cycle", given)
+        self._note("cycle", "XYZ")
 
 
 @dataclass(frozen=True)
