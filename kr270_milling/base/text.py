@@ -12,9 +12,10 @@ MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has som
 
 
 def read_lines(path) -> list[str]:
-    """Return the lines of a UTF-8 (or ASCII) text file; the last item is "" if the file ends with a newline.
+    """Return the lines of a text file; the last item is "" if the file ends with a newline.
 
-    Raises InputError with the line of the first character that is not text.
+    A file that is not UTF-8 is Latin-1, as posts write the comment (Müller). Raises InputError with the line of the
+    first character that is not text.
     """
     try:
         if not Path(path).is_file():  # a directory, a pipe, a device
@@ -33,9 +34,8 @@ def read_lines(path) -> list[str]:
         raise InputError(path, "holds a zero byte, so it is no text file", _line_at(data, null))
     try:
         text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        shown = f"holds the byte 0x{data[error.start]:02x}, which is not UTF-8; save the file as UTF-8 or ASCII"
-        raise InputError(path, shown, _line_at(data, error.start)) from None
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.cell.path import check_moves
 from kr270_milling.path.toolpath import Toolpath
 
 __all__ = ["draft_text", "stock_of", "straight_text", "tools_text"]
@@ -21,6 +22,7 @@ TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="ut
 ALLOWANCE = 5e-3  #: [m], around the path of the cutter and below it
 ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
+PLACES = 100_000  #: of a path, at most
 LEAST_SHARE = 0.2  #: of the area that the path asks for; a stock that is cut down to less is no guess any more
 NEAR = 0.3  #: [m]; a path within this distance of its zero gets the place of the test piece
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
@@ -32,6 +34,7 @@ SPACING, POSTURES = 5.0, 2e4  #: [mm] between two modelled postures, and how man
 NODES = 2.5e7  #: of the grid, 25 MB
 FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
 DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where the program does not state it
+LIPS = 2  #: of a twist drill
 #: keys of a tool, below ``tool`` or below its name
 TOOL = """\
       diameter_mm: {diameter}            # {diameter_source}
@@ -102,11 +105,18 @@ def _box_of(path: Toolpath, radius: float) -> Box:
 
 
 def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
-    """The box cut back until no rapid move below the top meets it."""
-    down = np.flatnonzero(path.rapid & (path.position[:, 2] < box.high[2] - 1e-6))
-    places = np.unique(np.round(path.position[down, :2], 5), axis=0)
+    """The box cut back until no rapid move below the top meets it, but for holes and where the tool has cut before."""
+    down = np.flatnonzero(path.rapid & ~path.drilling & (path.position[:, 2] < box.high[2] - 1e-6))
+    distance, step = np.linspace(0.0, path.length, 2 + min(PLACES, int(path.length / CLEARANCE)), retstep=True)
+    way, block = path.position_at(distance), path.block_at(distance)
+    way, block = way[~path.rapid[block]], block[~path.rapid[block]]
     cut = box
-    for place in places[:1000]:
+    _, first = np.unique(np.round(path.position[down], 5), axis=0, return_index=True)
+    for number in down[first[:1000]].tolist():
+        *place, height = path.position[number].tolist()
+        cleared = ((block < number) & (way[:, 2] < height + 1e-6)) | path.drilling[block]
+        if (np.hypot(*(way[cleared, :2] - place).T) < max(CLEARANCE, step)).any():
+            continue
         nearest = np.clip(place, cut.low[:2], cut.high[:2])
         if math.dist(nearest, place) < radius + CLEARANCE:
             cut = max(_sides(cut, place, radius + CLEARANCE), key=lambda side: side.area)
@@ -126,8 +136,7 @@ def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
 
 def draft_text(file: str, path: Toolpath, robot: str) -> str:
     """The YAML of a cell for a path, which ``check`` reads unchanged; raises InputError for a path without a cut."""
-    if path.rapid[1:].all():
-        raise InputError(file, "has no cutting move: every block is a rapid one")
+    check_moves(file, path)
     program = path.program
     stock = stock_of(path, _diameter(path) / 2e3)
     several = sum(bool(known.cuts) for known in program.tools) > 1
@@ -142,7 +151,9 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
 
 
 def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
-    """The YAML of a cell with ``tools``, as ``draft_text``; paths: of all tools of a program, in its order."""
+    """The YAML of a cell with ``tools``, as ``draft_text``; paths: those of all tools of a program, in its order."""
+    for path in paths:
+        check_moves(file, path)
     boxes = [_box_of(path, _diameter(path) / 2e3) for path in paths]
     whole = Box(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
     stock = _beside_rapids(whole, paths[0], _diameter(paths[0]) / 2e3)  # the others may go down where it has cut
@@ -184,13 +195,14 @@ def _tool(path: Toolpath) -> dict:
     """Values of the keys of a tool."""
     program, tool, speed = path.program, path.program.current, _speed(path)
     comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
-    teeth, known = tool.teeth if tool else 0, bool(tool and tool.diameter)
+    known = bool(tool and tool.diameter)
+    teeth, source = _teeth(path)
     unsaid = "yours: the program does not say it"
     return {
         "diameter": _number(_diameter(path)),
         "diameter_source": comment if known else unsaid,
-        "teeth": teeth or TEETH,
-        "teeth_source": "[source: the tool's comment]" if teeth else unsaid,
+        "teeth": teeth,
+        "teeth_source": source or unsaid,
         "rotation": "counterclockwise" if any(value < 0 for value in program.spindle_speeds) else "clockwise",
         "speed": f"# spindle_speed_rpm: {_number(speed)}" if speed else STRAIGHT_TOOL["speed"],
         "speed_source": "[source: the program's S]" if speed else "yours: the program has no S",
@@ -199,13 +211,23 @@ def _tool(path: Toolpath) -> dict:
 
 def _exchange(path: Toolpath, stock: Box) -> dict:
     """Period and grid for the cut of a tool."""
-    speed, tool = _speed(path) or SPEED, path.program.current
+    speed = _speed(path) or SPEED
     period, steps = _period(path, speed)
     return {
         "period": f"{period:.10g}" if "." in f"{period:.10g}" else f"{period:.1f}",
         "steps": steps,
-        "grid": _number(_grid(stock, path, speed, (tool.teeth if tool else 0) or TEETH)),
+        "grid": _number(_grid(stock, path, speed, _teeth(path)[0])),
     }
+
+
+def _teeth(path: Toolpath) -> tuple[int, str]:
+    """Number of teeth and its source; "" where the program does not say it."""
+    tool = path.program.current
+    if tool and tool.teeth:
+        return tool.teeth, "[source: the tool's comment]"
+    if path.drilling[~path.rapid].all() or (tool and "drill" in tool.description):
+        return LIPS, "yours: the lips of a twist drill"
+    return TEETH, ""
 
 
 def _diameter(path: Toolpath) -> float:

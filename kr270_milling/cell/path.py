@@ -18,7 +18,8 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.motion.exchange import Exchange
 
-__all__ = ["MOST_STEPS", "check_duration", "check_effort", "check_feed", "check_path", "check_postures", "sinking"]
+__all__ = ["MOST_STEPS", "check_duration", "check_effort", "check_feed", "check_moves", "check_path", "check_postures",
+           "sinking"]  # fmt: skip
 
 MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
 MOST_TOOTH_STEPS = 1e10  #: micro-steps of single teeth in one pass, some 0.1 us each
@@ -75,11 +76,20 @@ def check_postures(count: int, spacing: float) -> None:
 def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
     """Raise InputError, with the line where there is one, for a path that does not belong to tool and stock."""
     path = timed.toolpath
-    if path.rapid[1:].all():
-        raise InputError(file, "has no cutting move: every block is a rapid one")
-    wrong = _other_spindle(path, tool) or _tilted(path) or _beside_stock(timed, tool, stock)
+    check_moves(file, path)
+    wrong = _other_spindle(path, tool) or _beside_stock(timed, tool, stock)
     if wrong:
         reason, block = wrong
+        raise InputError(file, reason, int(path.line[block]) or None)
+
+
+def check_moves(file: str, path: Toolpath) -> None:
+    """Raise InputError for a path without a cutting move, and for one with a tilted tool."""
+    if path.rapid[1:].all():
+        raise InputError(file, "has no cutting move: every block is a rapid one")
+    tilted = _tilted(path)
+    if tilted:
+        reason, block = tilted
         raise InputError(file, reason, int(path.line[block]) or None)
 
 

@@ -52,6 +52,7 @@ class StraightCut:
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
     drills = False  #: whether the program has a drilling cycle
+    mills = True  #: whether the program cuts in more than drilling cycles
 
     @property
     def name(self) -> str:
@@ -257,6 +258,11 @@ class ProgramPath:
     def drills(self) -> bool:
         """Whether the program has a drilling cycle."""
         return bool(self.fed.toolpath.drilling.any())
+
+    @property
+    def mills(self) -> bool:
+        """Whether the program cuts in more than drilling cycles."""
+        return bool((~self.fed.toolpath.rapid & ~self.fed.toolpath.drilling).any())
 
     def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""

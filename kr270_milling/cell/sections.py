@@ -36,6 +36,11 @@ class Workpiece(Record):
         text="boxes that the tool must not enter, workpiece frame: x, y, z of both corners, one box after the other",
     )  # fmt: skip
 
+    table_z: float = parameter(
+        math.nan, unit="mm", low=-1e5, high=1e5,
+        text="height of the table, which the tool must not enter, workpiece frame; not given: the bottom of the stock",
+    )  # fmt: skip
+
     def check(self) -> None:
         for key, given in (("xyz_mm", 1e3 * self.xyz), ("abc_deg", np.degrees(self.abc))):
             if given.size != 3 and (given.size or not self.at_start_joints):
@@ -183,7 +188,9 @@ class Program(Record):
     home_angles: np.ndarray = parameter(
         [], unit="deg", low=-720.0, high=720.0, text="axis position that is declared as ``home``; empty: not declared"
     )
-    spindle_on: tuple[str, ...] = parameter((), text="KRL lines, for example $OUT[1]=TRUE")
+    spindle_on: tuple[str, ...] = parameter(
+        (), text="KRL lines, for example $OUT[1]=TRUE; HALT or empty: it halts until the operator starts the spindle"
+    )
     spindle_off: tuple[str, ...] = parameter((), text="KRL lines")
     coolant_on: tuple[str, ...] = parameter((), text="KRL lines")
     coolant_off: tuple[str, ...] = parameter((), text="KRL lines")

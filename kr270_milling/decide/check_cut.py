@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
@@ -31,6 +32,7 @@ NODES_PER_RADIUS = 50  #: of the height map, along its axes
 MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
 MOST_NODES = 2e7  #: of the height map; a small cutter in a large stock takes a coarser map
 CORE = 0.2  #: share of the radius about the axis where a cutter that is not centre-cutting has no edge
+SAME_AXIS = 1e-9  #: [m], sideways, of a move along the tool axis
 PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
 UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
 FEWEST_TEETH = 60  #: in one stretch of cutting; fewer say nothing about growth
@@ -52,9 +54,9 @@ class Engagement:
     block: np.ndarray  #: of the tool path that leads to the place, (m,)
     series: np.ndarray  #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move; (m,)
     depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
-    inner: np.ndarray  #: deepest material that a rapid move meets within the radius less ``margin`` [m], (m,)
+    inner: np.ndarray  #: deepest material that a rapid move meets within a smaller radius, see ``engagement`` [m], (m,)
     core: np.ndarray  #: deepest material above the tip about the tool's axis [m], (m,)
-    margin: float  #: [m]
+    margin: np.ndarray  #: [m], (m,), up to which ``inner`` is no contact
     volume: np.ndarray  #: that rapid moves remove on the way to the place [m^3], (m,)
 
 
@@ -65,7 +67,9 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     them. The distance between places and the stiffness of the arm therefore do not matter.
 
     margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; ran: a pass whose deviation the
-    places have. ``inner`` belongs to the place that removes the material.
+    places have. ``inner`` belongs to the place that removes the material. Where the tool leaves along its axis, or goes
+    down again along its cut, the deflection of the arm at this moment is no contact either: it is in its hole, and
+    inertia may bend the arm by more than the cut did.
     """
     position, time, block, step = _places(cell)
     timed = cell.timed_path
@@ -73,26 +77,44 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, core, volume = met = np.zeros((4, len(position)))
     radius = float(cell.tool.radii.max())
-    moved = position
+    moved, sideways, lengthwise = position, 0.0, np.zeros(len(position))
     if ran is not None:
         at_ns, passed, moved = 1e9 * time, ran.result, position.copy()
         for k in range(3):
             moved[:, k] += np.interp(at_ns, passed.time_ns, passed.actual[:, k] - passed.target[:, k])
+        x, y, z = (np.interp(at_ns, passed.time_ns, passed.deflection[:, k]) for k in range(3))
+        leaves, again = _along_axis(position, rapid, math.hypot(0.5 * step, cell.limits.rapid_contact))
+        sideways, lengthwise = np.where(leaves | again, np.hypot(x, y), 0.0), np.where(leaves, np.abs(z), 0.0)
     grid = height_map(cell.stock, step, moved, radius)
     moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
         lower_along(grid, removal.radius, on_map(removal.programmed if ran is None else removal.actual))
-    radii = radius, max(radius - max(margin, ROUNDING), 0.0), CORE * radius
-    _meet(grid, np.zeros_like(grid.depth), moved, series, radii, met)
-    return Engagement(position, time, rapid, block, series, depth, inner, core, margin, volume)
+    narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0) * np.ones(len(position))
+    _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, CORE * radius), narrow, met)
+    return Engagement(position, time, rapid, block, series, depth, inner, core, margin + lengthwise, volume)
+
+
+def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where a rapid move leaves along the tool axis, and where it goes down again along an earlier cut, (m,) each.
+
+    position: of the programmed path; near [m]: from a place of the move to the places of the cut.
+    """
+    move = np.diff(position, axis=0, prepend=position[:1])
+    along = rapid & (np.hypot(*move[:, :2].T) < SAME_AXIS)
+    leaves, again = along & (move[:, 2] >= 0.0), np.zeros(len(rapid), bool)
+    down, cuts = np.flatnonzero(along & ~leaves), np.flatnonzero(~rapid)
+    if down.size and cuts.size:
+        places = cKDTree(position[cuts]).query_ball_point(position[down], near, return_sorted=True)
+        again[down] = [bool(found) and cuts[found[0]] < k for found, k in zip(places, down, strict=True)]
+    return leaves, again
 
 
 @njit(cache=True)
-def _meet(grid, ahead, path, series, radii, met):
+def _meet(grid, ahead, path, series, radii, narrow, met):
     """Fill ``met`` with what the tool meets on the way to each place, and lower the map.
 
-    A series of rapid moves runs twice: first with the smaller radius on the map ``ahead``, against the material before
-    the series.
+    A series of rapid moves runs twice: first with the smaller radius ``narrow`` of each place on the map ``ahead``,
+    against the material before the series.
     """
     depth, inner, core, volume = met
     for k in range(path.shape[0]):
@@ -100,9 +122,10 @@ def _meet(grid, ahead, path, series, radii, met):
         if series[k] and (k == 0 or series[k] != series[k - 1]):
             n = k
             while n < count and series[n] == series[k]:
-                inner[n] = lower(grid, ahead, radii[1], 0.0, path[max(n - 1, 0)], path[n], n > 0)[0]
+                cleared = n > 0 and (n == k or narrow[n] <= narrow[n - 1])
+                inner[n] = lower(grid, ahead, narrow[n], 0.0, path[max(n - 1, 0)], path[n], cleared)[0]
                 n += 1
-        depth[k], core[k], removed = lower(grid, grid.depth, radii[0], radii[2], last, path[k], k > 0)
+        depth[k], core[k], removed = lower(grid, grid.depth, radii[0], radii[1], last, path[k], k > 0)
         volume[k] = removed if series[k] else 0.0
 
 
@@ -189,8 +212,14 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
     below, flutes = cell.limits.below_stock, cell.tool.flute_length
     met = engagement(cell, margin)
     points = _points(run, met)
-    beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
-    results = violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
+    table = cell.workpiece.table_z
+    under = _over(met, low, high, radius) | math.isnan(table)
+    results = []
+    for subject, level, most, here in (("the bottom of the stock", low[2], below, under), ("the table", table, 0.0, True)):
+        beneath = np.where(here, level - met.position[:, 2], -np.inf)
+        results += violations(
+            "below the stock", beneath, most, beneath > most + 1e-9, points=points, block=met.block, subject=subject
+        )  # fmt: skip
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         results += violations(
@@ -228,7 +257,7 @@ def rapid_violations(run: Trajectory, met: Engagement) -> list[Violation]:
         rest[met.series[worst]] = 0.0
         amounts = {"length_mm": 1e3 * float(length[rows[contact[rows]]].sum()), "volume_mm3": 1e9 * float(volume)}
         depth, point = met.inner[worst], int(points[worst])
-        contacts.append(violation("rapid in material", depth, met.margin, point, block=block, amounts=amounts))
+        contacts.append(violation("rapid in material", depth, met.margin[worst], point, block=block, amounts=amounts))
     return contacts[::-1]
 
 

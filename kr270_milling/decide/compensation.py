@@ -73,7 +73,7 @@ def compensate(
     progress(name, passes at most, text): a context that yields a function for the progress of a step. Other methods
     are compared where none was compared before, unless the pass is long: that keeps its series, 180 MB an hour.
     """
-    method = method or cell.compensation.method
+    method, robots = (method or cell.compensation.method, robots) if cell.programmed.mills else (NO_METHOD, 0)
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
     comparison = None

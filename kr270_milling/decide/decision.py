@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.tolerance import Judgement, um_text
-from kr270_milling.decide.verdict import MethodComparison, Verdict
+from kr270_milling.decide.verdict import NO_METHOD, MethodComparison, Verdict
 from kr270_milling.physics.compensation.methods import LEARNED
 
 __all__ = ["CAUTION", "ENOUGH", "NO", "YES", "Decision", "decided"]
@@ -69,8 +69,10 @@ class Decision:
         if self.stops:
             more = f", and {len(self.stops) - 1} more" if len(self.stops) > 1 else ""
             return f"the path must not be run: {self.stops[0]}{more}; {model}"
+        if math.isnan(self.compensated.error):
+            return model
         parts = [model + self._plants]
-        if self.compensated.passes is None and math.isfinite(self.compensated.error):
+        if self.compensated.passes is None:
             parts.append("no tolerance is given: set part.tolerance_um")
         if self.verdict is None:
             parts.append("no verdict of simulated robots: kr270_milling compensate --verdict runs them")
@@ -98,6 +100,8 @@ class Decision:
         """One line: the method that is written, and the one that a comparison recommends."""
         if self.comparison:
             return f"recommended method: {self.comparison.sentence}"
+        if self.method == NO_METHOD:
+            return f"method: {NO_METHOD}, the tool only drills"
         chosen = f"method: {self.method}, as set"
         return f"{chosen}; recommended method: {self.recommended_method}" if self.recommended_method else chosen
 

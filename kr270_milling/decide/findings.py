@@ -88,8 +88,9 @@ KINDS = {
         "a rapid move goes {length_mm:.4g} mm through material, {value:.4g} mm deep at point {point}, and removes "
         "{volume_mm3:.4g} mm3",
         "Retract above the stock before the rapid move, or feed there (G1)."),
-    "below the stock": Kind("mm", "the tool is {value:.4g} mm below the bottom of the stock at point {point}",
-        "Raise the path or lower the stock's bottom; limits.below_stock_mm allows it."),
+    "below the stock": Kind("mm", "the tool is {value:.4g} mm below {subject} at point {point}",
+        "Raise the path or lower the stock's bottom; limits.below_stock_mm states a plate under the stock, "
+        "workpiece.table_z_mm a lower table."),
     "in the fixture": Kind("mm", "the tool enters {subject} at point {point}, {value:.4g} mm below its top",
         "Move the fixture or the path."),
     "depth of cut": Kind("mm", "the cut is {value:.4g} mm deep at point {point}, the flutes are {limit:.4g} mm",
@@ -135,8 +136,8 @@ KINDS = {
         "the program is for {label}, a {shape}, but floors and forces are those of a flat end mill",
         "Set tool.type: flat if the cutter is flat; another shape is not modelled."),
     "spindle off": Kind("rpm",
-        "the program never starts the spindle; the cell assumes {rpm:.6g} rpm",
-        "Write S and M3 before the first cut, or start the spindle by program.spindle_on.", "warning"),
+        "the program never starts the spindle (S with M3 or M4, SPINDL), and program.spindle_on of the cell is empty",
+        "Start it in the program or by program.spindle_on; HALT there lets the operator start it by hand."),
     "drilling": Kind("1", "drilling: force not modelled ({number}); deviations, decision and correction leave drilling "
         "out",
         "Check the thrust of the drill against the arm by hand.", "note"),

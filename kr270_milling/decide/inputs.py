@@ -103,10 +103,10 @@ def _program(cell: Cell) -> list[Violation]:
     path = fed.toolpath
     findings = _outside(cell, path)
     tool = path.program.current
-    if path.program.tools and not path.spindle_speed[~path.rapid].any():
+    silent = path.program.tools and not path.spindle_speed[~path.rapid].any()
+    if silent and not cell.program.spindle_on:
         block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
-        rpm = cell.tool.spindle_speed * 30.0 / math.pi
-        findings.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block, rpm=rpm))
+        findings.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block))
     if path.drilling.any():
         block = int(np.argmax(path.drilling))
         holes = len(np.unique(path.position[path.drilling, :2], axis=0))

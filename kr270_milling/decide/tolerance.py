@@ -64,7 +64,7 @@ class Judgement:
         """Quantity, tolerance and error; where: of what pass, for example "on the model"."""
         error, place = um_text(self.error), f" {where}" if where else ""
         if math.isnan(self.error):
-            return f"no milled wall or floor that could be measured{place}"
+            return f"not judged: no milled wall or floor that could be measured{place}"
         if self.passes is None:
             return f"{self.quantity} is {error}{place}"
         feature = f" at {self.feature}" if self.feature and not self.passes else ""

@@ -207,6 +207,7 @@ EDGE = ("G21 G90 S8000 M3\nG0 X-14 Y-26 Z2\nG0 Z-10.5\nG0 X-11 Y-25\nG0 Z2\nG0 X
         "G0 Z5\nM30\n")  # fmt: skip
 APT = "UNITS/MM\nCUTTER/{}\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/-14,0,2\nRAPID\nGOTO/-14,0,-0.5\nFEDRAT/4000,MMPM\n" \
       "GOTO/26,0,-0.5\nRAPID\nGOTO/26,0,5\nFINI\n"  # fmt: skip
+OFF = APT.format("20,0").replace("SPINDL/8000,RPM,CLW\n", "")
 CSV = "x_mm,y_mm,z_mm,feed_mm_per_min\n-14,0,-0.5,4000\n26,0,-0.5,4000\n"
 COARSE = ("stock.grid_step_um=200", "timing.rapid_feed_m_per_min=6")
 #: a narrow cut with a tool mode
@@ -265,11 +266,16 @@ CASES = (
     Case("slot in the air", "outside the stock", "", SLOT.replace("M30", "(far)\nG0 X-60 Y80\nG1 Z-1\nX60\nM30")),
     Case("a path beside the stock", "stock missed", "path.start_mm=[-1000,0]", "", value=0.0),
     Case("inches for millimetres", "below the stock", "", INCHES, lines=(3, 4), value=0.5 * 25.4 - 10),
+    Case("beside the stock, below its bottom", "below the stock", "", EDGE, lines=(3, 4, 5), value=0.5, limit=0.0),
+    Case("into the table", "below the stock", "workpiece.table_z_mm=-0.2", value=0.3, words="the table"),
     Case("through a fixture", "in the fixture", f"{FIXTURE}=[30,-5,-10,60,5,-0.2]", lines=(4,), value=0.3),
     Case("rapid move into a fixture", "in the fixture", f"{FIXTURE}=[-30,-5,-10,-10,5,1]", lines=(3, 4), value=1.5),
     Case("deeper than the flutes", "depth of cut", "tool.flute_length_mm=0.4", lines=(4,), value=0.5, limit=0.4),
     Case("a plunge with a cutter that cannot", "plunge", NO_PLUNGE, DOWN, lines=(3, 4), value=0.5, limit=0.0),
     Case("too much feed per tooth", "feed per tooth", "tool.max_feed_per_tooth_mm=0.1", value=4 / 8 / 4, limit=0.1),
+    Case("no speed", "spindle off", "", SLOT.replace(" S8000", ""), lines=(4,)),
+    Case("no start", "spindle off", "", SLOT.replace(" M3", ""), lines=(4,)),
+    Case("a spindle of APT that is off", "spindle off", "", OFF, suffix=".apt"),
     Case("too fast", "cutting speed", "tool.max_cutting_speed_m_per_min=400", value=math.pi * 0.02 * 8000, limit=400),
     Case("above the limit depth of the tool", "chatter", MODE.format(0.01), NARROW.replace("Z-0.5", "Z-8")),
     Case("beyond the linear model", "deflection", f"cutting.fractional.stiffness_n_per_m=5e10; {WEIGHTLESS}", limit=50),
@@ -281,7 +287,6 @@ CASES = (
     Case("a wrong datum", "refused", "", SLOT.replace("Y0", "Y500")),
 
     warning("a reground cutter", "tool diameter", "tool.diameter_mm=19.8", comment("D=20 flat end mill")),
-    warning("a program that never starts the spindle", "spindle off", "", SLOT.replace(" S8000 M3", "")),
     warning("a path mostly beside the stock", "stock too small", "", SLOT.replace("G0 Z5", "G1 Y160\nG0 Z5"), limit=50),
     warning("a feed in the wrong unit", "feed per tooth", "", SLOT.replace("F4", "F170"), value=170 / 8 / 4, limit=5.0),
     warning("a tool smaller than the grid", "tool and grid", "tool.diameter_mm=0.9", value=0.2, limit=0.0225),
@@ -293,7 +298,10 @@ CASES = (
     warning("radians", "posture", "start_joints_deg=[1.5708,-0.8727,2.0944,3.1416,0.4363,3.1416]", words="radians"),
 
     Case("the paper's straight cut", program=""),
-    Case("beside the stock, below its bottom", program=EDGE),
+    Case("beside the stock, into a plate", "", "limits.below_stock_mm=0.5", EDGE),
+    Case("beside the stock, above a lower table", "", "workpiece.table_z_mm=-10.5", EDGE),
+    Case("a spindle that the robot starts", "", 'program.spindle_on=["$OUT[1]=TRUE"]', SLOT.replace(" S8000 M3", "")),
+    Case("a spindle that the operator starts", "", "program.spindle_on=[HALT]", SLOT.replace(" S8000 M3", "")),
     Case("a plunge of a cutter that can", program=DOWN),
     Case("two holes", program=HOLES),
     Case("two holes by pecks", program=HOLES.replace("G81", "G83").replace("R1", "R1 Q1")),

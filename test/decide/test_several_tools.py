@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,35 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
         assert read.length == pytest.approx(cell.timed_path.toolpath.length, rel=0.01)
     for one in answer["tools"]:  # one after the other the tools leave the part
         assert one["compensated"]["deciding_error_um"] < one["as_programmed"]["deciding_error_um"]
+
+
+JUDGED = Path(__file__).parent / "judged"
+DRILLED = ("sound/drill_alone_g83", "sound/drill_first", "sound/drill_last", "dangerous/rapid_sideways_out_of_a_hole")
+
+
+@pytest.mark.parametrize("name", DRILLED)
+def test_a_drill_gets_one_answer_from_check_of_the_program_and_of_the_tool_and_from_compensate(tmp_path, name):
+    program = JUDGED / f"{name}.nc"
+    (tmp_path / "cell.yaml").write_text(ask("init", "--gcode", str(program)).out)
+    changes = settings(*re.findall(r"\(set: (.*)\)", program.read_text()))
+    sound = name.startswith("sound")
+
+    def stops(command: str, *more) -> dict:
+        answer = answered(command, tmp_path / "cell.yaml", *changes, *more, code=int(not sound))
+        rows = answer.get("tools", [answer])
+        checks = [row.get("check", row) for row in rows]
+        return answer, {f["what"] for one in checks for f in one["findings"] if f["severity"] == "stop"}
+
+    out = tmp_path / "out"
+    answer, compensated = stops("compensate", "--no-verdict", "--gcode", "--out", out)
+    drill = next(row for row in answer.get("tools", [answer]) if row["check"]["notes"])
+    assert compensated == stops("check")[1] == (set() if sound else {"rapid in material"})
+    if "tools" in answer:
+        assert not stops("check", *settings("path.tool=T3"))[1]
+    assert drill["method"] == "none" and drill["as_programmed"]["passes_tolerance"] is (None if sound else False)
+    assert ("not judged: no milled wall or floor" in (out / "MANIFEST.txt").read_text()) == sound
+    assert bool(list(out.glob("krl_*"))) == bool(list(out.glob("gcode_*"))) == sound
+    assert "nan um" not in (out / "report.html").read_text()
 
 
 def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path):

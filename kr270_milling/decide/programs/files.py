@@ -143,7 +143,8 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
     mount, to_kuka = cell.mount, TOOL0.inverse()
     centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
-    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre)
+    spindle = f"{cell.tool.spindle_speed * 30.0 / np.pi:.6g} rpm, {cell.tool.rotation}"
+    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle)
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:

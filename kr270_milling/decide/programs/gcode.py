@@ -82,20 +82,23 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
             "G-code states no joints, so the controller must compensate the sag: compensation.sag_compensated: true"
         )
         raise InputError("--gcode", reason)
-    return read_source(file, {cell.programmed.program.tool for cell in cells})
+    if not all(cell.programmed.program.spindle_speeds for cell in cells):
+        raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
+    return read_source(file, {cell.programmed.program.tool for cell in cells}, float(cells[0].stock.max[2]))
 
 
 def write_gcode(
     directory, jobs: Sequence[tuple[Cell, Trajectory]], *, method: str, date: str, decision: Sequence[str] = (),
     released: bool = True,
 ) -> tuple[Path, list[WrittenGcode]]:  # fmt: skip
-    """Write the program of the cells, one cell a tool, along their revised trajectories; return its path.
+    """Write the program of the cells, one cell a tool, along their revised trajectories; return its path and what was
+    read back of each tool that mills.
 
     method: for the name; date: ISO text; decision: its lines, for the header. A program that is not released has
     NOT_RELEASED in name and header. Raises InputError as ``check_gcode``.
     """
     source = check_gcode([cell for cell, _ in jobs])
-    plans = [_Plan.of(cell, run, source) for cell, run in jobs]
+    plans = [_Plan.of(cell, run, source) for cell, run in jobs if cell.programmed.mills]
     ends = {line: points for plan in plans for line, points in plan.ends.items()}
     hashes = [trajectory_hash(run) for _, run in jobs]
     mark = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()

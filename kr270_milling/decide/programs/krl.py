@@ -65,6 +65,7 @@ class Setup:
     safe_z: float  #: [m], height of the retract in the workpiece frame
     load_mass: float = 0.0  #: [kg], spindle and tool
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
+    spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
 
 
 @dataclass(frozen=True)
@@ -179,6 +180,7 @@ def _head_and_foot(program: Program, setup: Setup) -> list[list[str]]:
         load=f"$LOAD={{M {number(setup.load_mass, 3)},CM {{X {x},Y {y},Z {z},A 0.0,B 0.0,C 0.0}}}}",
         tool=f"{{{frame_text(frame_row(setup.tool))}}}",
         base=f"{{{frame_text(frame_row(setup.base))}}}",
+        spindle=setup.spindle,
         approach_feed=number(max(program.approach_feed, 1e-3), 3),
     )
     return [part.splitlines() for part in text.split("\u00b6\n")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -46,12 +47,17 @@ def run_init(args) -> Answer:
     robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
     find_file(robot)
     if args.gcode is None:
-        text, program = straight_text(robot), None
+        text, program, warnings = straight_text(robot), None, []
     else:
         paths = read_toolpaths(args.gcode, args.tool)
         file, program = _program_of(args), paths[0].program
+        tools = [path.program.current for path in paths if path.program.current]
+        advice = "is not modelled: check stops its program unless tool.type of the cell is flat"
+        warnings = [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}" for tool in tools if tool.shape]
+        for warning in () if args.json else warnings:
+            print(f"warning: {args.gcode}, {warning}", file=sys.stderr)
         text = draft_text(file, paths[0], robot) if len(paths) == 1 else tools_text(file, paths, robot)
-    result = {"cell": text, "program": program and asdict(program), "file": args.out}
+    result = {"cell": text, "program": program and asdict(program), "warnings": warnings, "file": args.out}
     if args.out is None:
         return Answer(result, [text.removesuffix("\n")])
     if Path(args.out).exists():

@@ -6,6 +6,7 @@ The report judges nothing itself: it shows the ``Decision``, the ``Checked`` pat
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -109,6 +110,8 @@ def tiles(
 
 def _tile(label: str, judged: Judgement, quantity: str) -> Tile:
     """Return the tile of one version of the path; quantity: the words of the error that decides."""
+    if math.isnan(judged.error):
+        return Tile(label, *judged.words.split(": "))
     if judged.passes is None:
         return Tile(label, micro(um_text(judged.error)), f"{quantity}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")

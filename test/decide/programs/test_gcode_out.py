@@ -10,7 +10,7 @@ import pytest
 from hostile import refused, settings
 from small_part import small_part, swayed
 
-from kr270_milling.decide.programs.gcode import write_gcode
+from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.gcode.rewriter import read_source
 
@@ -37,6 +37,7 @@ N110 G17 G1 X28 Y10.01 M9
 N120 G0 Z5
 N130 S8000 M3 G81 X28 Y20 Z-2 R1 F300
 N140 X30
+N145 Y22
 N150 G80
 N160 G0 X5 Y20 Z1
 N170 G1 Z-0.3 F600
@@ -142,6 +143,11 @@ MOVE = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\n"
     (MOVE + "G1 X12 F4000\nG91 G0 Z5\nM30\n", [], "part.nc, line 5: the rapid move along Z is incremental"),
     (MOVE + "G1 X12 F4000\nG81 X12 Y0 Z-1 R1\nM30\n", [], "part.nc, line 5: the drilling cycle begins at the end"),
     (MOVE + "G93 G1 X12 F100\nM30\n", [], "part.nc, line 4: a feed in inverse time (G93)"),
+    (MOVE + "G1 X12 F4000\nG28 X0 Y0\nM30\n", [], "line 5: the move home of X Y leaves sideways 0.5 mm below the top"),
+    (MOVE + "G1 X12 F4000\nG91 G28 X0 Y0 Z0\nM30\n", [], "line 5: the move home of X Y Z leaves sideways 0.5 mm below"),
+    (MOVE + "G1 X12 F4000\nG30\nM30\n", [], "line 5: the move home of X Y Z leaves sideways 0.5 mm below the top"),
+    (MOVE + "G1 X12 F4000\nG0 Z-0.1\nG53 G0 X0\nM30\n", [], "line 6: the move home of X leaves sideways 0.1 mm below"),
+    (MOVE.replace(" S8000 M3", "") + "G1 X12 F4000\nM30\n", ["program.spindle_on=[HALT]"], "with the spindle off"),
     (MOVE + "G1 X12 F4000\nM30\n", ["compensation.sag_compensated=false"], "--gcode: G-code states no joints"),
     (None, [], "--gcode: corrected G-code needs path.file"),
 ])  # fmt: skip
@@ -152,3 +158,9 @@ def test_a_program_that_cannot_be_corrected_is_refused_before_a_pass(tmp_path, p
     out = tmp_path / "out"
     words = ["compensate", "paper.yaml", "--verdict", "0", "--gcode", "--out", str(out), *settings(*more)]
     assert message in refused(*words) and not out.exists()
+
+
+@pytest.mark.parametrize("home", ["G0 Z0\nG28 X0 Y0", "G91 G28 Z0\nG28 X0 Y0", "G53 G0 Z0\nG53 X0 Y0", "G30 Z0\nG28"])
+def test_a_tool_that_goes_up_before_it_goes_home_sideways_is_corrected(tmp_path, home):
+    cell = small_part(tmp_path, f"{MOVE}G1 X12 F4000\n{home}\nM30\n")
+    assert len(check_gcode([cell]).moves) >= 3

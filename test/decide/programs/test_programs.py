@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -215,6 +216,17 @@ def test_the_program_starts_and_ends_at_home_with_the_spindle_on_in_between(tmp_
         place = re.search(rf"{name}={{X ({NUMBER}),Y ({NUMBER}),Z ({NUMBER})", text).groups()
         assert [float(v) for v in place] == pytest.approx([*pair[1].position[k, :2] * 1e3, 50.0], abs=1e-4)
     assert "DECL E6AXIS XHOME={A1 0.0000,A2 -90.0000,A3 90.0000,A4 0.0000,A5 0.0000,A6 0.0000," in text
+
+
+@pytest.mark.parametrize("lines", [(), ("HALT",)])
+def test_the_program_halts_where_the_operator_starts_the_spindle(tmp_path, lines):
+    run = swaying(20)[0]
+    spindle = dataclasses.replace(setup(run, run), spindle="8000 rpm, clockwise")
+    write_krl(tmp_path, OWN.replace(spindle_on=lines), spindle, run, run, Heading("1.2.3", "2025-06-01"))
+    steps = Robot(tmp_path, "MILLING_CMP").steps
+    halt = steps.index("HALT")
+    assert "start the spindle by hand (8000 rpm, clockwise)" in steps[halt - 1] and steps.count("HALT") == 1
+    assert steps.index("PTP XHOME") < halt < steps.index("PTP XAPPROACH")
 
 
 # --- The programs of a cell ---

@@ -93,11 +93,35 @@ def test_a_cell_without_a_program_is_a_straight_cut_and_one_of_several_tools_has
     assert "# yours: the arm" in answer["cell"] and answer["program"]["work_offset"] == "G54"
 
 
+HOLE = "(T3 D=6. - drill)\nG21 G90 G54\nT3 M6\nS3000 M3\nG0 X20 Y10 Z15\n{} X20 Y10 Z-12 R{} Q3 F200\nG80\nM30\n"
+
+
+@pytest.mark.parametrize("cycle", ["G81", "G82", "G83", "G73"])
+@pytest.mark.parametrize("retract", [3, -2])
+def test_the_cell_of_a_drill_has_two_lips_and_a_stock_with_the_hole_inside(tmp_path, cycle, retract):
+    (tmp_path / "hole.nc").write_text(HOLE.format(cycle, retract))
+    cell = cell_of(tmp_path, "--gcode", tmp_path / "hole.nc")
+    assert cell.tool.teeth == 2 and cell.tool.diameter == pytest.approx(6e-3)
+    np.testing.assert_allclose(1e3 * cell.stock.min, [12, 2, -17], atol=1e-9)  # 3 mm of drill and 5 mm
+    np.testing.assert_allclose(1e3 * cell.stock.max, [28, 18, 0], atol=1e-9)
+
+
+def test_init_reports_tools_that_are_not_modelled_and_refuses_a_tilted_one(tmp_path):
+    (tmp_path / "ball.nc").write_text(SLOT.replace("flat", "ball").replace("S6000", "T1 M6 S6000"))
+    answer = ask("init", "--gcode", str(tmp_path / "ball.nc"), "--out", str(tmp_path / "ball.yaml"))
+    assert answer.code == 0 and "line 3: T1 (ball end mill, 10 mm), a ball-end mill, is not modelled" in answer.err
+    (tmp_path / "tilted.apt").write_text("UNITS/MM\nMULTAX/ON\nFEDRAT/500,MMPM\nGOTO/0,0,5,0,0,1\nGOTO/9,0,0,0.6,0,0.8\nFINI\n")
+    (tmp_path / "axes.nc").write_text(SLOT.replace("X-2 F", "X-2 A30 F"))
+    for name, message in (("tilted.apt", "tilted by 36.87 deg"), ("axes.nc", "A30: post a 3-axis program")):
+        assert message in refused("init", "--gcode", str(tmp_path / name), "--out", str(tmp_path / "no.yaml"))
+    assert not (tmp_path / "no.yaml").exists()
+
+
 # --- keys ---
 def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
     rows = {row["key"]: row for row in keys_of()}
     shipped = set(flatten(read_cell(TEST_PIECE.with_suffix(".yaml"))))
-    assert shipped < set(rows) and all(key.startswith("cutting.fractional") for key in set(rows) - shipped)
+    assert shipped < set(rows) and all(key.startswith(("cutting.fractional", "workpiece.table_z")) for key in set(rows) - shipped)
     assert len(rows) == len(keys_of())
     for key, row in rows.items():
         assert row["text"] and key.endswith(row["unit"]), key

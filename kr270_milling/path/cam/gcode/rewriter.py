@@ -6,6 +6,7 @@ G3) becomes G1 blocks; its N number, its other words and its comments stay.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -22,8 +23,10 @@ __all__ = ["GcodeSource", "SourceMove", "read_source"]
 
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PER_MINUTE = "a feed in inverse time (G93) holds for the whole block; post the program with feeds per minute (G94)"
+SIDEWAYS = "{} leaves sideways {:.4g} mm below the top of the stock; retract in Z first, in a block of its own"
 UNPLACED = "the drilling cycle begins at the end of a feed move; write a rapid move to X, Y and Z before it"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
+DEEP = 1e-6  #: [m], below the top of the stock: rounding of a height
 #: words that end a block: they stay on the last of its new blocks
 ENDING = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
 
@@ -41,6 +44,7 @@ class _Watch(Interpreter):
     """Notes the move of a line; refuses a move of a corrected tool that the corrected program would change."""
 
     tools: Collection[str] = ()
+    top = -math.inf  #: [m], of the stock
     move_of_line: SourceMove | None = None
 
     def __init__(self, program: ProgramBuilder, feed: float, changes: bool):
@@ -67,6 +71,13 @@ class _Watch(Interpreter):
         if relative and self.move_of_line and self.move_of_line.kind == "rapid":
             self._refuse(f"the rapid move along {relative[0]} {ABSOLUTE}")
 
+    def home(self, axes: list[str]) -> None:
+        """Refuse to leave sideways at cutting depth: the model retracts first, but a machine moves these axes."""
+        depth = self.top - self.position[2]
+        if not {"X", "Y"}.isdisjoint(axes) and depth > DEEP and not self.program.away:
+            self._refuse(SIDEWAYS.format(" ".join(["the move home of", *axes]), 1e3 * depth))
+        super().home(axes)
+
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
         if self.incremental:
             self._refuse(f"the move {ABSOLUTE}")
@@ -80,9 +91,8 @@ class _Watch(Interpreter):
             self._refuse(f"the drilling cycle {ABSOLUTE}")
         if "Z" in self._corrected or not self._corrected <= axes.keys():
             self._refuse(UNPLACED)
-        given = set(axes)
         super()._drill(kind, axes)
-        self._note("cycle", given)
+        self._note("cycle", "XYZ")
 
 
 @dataclass(frozen=True)
@@ -120,15 +130,16 @@ class GcodeSource:
         return next(named, 0)
 
 
-def read_source(path, tools: Collection[str]) -> GcodeSource:
+def read_source(path, tools: Collection[str], top: float = -math.inf) -> GcodeSource:
     """Read a program whose lines are to be rewritten for some of its tools, ``""`` for a program without tools.
 
-    Raises InputError for incremental moves and feeds in inverse time of these tools.
+    top [m]: of the stock. Raises InputError for incremental moves, feeds in inverse time, and moves home sideways below
+    the top of these tools.
     """
     lines = read_lines(path)
     program = ProgramBuilder(path, "")
     machine = _Watch(program, 0.0, changes_by_m6(lines))
-    machine.tools = tools
+    machine.tools, machine.top = tools, top
     reader = GcodeReader(program, machine)
     moves: dict[int, SourceMove] = {}
     for program.line, line in enumerate(lines, 1):

@@ -1,0 +1,16 @@
+(expect: stop in the fixture)
+(set: cutting.detail=engagement)
+(set: stock.min_mm=[0,0,-15])
+(set: stock.max_mm=[60,40,0])
+(set: workpiece.fixtures_mm=[50,10,-15,60,30,8])
+(T3 D=6. - drill)
+G21 G90 G17 G54
+T3 M6
+S3000 M3
+G0 X45 Y20 Z15
+G81 Z-10 R3 F200
+X55
+G80
+G0 Z20
+M5
+M30

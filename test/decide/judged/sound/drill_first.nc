@@ -1,0 +1,22 @@
+(expect: may be run)
+(set: cutting.detail=engagement)
+(set: stock.min_mm=[0,0,-15])
+(set: stock.max_mm=[60,40,0])
+(T3 D=6. - drill)
+(T1 D=10. CR=0. - flat end mill 2 flutes)
+G21 G90 G17 G54
+T3 M6
+S3000 M3
+G0 X45 Y20 Z15
+G98 G83 Z-12 R3 Q3 F200
+G80
+G0 Z20
+M5
+T1 M6
+S6000 M3
+G0 X-8 Y20 Z5
+Z-2
+G1 X30 F1500
+G0 Z20
+M5
+M30

@@ -1,0 +1,16 @@
+(expect: may be run)
+(set: cutting.detail=engagement)
+(set: stock.min_mm=[0,0,-15])
+(set: stock.max_mm=[60,40,0])
+(T1 D=10. CR=0. - flat end mill 2 flutes)
+G21 G90 G17 G54
+T1 M6
+S6000 M3
+G0 X-8 Y20 Z5
+Z-2
+G1 X30 F1500
+G91 G28 X0 Y0
+G90
+G0 Z20
+M5
+M30

@@ -1,0 +1,31 @@
+(expect: may be run)
+(set: cutting.detail=engagement)
+(set: stock.min_mm=[0,0,-15])
+(set: stock.max_mm=[60,40,0])
+(T1 D=10. CR=0. - flat end mill 2 flutes)
+G21 G90 G17 G54
+T1 M6
+S6000 M3
+G0 X30 Y20 Z5
+G1 Z-2 F200
+G1 X36 F1500
+G3 X36 Y20 I-6 J0
+G1 X30
+G1 Z-4 F200
+G1 X36 F1500
+G3 X36 Y20 I-6 J0
+G1 X30
+G1 Z-6 F200
+G1 X36 F1500
+G3 X36 Y20 I-6 J0
+G1 X30
+G1 Z-8 F200
+G1 X36 F1500
+G3 X36 Y20 I-6 J0
+G1 X30
+G1 Z-10 F200
+G1 X36 F1500
+G3 X36 Y20 I-6 J0
+G0 Z20
+M5
+M30
