@@ -1,4 +1,4 @@
-"""Programs that must be stopped, and programs that must not: each file says what ``check`` answers (judged/README.md)."""
+"""Programs that must or must not be stopped: each file has the answer of ``check`` (see judged/README.md)."""
 
 from __future__ import annotations
 
