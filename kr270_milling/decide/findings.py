@@ -133,7 +133,7 @@ KINDS = {
         "Set tool.diameter_mm, or post the program for this cutter."),
     "tool shape": Kind("mm",
         "the program is for {label}, a {shape}, but floors and forces are those of a flat end mill",
-        "Set tool.type: flat if the cutter is flat; another shape is not modelled."),
+        "Set tool.type: flat if the cutter is flat and the comment is wrong; another shape is not modelled."),
     "spindle off": Kind("rpm",
         "the program never starts the spindle; the cell assumes {rpm:.6g} rpm",
         "Write S and M3 before the first cut, or start the spindle by program.spindle_on.", "warning"),
