@@ -120,6 +120,10 @@ def _program(cell: Cell) -> list[Violation]:
         severity = "stop" if other else "warning"
         findings.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
                                label=tool.label))  # fmt: skip
+    if cell.stage and cell.stage.same_tip and not tool.length_offset:
+        x, y, z = 1e3 * cell.mount.xyz
+        tip = f"[{x:g}, {y:g}, {z:g}]"
+        findings.append(violation("tool length", 0.0, 0.0, line=tool.line, label=tool.label, tip=tip))
     if tool.shape and cell.tool.type != "flat" and not (tool.shape in AXIAL_KINDS and _along_axis(cell, path)):
         findings.append(violation("tool shape", tool.corner_radius, 0.0, line=tool.line, label=tool.label,
                                shape=tool.shape))  # fmt: skip

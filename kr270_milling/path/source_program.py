@@ -80,6 +80,7 @@ class SourceProgram:
     tools: tuple[ProgramTool, ...] = ()  #: all tools of the program
     spindle_speeds: tuple[float, ...] = ()  #: [rad/s], of the cutting moves, negative counterclockwise; 0 is left out
     feeds: tuple[float, ...] = ()  #: [m/s], of the cutting moves
+    feed_units: tuple[str, ...] = ()  #: of the F words, such as "mm a minute"
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[ReadOver, ...] = ()

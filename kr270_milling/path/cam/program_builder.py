@@ -41,6 +41,7 @@ class ProgramBuilder(PathBuilder):
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: what words, not comments, say of tools
+        self.feed_units: dict[str, None] = {}  #: of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self._before_change = 0  #: number of comments up to the last move
         self._tools: dict[str, int] = {}  #: name -> line of its first change
@@ -158,6 +159,7 @@ class ProgramBuilder(PathBuilder):
             tools=tools,
             spindle_speeds=tuple(speed for speed in speeds if speed),
             feeds=tuple(np.unique(columns["feed"][cutting]).tolist()),
+            feed_units=tuple(self.feed_units),
             work_offset=next(filter(None, offsets), self.offset),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(ReadOver(word, count) for word, count in self.silent.most_common()),
