@@ -260,7 +260,7 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
 
 def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
     """Programmed feeds per tooth, where the tool cuts, beyond what its maker or any maker gives."""
-    tool, timed, most = cell.tool, cell.timed_path, "what makers give for aluminium"
+    tool, timed, source = cell.tool, cell.timed_path, "by what makers give for aluminium"
     programmed = cell.feed_rate if timed is None else timed.toolpath.feed[met.block]
     feed = np.where(
         (met.depth > ROUNDING) & ~met.rapid, programmed * 2.0 * np.pi / tool.spindle_speed / tool.teeth, 0.0
@@ -268,8 +268,8 @@ def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
     units = timed.toolpath.program.feed_units if timed else ()
     limit, usual = min(MOST_FEED * tool.diameter, LARGEST_FEED), min(USUAL_FEED * tool.diameter, LARGEST_USUAL_FEED)
     if tool.max_feed_per_tooth:
-        limit, usual, most = tool.max_feed_per_tooth, math.inf, "the cutter takes"
-    words = {"most": most, "cause": f"; F is read in {' and '.join(units)}" if units else ""}
+        limit, usual, source = tool.max_feed_per_tooth, math.inf, "by tool.max_feed_per_tooth_mm"
+    words = {"source": source, "cause": f"; F is read in {' and '.join(units)}" if units else ""}
     over = feed >= limit * (1.0 + ROUNDING if tool.max_feed_per_tooth else 1.0 - ROUNDING)
     results = violations("feed per tooth", feed, limit, over, points=points, block=met.block, **words)
     if results:
@@ -319,17 +319,14 @@ def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]
     move = np.diff(met.position, axis=0, prepend=met.position[:1])
     steep = (-move[:, 2] > PLUNGE * np.linalg.norm(move, axis=1)) & (met.sunk > 0.0)
     tool, where = cell.tool, {"points": points, "block": met.block}
-    results = violations("plunge", met.sunk, 0.0, steep, how="plunges", most="", **where)
+    results = violations("plunge", met.sunk, 0.0, steep, part="cutter plunges", most="", **where)
     core = core_radius(tool.radius)
-    solid = 2.0 * core * SOLID_RAMP
+    solid, part = 2.0 * core * SOLID_RAMP, f"middle of the cutter, {2e3 * core:.3g} mm wide, sinks"
     limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if tool.diameter >= LEAST_INSERTS else solid
     for allowed, severity in ((limit, "stop"), (solid, "warning")):
         if not results:
-            words = {
-                "how": f"sinks with its middle of {2e3 * core:.3g} mm",
-                "most": f", {1e3 * allowed:.2g} mm at most",
-            }
-            results = violations("plunge", met.sunk, allowed, severity=severity, **words, **where)
+            most = f"; makers allow {1e3 * allowed:.2g} mm"
+            results = violations("plunge", met.sunk, allowed, severity=severity, part=part, most=most, **where)
     return results
 
 

@@ -125,8 +125,18 @@ def _program(cell: Cell) -> list[Violation]:
         tip = f"[{x:g}, {y:g}, {z:g}]"
         findings.append(violation("tool length", 0.0, 0.0, line=tool.line, label=tool.label, tip=tip))
     if tool.shape and cell.tool.type != "flat" and not (tool.shape in AXIAL_KINDS and _along_axis(cell, path)):
-        findings.append(violation("tool shape", tool.corner_radius, 0.0, line=tool.line, label=tool.label,
-                               shape=tool.shape))  # fmt: skip
+        article = "an" if tool.shape[0] in "aeiou" else "a"
+        findings.append(
+            violation(
+                "tool shape",
+                tool.corner_radius,
+                0.0,
+                line=tool.line,
+                label=tool.label,
+                shape=tool.shape,
+                article=article,
+            )
+        )
     return findings
 
 

@@ -1,5 +1,6 @@
 (expect: warning tool length)
 (set: cutting.detail=engagement)
+(set: exchange.engagement_period_ms=1)
 G21 G90 G17
 (T1 D=10. CR=0. - FLAT END MILL)
 (T2 D=10. CR=0. - FLAT END MILL)
