@@ -321,7 +321,11 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
     order = in_program_order(tuple(by_tool), next(iter(by_tool.values())).programmed.program, path)
     cells = [by_tool[name] for name in order]
     cut = [cell.programmed_removal for cell in cells]
-    stages = [Stage(order[k], k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :])) for k in range(len(cells))]
+    tips = [cell.mount.xyz.tolist() for cell in cells]
+    stages = [
+        Stage(order[k], k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :]), tips[k] in tips[:k])
+        for k in range(len(cells))
+    ]
     staged = [_staged(cell, stage, path) for cell, stage in zip(cells, stages, strict=True)]
     return tuple(cell for cell in staged if chosen in ("", cell.path.tool))
 

@@ -41,6 +41,7 @@ class Stage:
     count: int  #: of the tools
     earlier: tuple[Removal, ...] = ()  #: in the order of the program
     later: tuple[Removal, ...] = ()
+    same_tip: bool = False  #: the mount of an earlier tool has the same tip
 
     @property
     def suffix(self) -> str:

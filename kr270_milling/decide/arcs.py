@@ -105,11 +105,11 @@ def _lower_outside(grid, radius, path, k):
     """
     last, place = path[max(k - 1, 0)], path[k]
     if k > 0 and place[2] < last[2]:  # the same way back: what it finds cut is what the tool has not left yet
-        lower(grid, grid.depth, radius, 0.0, place, last, True)
+        lower(grid, grid.depth, radius, place, last, True)
         return
     if k > 1 and last[2] < path[k - 2, 2]:
-        lower(grid, grid.depth, radius, 0.0, last, last, False)
-    lower(grid, grid.depth, radius, 0.0, last, place, k > 0)
+        lower(grid, grid.depth, radius, last, last, False)
+    lower(grid, grid.depth, radius, last, place, k > 0)
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.findings import Violation, stretches, violation, violations
-from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, on_map
+from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 
@@ -31,10 +31,29 @@ __all__ = [
 NODES_PER_RADIUS = 50  #: of the height map, along its axes
 MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
 MOST_NODES = 2e7  #: of the height map; a small cutter in a large stock takes a coarser map
-CORE = 0.2  #: share of the radius about the axis where a cutter that is not centre-cutting has no edge
 SAME_AXIS = 1e-9  #: [m], sideways, of a move along the tool axis
-PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
-UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
+#: sine of the slope above which a way down is a plunge: no maker allows a steeper ramp without centre cutting, 20 deg
+#: [Kyocera 2021-2022, p. M136: MEAS cutters for aluminium, 20 deg at 25 mm to 6 deg at 50 mm]
+PLUNGE = math.sin(math.radians(20.0))
+SOLID_RAMP = math.tan(math.radians(5.0))  #: 2 to 5 deg for solid end mills [carbide-tooling.com, ramping angle]
+INSERT_RAMP = math.tan(math.radians(20.0))
+LEAST_INSERTS = 16e-3  #: [m], assumed: a cutter of inserts that is smaller has no room for them
+#: [m]; the same page: a bore of 2 D - 16 mm at least, so that the inserts cut 8 mm of the radius, and 3.5 mm a turn at
+#: most, the depth of the hollow: its angles are those whose ramp sinks 3.5 mm over the width of the core, within 6 %
+INSERT_WIDTH, HOLLOW = 8e-3, 3.5e-3
+#: [m], and share of the radius: the centre hole in the end of a solid mill, DIN 332-1 A (4.25 mm wide at 10 mm)
+CENTRE_HOLE, CENTRE_SHARE = 2e-3, 0.4
+#: share of the diameter, and [m], a tooth. Makers give 0.005 to 0.02 of the diameter for aluminium (Tungaloy 2020-2021,
+#: VEE: 0.03 to 0.17 mm at 5 to 20 mm), at most 0.41 mm for any cutter (Mitsubishi 2020-2021, 0.016 in for up to 125 mm)
+USUAL_FEED, LARGEST_USUAL_FEED = 0.03, 0.41e-3
+#: assumed: five times those shares; and 2.3 times that feed, as thin chips allow at a width of 5 % of the diameter
+MOST_FEED, LARGEST_FEED = 0.1, 0.94e-3
+#: [N/m^2]. Cemented carbide: the largest stress of rotating bending tests (Stephenson 1984, Loughborough: 700 to 1400
+#: N/mm2), 70 % of a flexural strength of 2000 N/mm2 at 10^7 cycles (Nakajima 2007). High-speed steel: assumed
+CARBIDE_STRENGTH, STEEL_STRENGTH = 1400e6, 1000e6
+CARBIDE_MODULUS = 400e9  #: [N/m^2], above that of any steel
+HOLDER_WALL = 3e-3  #: [m], assumed: around the shank, of a slim shrink-fit chuck; a wider holder meets more
+BODY_EVERY = 8  #: places between two at which shank and holder are compared with the material
 FEWEST_TEETH = 60  #: in one stretch of cutting; fewer say nothing about growth
 CHATTERS = 0.02  #: share of the feed per tooth, root mean square
 #: limit over grid step per feed per tooth; the grid makes a stable pocket ring by 0.016 to 0.019 of it (measured at
@@ -55,7 +74,9 @@ class Engagement:
     series: np.ndarray  #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move; (m,)
     depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
     inner: np.ndarray  #: deepest material that a rapid move meets within a smaller radius, see ``engagement`` [m], (m,)
-    core: np.ndarray  #: deepest material above the tip about the tool's axis [m], (m,)
+    sunk: np.ndarray  #: largest depth that material lost while it was below the core of a cutter with one [m], (m,)
+    shank: np.ndarray  #: depth of the shank in material [m], (m,)
+    holder: np.ndarray  #: depth of the holder in material [m], (m,)
     margin: np.ndarray  #: [m], (m,), up to which ``inner`` is no contact
     volume: np.ndarray  #: that rapid moves remove on the way to the place [m^3], (m,)
 
@@ -75,7 +96,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     timed = cell.timed_path
     rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
-    depth, inner, core, volume = met = np.zeros((4, len(position)))
+    depth, inner, volume, sunk, shank, holder = met = np.zeros((6, len(position)))
     radius = float(cell.tool.radii.max())
     moved, sideways, lengthwise = position, 0.0, np.zeros(len(position))
     if ran is not None:
@@ -85,13 +106,18 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         x, y, z = (np.interp(at_ns, passed.time_ns, passed.deflection[:, k]) for k in range(3))
         leaves, again = _along_axis(position, rapid, math.hypot(0.5 * step, cell.limits.rapid_contact))
         sideways, lengthwise = np.where(leaves | again, np.hypot(x, y), 0.0), np.where(leaves, np.abs(z), 0.0)
-    grid = height_map(cell.stock, step, moved, radius)
+    bodies = _bodies(cell, position) if ran is None else np.zeros((0, 2))
+    core = core_radius(radius) if ran is None and not cell.tool.centre_cutting else 0.0
+    grid = height_map(cell.stock, step, moved, max([radius, *bodies[:, 0]]))
     moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
         lower_along(grid, removal.radius, on_map(removal.programmed if ran is None else removal.actual))
     narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0) * np.ones(len(position))
-    _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, CORE * radius), narrow, met)
-    return Engagement(position, time, rapid, block, series, depth, inner, core, margin + lengthwise, volume)
+    lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
+    _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, core), narrow, bodies, lost, met)
+    return Engagement(
+        position, time, rapid, block, series, depth, inner, sunk, shank, holder, margin + lengthwise, volume
+    )
 
 
 def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
@@ -109,24 +135,48 @@ def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[n
     return leaves, again
 
 
+def core_radius(radius: float) -> float:
+    """Radius of the middle without edge of a cutter of a radius that is not centre-cutting [m]."""
+    return max(min(CENTRE_SHARE * radius, CENTRE_HOLE), radius - INSERT_WIDTH)
+
+
+def _bodies(cell: Cell, position: np.ndarray) -> np.ndarray:
+    """Radius of shank and holder and their height above the tip [m], (2, 2); an infinite height: meets nothing."""
+    tool, deepest = cell.tool, float(cell.stock.max[2] - position[:, 2].min())
+    radius = (tool.shank_diameter or tool.diameter) / 2.0
+    bodies = np.array([[radius, tool.flute_length], [radius + HOLDER_WALL, tool.stick_out]])
+    if radius <= tool.radius:
+        bodies[0, 1] = 0.0
+    bodies[(bodies[:, 1] == 0.0) | (bodies[:, 1] >= deepest)] = 0.0, math.inf
+    return bodies
+
+
 @njit(cache=True)
-def _meet(grid, ahead, path, series, radii, narrow, met):
+def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
     """Fill ``met`` with what the tool meets on the way to each place, and lower the map.
 
     A series of rapid moves runs twice: first with the smaller radius ``narrow`` of each place on the map ``ahead``,
     against the material before the series.
     """
-    depth, inner, core, volume = met
+    depth, inner, volume, sunk = met[:4]
     for k in range(path.shape[0]):
         last, count = path[max(k - 1, 0)], path.shape[0]
         if series[k] and (k == 0 or series[k] != series[k - 1]):
             n = k
             while n < count and series[n] == series[k]:
                 cleared = n > 0 and (n == k or narrow[n] <= narrow[n - 1])
-                inner[n] = lower(grid, ahead, narrow[n], 0.0, path[max(n - 1, 0)], path[n], cleared)[0]
+                inner[n] = lower(grid, ahead, narrow[n], path[max(n - 1, 0)], path[n], cleared)[0]
                 n += 1
-        depth[k], core[k], removed = lower(grid, grid.depth, radii[0], radii[1], last, path[k], k > 0)
+        depth[k], removed = lower(grid, grid.depth, radii[0], last, path[k], k > 0)
         volume[k] = removed if series[k] else 0.0
+        if radii[1] > 0.0:
+            sunk[k] = near_axis(grid, lost, radii[1], path[k], k)[0]
+        below = grid.top - path[k, 2]
+        for n in range(bodies.shape[0]):
+            upright = path[k, 0] == last[0] and path[k, 1] == last[1]
+            if below > bodies[n, 1] and (upright or k % BODY_EVERY == 0):
+                highest = near_axis(grid, lost[:, :0, :0], bodies[n, 0], path[k], k)[1]
+                met[4 + n, k] = max(0.0, below - bodies[n, 1] - highest)
 
 
 def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -156,7 +206,7 @@ def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violati
     """What the simulated pass along ``run``, and the programmed path in the stock, show; by the points of ``run``."""
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
-    return _spindle(cell, run, ran) + _tool(cell) + contact_violations(cell, run, ran)
+    return _spindle(cell, run, ran) + _tool(cell, run, ran) + contact_violations(cell, run, ran)
 
 
 def spring_back(cell: Cell, ran: ScoredPass) -> float:
@@ -169,26 +219,30 @@ def spring_back(cell: Cell, ran: ScoredPass) -> float:
 
 
 def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
-    knot = np.clip(np.searchsorted(run.time_ns, ran.result.time_ns), 1, len(run) - 1)  # the one that is next
-    torque = np.zeros(len(run))
-    np.maximum.at(torque, knot, ran.result.torque)
+    torque = _by_points(run, ran, ran.result.torque)
     results = violations("spindle torque", torque, cell.limits.spindle_torque)
     return results + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
 
 
-def _tool(cell: Cell) -> list[Violation]:
-    """Feed per tooth and cutting speed, from the fastest cutting move."""
+def _by_points(run: Trajectory, ran: ScoredPass, values: np.ndarray) -> np.ndarray:
+    """The largest value of a pass on the way to each point of ``run``, (n,)."""
+    knot = np.clip(np.searchsorted(run.time_ns, ran.result.time_ns), 1, len(run) - 1)  # the one that is next
+    most = np.zeros(len(run))
+    np.maximum.at(most, knot, values)
+    return most
+
+
+def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+    """Cutting speed, and the bending stress of the tool by the lateral force of the pass."""
     tool, results = cell.tool, []
-    teeth_a_second = tool.spindle_speed / (2.0 * np.pi) * tool.teeth
-    feed, speed = cell.feed_rate / teeth_a_second, tool.spindle_speed * tool.radius
-    if tool.max_feed_per_tooth and feed > tool.max_feed_per_tooth:
-        results.append(violation("feed per tooth", feed, tool.max_feed_per_tooth, most="the cutter takes"))
-    elif feed > (unlikely := UNLIKELY_FEED * tool.diameter):
-        most = "a quarter of the cutter's diameter"
-        results.append(violation("feed per tooth", feed, unlikely, severity="warning", most=most))
+    speed = tool.spindle_speed * tool.radius
     if tool.max_cutting_speed and speed > tool.max_cutting_speed:
         results.append(violation("cutting speed", speed, tool.max_cutting_speed))
-    return results
+    # in a slot the teeth of a cutter with less than four feel 4 / teeth times the mean force, see _bending
+    peak = max(1.0, 4.0 / tool.teeth) if cell.by_engagement else 1.0
+    stress = peak * tool.bending_stress * np.linalg.norm(ran.result.wrench[:, :2], axis=1)
+    limit = CARBIDE_STRENGTH if tool.modulus > CARBIDE_MODULUS else STEEL_STRENGTH
+    return results + violations("tool bending", _by_points(run, ran, stress), limit)
 
 
 def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
@@ -215,7 +269,8 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
     table = cell.workpiece.table_z
     under = _over(met, low, high, radius) | math.isnan(table)
     results = []
-    for subject, level, most, here in (("the bottom of the stock", low[2], below, under), ("the table", table, 0.0, True)):
+    floors = ("the bottom of the stock", low[2], below, under), ("the table", table, 0.0, True)
+    for subject, level, most, here in floors:
         beneath = np.where(here, level - met.position[:, 2], -np.inf)
         results += violations(
             "below the stock", beneath, most, beneath > most + 1e-9, points=points, block=met.block, subject=subject
@@ -227,10 +282,31 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
         )  # fmt: skip
     if flutes:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
-    if not cell.tool.centre_cutting:
-        depth, over = _plunges(met)
-        results += violations("plunge", depth, 0.0, over, points=points, block=met.block)
+    for subject, depth in (("shank", met.shank), ("holder", met.holder)):
+        results += violations(
+            "tool body", depth, 0.0, depth > ROUNDING, points=points, block=met.block, subject=subject
+        )  # fmt: skip
+    results += _feed(cell, met, points) + _plunges(cell, met, points)
     return rapid_violations(run, met), results
+
+
+def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
+    """Programmed feeds per tooth, where the tool cuts, beyond what its maker or any maker gives."""
+    tool, timed, source = cell.tool, cell.timed_path, "by what makers give for aluminium"
+    programmed = cell.feed_rate if timed is None else timed.toolpath.feed[met.block]
+    feed = np.where(
+        (met.depth > ROUNDING) & ~met.rapid, programmed * 2.0 * np.pi / tool.spindle_speed / tool.teeth, 0.0
+    )
+    units = timed.toolpath.program.feed_units if timed else ()
+    limit, usual = min(MOST_FEED * tool.diameter, LARGEST_FEED), min(USUAL_FEED * tool.diameter, LARGEST_USUAL_FEED)
+    if tool.max_feed_per_tooth:
+        limit, usual, source = tool.max_feed_per_tooth, math.inf, "by tool.max_feed_per_tooth_mm"
+    words = {"source": source, "cause": f"; F is read in {' and '.join(units)}" if units else ""}
+    over = feed >= limit * (1.0 + ROUNDING if tool.max_feed_per_tooth else 1.0 - ROUNDING)
+    results = violations("feed per tooth", feed, limit, over, points=points, block=met.block, **words)
+    if results:
+        return results
+    return violations("feed per tooth", feed, usual, points=points, block=met.block, severity="warning", **words)
 
 
 def _points(run: Trajectory, met: Engagement) -> np.ndarray:
@@ -267,13 +343,23 @@ def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> 
     return np.hypot(*beside.T) < radius
 
 
-def _plunges(met: Engagement) -> tuple[np.ndarray, np.ndarray]:
-    """Steep ways down into material: depth of the whole way so far [m] and whether it is one, (m,) each."""
+def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
+    """Steep ways down into material, and ramps and helices whose core sinks deeper than makers allow.
+
+    On a ramp of an angle a the core of a radius r is over a place of the floor for a way of 2 r, and sinks 2 r tan(a).
+    """
     move = np.diff(met.position, axis=0, prepend=met.position[:1])
-    steep = -move[:, 2] > PLUNGE * np.linalg.norm(move, axis=1)
-    over = steep & (met.core > 0.0)
-    so_far = np.cumsum(np.where(over, met.core, 0.0))
-    return so_far - np.maximum.accumulate(np.where(over, 0.0, so_far)), over
+    steep = (-move[:, 2] > PLUNGE * np.linalg.norm(move, axis=1)) & (met.sunk > 0.0)
+    tool, where = cell.tool, {"points": points, "block": met.block}
+    results = violations("plunge", met.sunk, 0.0, steep, part="cutter plunges", most="", **where)
+    core = core_radius(tool.radius)
+    solid, part = 2.0 * core * SOLID_RAMP, f"middle of the cutter, {2e3 * core:.3g} mm wide, sinks"
+    limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if tool.diameter >= LEAST_INSERTS else solid
+    for allowed, severity in ((limit, "stop"), (solid, "warning")):
+        if not results:
+            most = f"; makers allow {1e3 * allowed:.2g} mm"
+            results = violations("plunge", met.sunk, allowed, severity=severity, part=part, most=most, **where)
+    return results
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numba import njit
 
 from kr270_milling.physics.cutting import Stock
 
-__all__ = ["HeightMap", "MAP_TURN", "ROUNDING", "chord", "height_map", "lower", "lower_along", "on_map"]
+__all__ = ["HeightMap", "MAP_TURN", "ROUNDING", "chord", "height_map", "lower", "lower_along", "near_axis", "on_map"]
 
 #: [rad], from x of the workpiece to the first axis of the map. The tangent is the golden ratio less 1: no wall along x,
 #: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
@@ -75,34 +75,33 @@ def chord(away_x, y, square, origin, step):
 
 
 @njit(cache=True)
-def lower(grid, depth, radius, core, start, end, cleared):
+def lower(grid, depth, radius, start, end, cleared):
     """Lower the nodes of ``depth`` to the end of the tool on a straight way from one place (3,) to another.
 
     Only nodes count that neither ``depth`` nor ``grid`` has as deep. cleared: whether all nodes within the radius of
-    the start are that deep. Returns the deepest material of ``grid`` within the radius and within ``core`` of the axis
-    [m], and its volume [m^3].
+    the start are that deep. Returns the deepest material of ``grid`` within the radius [m], and its volume [m^3].
     """
     parts = 1 + int(math.hypot(end[0] - start[0], end[1] - start[1]) / grid.step)
-    deepest = at_axis = volume = 0.0
+    deepest = volume = 0.0
     x, y, below = start[0], start[1], grid.top - start[2]
     for k in range(parts):
         share = (k + 1.0) / parts
         to_x, to_y = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
         to_below = grid.top - start[2] - share * (end[2] - start[2])
         if max(below, to_below) > 0.0:
-            part = _lower(grid, depth, radius, core, x, y, below, to_x, to_y, to_below, cleared or k > 0)
-            deepest, at_axis, volume = max(deepest, part[0]), max(at_axis, part[1]), volume + part[2]
+            part = _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared or k > 0)
+            deepest, volume = max(deepest, part[0]), volume + part[1]
         x, y, below = to_x, to_y, to_below
-    return deepest, at_axis, volume
+    return deepest, volume
 
 
 @njit(cache=True)
-def _lower(grid, depth, radius, core, x, y, below, to_x, to_y, to_below, cleared):
+def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     """``lower`` on a way of at most one node; below, to_below: depths of the tip at its ends."""
     step, square, move_x, move_y = grid.step, radius**2, to_x - x, to_y - y
     way, most = move_x**2 + move_y**2, max(below, to_below)
     cleared = cleared and to_below <= below  # the tool is nowhere deeper than at the start
-    deepest = at_axis = volume = 0.0
+    deepest = volume = 0.0
     first_i = max(int((min(x, to_x) - radius - grid.x) / step), 0)
     for i in range(first_i, min(int((max(x, to_x) + radius - grid.x) / step) + 2, depth.shape[0])):
         away_x = grid.x + i * step - x
@@ -126,11 +125,9 @@ def _lower(grid, depth, radius, core, x, y, below, to_x, to_y, to_below, cleared
             tip = _deepest(along, beside, way, square, below, to_below)
             if max(before, depth[i, j]) + ROUNDING < tip:
                 deepest = max(deepest, tip - before)
-                if (away_x - move_x) ** 2 + (away_y - move_y) ** 2 < core**2:
-                    at_axis = max(at_axis, tip - before)
                 volume += (tip - before) * step**2
                 depth[i, j] = tip
-    return deepest, at_axis, volume
+    return deepest, volume
 
 
 @njit(cache=True, inline="always")
@@ -152,7 +149,32 @@ def _deepest(along, beside, way, square, below, to_below):
 
 
 @njit(cache=True)
+def near_axis(grid, lost, radius, place, number):
+    """Return the largest depth that a node lost while the axis of the tool stayed near [m], and the least depth [m].
+
+    Near is within ``radius`` of ``place``. lost: depth of each node when the axis came near, and the number of the
+    last place that was near, (2, n, m); number: of this place, one more than that of the place before.
+    """
+    most, least = 0.0, np.inf
+    first_i = max(int((place[0] - radius - grid.x) / grid.step), 0)
+    for i in range(first_i, min(int((place[0] + radius - grid.x) / grid.step) + 2, grid.depth.shape[0])):
+        away_x = grid.x + i * grid.step - place[0]
+        first_j, last_j = chord(away_x, place[1], radius**2, grid.y, grid.step)
+        for j in range(max(first_j, grid.first[i]), min(last_j + 1, grid.end[i])):
+            if away_x**2 + (grid.y + j * grid.step - place[1]) ** 2 >= radius**2:
+                continue
+            least = min(least, grid.depth[i, j])
+            if lost.shape[1] == 0:
+                continue
+            if lost[1, i, j] != number - 1:
+                lost[0, i, j] = grid.depth[i, j]
+            lost[1, i, j] = number
+            most = max(most, grid.depth[i, j] - lost[0, i, j])
+    return most, least
+
+
+@njit(cache=True)
 def lower_along(grid, radius, path):
     """Lower the map along straight ways through the places (m, 3) of a tool."""
     for k in range(path.shape[0]):
-        lower(grid, grid.depth, radius, 0.0, path[max(k - 1, 0)], path[k], k > 0)
+        lower(grid, grid.depth, radius, path[max(k - 1, 0)], path[k], k > 0)

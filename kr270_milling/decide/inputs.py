@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import functools
-import math
 
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.path.cam.comments import AXIAL_KINDS
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import LinearEdgeLaw
 from kr270_milling.physics.cutting.materials import materials
@@ -119,10 +119,31 @@ def _program(cell: Cell) -> list[Violation]:
         severity = "stop" if other else "warning"
         findings.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
                                label=tool.label))  # fmt: skip
-    if tool.shape and cell.tool.type != "flat":
-        findings.append(violation("tool shape", tool.corner_radius, 0.0, line=tool.line, label=tool.label,
-                               shape=tool.shape))  # fmt: skip
+    if cell.stage and cell.stage.same_tip and not tool.length_offset:
+        x, y, z = 1e3 * cell.mount.xyz
+        tip = f"[{x:g}, {y:g}, {z:g}]"
+        findings.append(violation("tool length", 0.0, 0.0, line=tool.line, label=tool.label, tip=tip))
+    if tool.shape and cell.tool.type != "flat" and not (tool.shape in AXIAL_KINDS and _along_axis(cell, path)):
+        article = "an" if tool.shape[0] in "aeiou" else "a"
+        findings.append(
+            violation(
+                "tool shape",
+                tool.corner_radius,
+                0.0,
+                line=tool.line,
+                label=tool.label,
+                shape=tool.shape,
+                article=article,
+            )
+        )
     return findings
+
+
+def _along_axis(cell: Cell, path: Toolpath) -> bool:
+    """Whether the tool makes no sideways feed move below the top of the stock."""
+    sideways = np.hypot(*np.diff(path.position[:, :2], axis=0).T) > 1e-6
+    low = np.minimum(path.position[1:, 2], path.position[:-1, 2]) < cell.stock.max[2] - 1e-6
+    return not (sideways & low & ~path.rapid[1:]).any()
 
 
 def _outside(cell: Cell, path: Toolpath) -> list[Violation]:

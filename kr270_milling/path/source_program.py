@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from dataclasses import dataclass
 
 from kr270_milling.base.errors import InputError
@@ -49,6 +48,8 @@ class ProgramTool:
     cuts: int = 0  #: cutting blocks that it makes
     last_cut: int = 0  #: line of the last of them
     corner_radius: float = 0.0  #: [m], 0: sharp corners, or the program does not say
+    kind: str = ""  #: kind of a tool that is no flat end mill; "": a flat one, or the program does not say
+    length_offset: bool = False  #: the program switches on a length for this tool (G43)
 
     @property
     def label(self) -> str:
@@ -59,21 +60,15 @@ class ProgramTool:
 
     @property
     def shape(self) -> str:
-        """Return the kind of a mill that is not flat; "" for all other tools."""
-        for word, shape in (("ball", "ball-end mill"), ("bull", "bull-nose mill"), ("chamfer", "chamfer mill")):
-            if word in self.description:
-                return shape
-        if "engrav" in self.description or re.search(r"v-?bit", self.description):
-            return "tapered mill"
-        if self.corner_radius > 0.0:
-            return "ball-end mill" if self.corner_radius > 0.49 * self.diameter > 0.0 else "bull-nose mill"
-        return ""
+        """Return the kind of a tool that is no flat end mill, by its name or its corner; "" for all other tools."""
+        if self.kind or not self.corner_radius:
+            return self.kind
+        return "ball-end mill" if self.corner_radius > 0.49 * self.diameter > 0.0 else "bull-nose mill"
 
     def completed(self, other: ProgramTool) -> ProgramTool:
         """Return this description, with missing values taken from another description of the same tool."""
-        words = self.description or other.description
-        sizes = {name: getattr(self, name) or getattr(other, name) for name in ("diameter", "teeth", "corner_radius")}
-        return dataclasses.replace(self, description=words, **sizes)
+        names = "description", "kind", "diameter", "teeth", "corner_radius"
+        return dataclasses.replace(self, **{name: getattr(self, name) or getattr(other, name) for name in names})
 
 
 @dataclass(frozen=True)
@@ -85,6 +80,7 @@ class SourceProgram:
     tools: tuple[ProgramTool, ...] = ()  #: all tools of the program
     spindle_speeds: tuple[float, ...] = ()  #: [rad/s], of the cutting moves, negative counterclockwise; 0 is left out
     feeds: tuple[float, ...] = ()  #: [m/s], of the cutting moves
+    feed_units: tuple[str, ...] = ()  #: of the F words, such as "mm a minute"
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[ReadOver, ...] = ()

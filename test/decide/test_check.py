@@ -276,6 +276,7 @@ CASES = (
     Case("no speed", "spindle off", "", SLOT.replace(" S8000", ""), lines=(4,)),
     Case("no start", "spindle off", "", SLOT.replace(" M3", ""), lines=(4,)),
     Case("a spindle of APT that is off", "spindle off", "", OFF, suffix=".apt"),
+    Case("a feed in the wrong unit", "feed per tooth", "", SLOT.replace("F4", "F170"), value=170 / 8 / 4, limit=0.94),
     Case("too fast", "cutting speed", "tool.max_cutting_speed_m_per_min=400", value=math.pi * 0.02 * 8000, limit=400),
     Case("above the limit depth of the tool", "chatter", MODE.format(0.01), NARROW.replace("Z-0.5", "Z-8")),
     Case("beyond the linear model", "deflection", f"cutting.fractional.stiffness_n_per_m=5e10; {WEIGHTLESS}", limit=50),
@@ -288,7 +289,6 @@ CASES = (
 
     warning("a reground cutter", "tool diameter", "tool.diameter_mm=19.8", comment("D=20 flat end mill")),
     warning("a path mostly beside the stock", "stock too small", "", SLOT.replace("G0 Z5", "G1 Y160\nG0 Z5"), limit=50),
-    warning("a feed in the wrong unit", "feed per tooth", "", SLOT.replace("F4", "F170"), value=170 / 8 / 4, limit=5.0),
     warning("a tool smaller than the grid", "tool and grid", "tool.diameter_mm=0.9", value=0.2, limit=0.0225),
     warning("a workpiece in another room", "envelope", "workpiece.xyz_mm=[0,-16331.9,485.7]", value=16.3319),
     warning("nrad for urad", "compliance", f"{COMPLIANCE}=[700,300,400,900,900,2000]", value=700, limit=100),

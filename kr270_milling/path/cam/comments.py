@@ -6,7 +6,7 @@ import re
 
 from kr270_milling.path.source_program import ProgramTool
 
-__all__ = ["described_tool", "operation_name"]
+__all__ = ["ABOUT_TOOL", "AXIAL_KINDS", "described_tool", "kind_of", "operation_name"]
 
 NUMBER = r"((?<![0-9])[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"  # one start and one end in a row of digits
 #: lines by which posts announce an operation: FreeCAD, OpenBuilds, Vectric, Estlcam
@@ -48,12 +48,65 @@ FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|f
 INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
 CORNER = re.compile(rf"\b(?:CR|corner rad(?:ius)?\.?)\s*[-=:]?\s*{NUMBER}", re.I)
 TEETH = re.compile(r"(?:(?<!\d)(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
+#: comment that is about a tool as a whole, without its number: FreeCAD, Vectric, Estlcam
+ABOUT_TOOL = re.compile(r"\s*(?:TC|tool|werkzeug|wz|cutter|bit)\b\s*[:=]", re.I)
 KIND = re.compile(
-    r"(?:flat|ball(?: ?nose)?|bull ?nose|face|chamfer|shell|slot|spot|center|twist|square|rough\w*|thread|carbide|\s"
-    r"|-)*(?:end ?mills?|mill|ball ?nose|bull ?nose|drill|tap|reamer|probe|cutter|engrav\w*|v-?bit|face ?mill"
-    r"|fly ?cutter)\b",
+    r"(?:flat|square|ball|bull|nose|face|chamfer|shell|slot|spot|cent(?:er|re)|twist|rough\w*|thread\w*|carbide|taper\w*"
+    r"|t-?slot|key\w*|woodruff|engraving|corner|round\w*|radius|form|high|feed|step|conical|\s|-)*"
+    r"(?:end ?mills?|mill|ball ?nose|bull ?nose|drill|tap|reamer|probe|cutter|engraver|v-?bit|bit|face ?mill|lollipop"
+    r"|fly ?cutter|dove ?tail|boring (?:bar|head)|slitting saw|\w*fr\S{1,3}ser|\w*bohrer|\w*senker|reibahle|\w*stichel"
+    r")\b",
     re.I,
 )
+FLAT_KINDS = re.compile(
+    r"\b(?:flat|square)[- ]*(?:nose[- ]*)?(?:end)?[- ]?mill|(?<!feed )(?:face|shell)[- ]?mill|fly ?cutter|slot ?drill"
+    r"|(?<!t-)(?<!t)(?:schaft|plan|eck|walzenstirn|schrupp|schlicht|finger|langloch|bohrnuten|nuten)fr\S{1,3}ser",
+    re.I,
+)
+#: kind of a tool that is no flat end mill -> its words, as posts write them. The words of the Fusion, Mastercam and
+#: SolidCAM tool libraries, of FreeCAD, Vectric and Estlcam, and the German ones; the first kind that fits is the kind
+OTHER_KINDS = {
+    kind: re.compile(words, re.I)
+    for kind, words in {
+        "tap": r"\btap\b|\btaps\b|gewinde(?:bohr|form)|(?:right|left) hand tap",
+        "thread mill": r"\bthread|gewindefr",
+        "countersink": r"counter ?sink|\bc'?sink|\bcsk|(?<!flach)senker",
+        "counterbore": r"counter ?bore|flachsenker",
+        "spot drill": r"\bspot|anbohrer",
+        "centre drill": r"\bcent(?:er|re)[- ]?drill|zentrier",
+        "reamer": r"\bream|reibahle",
+        "boring bar": r"\bbor(?:e|ing)[- ]?(?:bar|head)|ausdreh|bohrstange|feinbohr",
+        "drill": r"(?<!slot )\bdrill|spade ?drill|bohrer",
+        "ball-end mill": r"\bball|spher|kugel|vollradius|core ?box|hemi",
+        "lollipop cutter": r"lolli",
+        "dovetail cutter": r"\bdove|schwalben",
+        "T-slot cutter": r"\bt[- ]?slot|\bt[- ]?nut|\bslot[- ]?mill|key[- ]?(?:seat|(?:way|slot)?[- ]?(?:cutter|mill))"
+        r"|woodruff|slitting|\bsaw\b|side and face|scheibenfr|s.{1,2}geblatt|under ?cut|hinterschn",
+        "high-feed mill": r"high[- ]?feed|hochvorschub|feed[- ]?mill",
+        "chamfer mill": r"chamf|\bcham\b|\bfase|entgrat|deburr|bevel",
+        "engraver": r"engrav|gravi|stichel|\bv[- ]?(?:bit|carv\w*|cutter|groove|tool)\b|\bdrag ?(?:knife|bit)",
+        "corner-rounding cutter": r"corner[- ]?round|round[- ]?over|radius[- ]?mill|fillet[- ]?(?:mill|cutter)|\bogee"
+        r"|viertelkreis|radi(?:us|en)fr",
+        "form mill": r"\bform[- ]?(?:mill|tool|cutter|fr)|formfr|\bbarrel|\blens\b|circle segment|step[- ]?mill",
+        "bull-nose mill": r"\bbull|\btor(?:us|oid|isch)",
+        "tapered mill": r"\btaper|konisch|kegel|\bconical|\bcone",
+        "probe": r"\bprobe|taster",
+    }.items()
+}
+OPERATIONS = frozenset(("drill", "tap", "probe"))  #: names of operations and of tools
+#: kinds of tools that are not judged as mills while they go along their axis only
+AXIAL_KINDS = frozenset(
+    ("tap", "countersink", "counterbore", "spot drill", "centre drill", "reamer", "boring bar", "drill")
+)
+TAPER_ANGLE = re.compile(r"\bTAPER=", re.I)  #: of a chamfer mill or of the point of a drill
+
+
+def kind_of(words: str) -> str:
+    """Return the kind of the tool that words name; "" for a flat end mill and where they name no kind."""
+    words = TAPER_ANGLE.sub("", words.replace("_", " "))
+    if FLAT_KINDS.search(words):
+        return ""
+    return next((kind for kind, pattern in OTHER_KINDS.items() if pattern.search(words)), "")
 
 
 def operation_name(comment: str) -> tuple[str, bool]:
@@ -73,8 +126,12 @@ def operation_name(comment: str) -> tuple[str, bool]:
     return comment, False
 
 
-def described_tool(comment: str, unit: float, changed: str | None = None) -> ProgramTool | None:
-    """The tool that a comment describes; lengths without a unit are in ``unit`` [m]; changed: the tool of its line."""
+def described_tool(comment: str, unit: float, changed: str | None = None, beside: bool = False) -> ProgramTool | None:
+    """The tool that a comment describes; lengths without a unit are in ``unit`` [m]; changed: the tool of its line.
+
+    beside: the comment is in the line of the change. Of a comment without a tool number, which may name an operation
+    (drill, chamfer), only the name of a tool counts (twist drill, chamfer mill).
+    """
     if NO_TOOL.match(comment):
         return None
     old = OLD_MASTERCAM.match(comment)
@@ -84,14 +141,16 @@ def described_tool(comment: str, unit: float, changed: str | None = None) -> Pro
     name = f"T{int(number)}" if number else changed
     diameter = _diameter(comment, unit)
     teeth = TEETH.search(comment)
-    kind = KIND.search(comment)
-    if name is None or not (kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):
+    found = KIND.search(comment)
+    words = " ".join(found.group().split()).lower().strip("- ") if found else ""
+    about_tool = bool(number or beside or ABOUT_TOOL.match(comment))
+    kind = kind_of(comment if about_tool else words if words not in OPERATIONS else "")
+    if name is None or not (words or kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):
         return None
     count = int(next(filter(None, teeth.groups()))) if teeth else 0
-    words = " ".join(kind.group().split()).lower().strip("- ") if kind else ""
     corner = CORNER.search(comment)
     radius = float(corner.group(1)) * unit if corner else 0.0
-    return ProgramTool(name, words, diameter, count if 1 <= count <= 20 else 0, corner_radius=radius)
+    return ProgramTool(name, words, diameter, count if 1 <= count <= 20 else 0, corner_radius=radius, kind=kind)
 
 
 def _diameter(comment: str, unit: float) -> float:

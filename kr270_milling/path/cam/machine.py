@@ -22,6 +22,7 @@ OF_ARCS = (*CENTRES, "R", "CR", "TURN")
 MOVING = ("X", "Y", "Z", *CENTRES, "R", "CR")
 #: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
+FEED_MODES = {93: "moves a minute (G93)", 94: "a minute", 95: "a revolution (G95)"}
 CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
@@ -66,6 +67,8 @@ class Machine:
     def set_feed(self, value: float, unit: float) -> None:
         """The number of a feed, lengths in ``unit`` [m]."""
         most = 60 * REACH / unit
+        length, time = "inches" if unit == INCH else "mm", FEED_MODES[self.feed_mode]
+        self.program.feed_units[time if self.feed_mode == 93 else f"{length} {time}"] = None
         if 0 <= value <= most:
             self.feed = {94: value * unit / 60, 95: value * unit, 93: value / 60}[self.feed_mode]
         else:

@@ -10,7 +10,7 @@ import numpy as np
 
 from kr270_milling.base.errors import one_line
 from kr270_milling.base.text import short
-from kr270_milling.path.cam.comments import described_tool
+from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
 from kr270_milling.path.source_program import ProgramError, ProgramTool, ReadOver, Refusal, SourceProgram
 from kr270_milling.path.toolpath import TOP, PathBuilder, Toolpath, cut_features
 
@@ -38,9 +38,12 @@ class ProgramBuilder(PathBuilder):
         self.title = ""
         self.tool = ""  #: in the spindle
         self.offset = ""  #: work offset
-        self.comments: list[tuple[str, str]] = []  #: with the tool of their line
+        self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
+        self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: what words, not comments, say of tools
+        self.feed_units: dict[str, None] = {}  #: of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
+        self._before_change = 0  #: number of comments up to the last move
         self._tools: dict[str, int] = {}  #: name -> line of its first change
         self._cuts: Counter[str] = Counter()  #: tool -> cutting blocks
         self._last_cut: dict[str, int] = {}  #: tool -> line
@@ -52,6 +55,7 @@ class ProgramBuilder(PathBuilder):
     def rapid(self, end: tuple) -> None:
         """Go to a point; nothing is recorded until X, Y and Z are known."""
         self.moved = True
+        self._before_change = len(self.comments)
         if not self.active or any(map(math.isnan, end)):
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
@@ -63,6 +67,7 @@ class ProgramBuilder(PathBuilder):
     def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0) -> None:
         """Feed through points, from a start that is known."""
         self.named = False
+        self._before_change = len(self.comments)
         self._cuts[self.tool] += 1
         self._last_cut[self.tool] = self.line
         self._offsets.setdefault((self.tool, self.offset), self.line)
@@ -74,7 +79,13 @@ class ProgramBuilder(PathBuilder):
             self.move(end, feed, False, self.line, curvature)
 
     def change_tool(self, tool: str) -> None:
-        """The tool of the moves that follow; they make a feature of its name where no comment names the operation."""
+        """The tool of the moves that follow; they make a feature of its name where no comment names the operation.
+
+        Comments since the last move are about this tool; before the first tool those that begin as comments on tools.
+        """
+        for k, (comment, _, beside) in enumerate(self.comments[self._before_change :], self._before_change):
+            if not beside and (self.tool or ABOUT_TOOL.match(comment)):
+                self.comments[k] = comment, tool, False
         self.away = self.away or bool(self.tool) or len(self) > 0
         self.tool = tool
         self.moved = False
@@ -148,6 +159,7 @@ class ProgramBuilder(PathBuilder):
             tools=tools,
             spindle_speeds=tuple(speed for speed in speeds if speed),
             feeds=tuple(np.unique(columns["feed"][cutting]).tolist()),
+            feed_units=tuple(self.feed_units),
             work_offset=next(filter(None, offsets), self.offset),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(ReadOver(word, count) for word, count in self.silent.most_common()),
@@ -159,13 +171,21 @@ class ProgramBuilder(PathBuilder):
         names = ({"": 1} if self._cuts[""] else {}) | self._tools
         only = next(iter(names)) if len(names) == 1 else None
         known = dict(self.known)
-        for comment, changed in self.comments:
-            tool = described_tool(comment, unit, changed or only)
+        for comment, changed, beside in self.comments:
+            tool = described_tool(comment, unit, changed or only, beside)
             if tool is not None:
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
         described = ((name, line, known.get(name, ProgramTool(name))) for name, line in names.items())
         return tuple(
-            dataclasses.replace(tool, name=name, line=line, cuts=self._cuts[name], last_cut=self._last_cut.get(name, 0))
+            dataclasses.replace(
+                tool,
+                name=name,
+                line=line,
+                cuts=self._cuts[name],
+                last_cut=self._last_cut.get(name, 0),
+                kind=tool.kind or kind_of(name),
+                length_offset=name in self.length_offsets,
+            )
             for name, line, tool in described
         )
 

@@ -13,7 +13,7 @@ from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_ab
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import UNITS
 from kr270_milling.base.table import read_table
-from kr270_milling.path.source_program import ProgramError
+from kr270_milling.path.source_program import ProgramError, SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
 
@@ -52,7 +52,9 @@ def read_points(path) -> Toolpath:
             rotation = rotation_from_abc([values["a"], values["b"], values["c"]])
             builder.quaternion = tuple(quaternion_from_rotation(rotation).tolist())
         builder.move(point, values["feed"], len(builder) == 0, number)
-    return builder.build()
+    _, length, _, time = next(name for name in table.names if name.startswith("feed")).split("_")
+    unit = f"{length} a {'second' if time == 's' else 'minute'}"
+    return builder.build(SourceProgram(feed_units=(unit,)))
 
 
 @dataclass(frozen=True)

@@ -138,6 +138,21 @@ class Tool(Record):
         return ((self.stick_out**3 - fluted**3) / shank + fluted**3 / flutes) / (3.0 * self.modulus)
 
     @property
+    def bending_stress(self) -> float:
+        """Largest bending stress by a lateral force at the tip [1/m^2], in the beam of ``lateral_compliance``.
+
+            sigma / F = 32 x / (pi d^3)
+
+        where x is the distance of the section from the tip: the holder, or the end of the flutes. 0: not known.
+        """
+        if not self.stick_out:
+            return 0.0
+        flutes, shank = self.flute_section * self.diameter, self.shank_diameter or self.diameter
+        fluted = min(self.flute_length or self.stick_out, self.stick_out)
+        root = flutes if fluted == self.stick_out else shank
+        return 32.0 / math.pi * max(fluted / flutes**3, self.stick_out / root**3)
+
+    @property
     def compliance_text(self) -> str:
         """The lateral compliance of the tool in a few words."""
         if not self.lateral_compliance:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.apt.words import ADVICE, CENTRE, DATUM, FEEDS, LENGTHS, MILL, SILENT, SPINDLE_WORDS
-from kr270_milling.path.cam.comments import operation_name
+from kr270_milling.path.cam.comments import kind_of, operation_name
 from kr270_milling.path.cam.machine import Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.source_program import ProgramTool
@@ -132,7 +132,7 @@ class _AptReader(Machine):
         self.program.silent[word] += 1
         if word == "PPRINT":
             self._name(text)
-            self.program.comments.append((text, self.program.tool))
+            self.program.comments.append((text, self.program.tool, False))
         else:
             self.program.title = self.program.title or text
 
@@ -157,7 +157,10 @@ class _AptReader(Machine):
         super().change_tool(tool)
 
     def _cutter(self, values: list[str]) -> None:
-        """CUTTER/d, r, ... and TLDATA/MILL, d, ... say the diameter; r is the radius of the corner of a mill."""
+        """CUTTER/d, r, e, f, a, b, h and TLDATA/MILL, d, r, h, b, a say the diameter and the corner radius of a mill.
+
+        a and b are the angles of the bottom and of the side. TLDATA begins with the kind: MILL, DRILL, TCUTTER.
+        """
         self.program.silent["CUTTER"] += 1
         sizes = [value for value in values if not value[:1].isalpha()]
         diameter = _number(sizes[0]) * self.unit if sizes else 0.0
@@ -165,8 +168,15 @@ class _AptReader(Machine):
             mill = not values[0][:1].isalpha() or values[0].upper() == "MILL"
             radius = _number(sizes[1]) * self.unit if mill and len(sizes) > 1 else 0.0
             radius = radius if 0.0 < radius <= 0.501 * diameter else 0.0
+            bottom, side = (4, 5) if values[0] == sizes[0] else (4, 3)
+            if not mill:
+                kind = kind_of(values[0].replace("TCUTTER", "T-slot"))
+            elif len(sizes) > side and _number(sizes[side]):
+                kind = "tapered mill"
+            else:
+                kind = "drill" if len(sizes) > bottom and _number(sizes[bottom]) else ""
             self.program.known[self.program.tool] = ProgramTool(
-                self.program.tool, diameter=diameter, corner_radius=radius
+                self.program.tool, diameter=diameter, corner_radius=radius, kind=kind
             )
 
     # --- moves ---

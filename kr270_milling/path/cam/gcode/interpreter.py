@@ -123,6 +123,8 @@ class Interpreter(Machine):
             self.program.refuse(word, advice=ADVICE.get(word, UNKNOWN), lost=True)
             axes.clear()
             return
+        if word == "G43":
+            self.program.length_offsets.add(self.program.tool)
         if word == "G43" and "H" in axes:
             word += f" H{axes['H']:g}"
         self.silent[word] += 1

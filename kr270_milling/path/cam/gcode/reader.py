@@ -190,7 +190,7 @@ class GcodeReader:
         if len(self.program.comments) < MOST_COMMENTS:
             match = re.search(r"T\s*0*([0-9]+)", code, re.I)
             tool = f"T{match.group(1)}" if match else self.machine.next_tool
-            self.program.comments += [(comment, tool) for comment in comments]
+            self.program.comments += [(comment, tool, match is not None) for comment in comments]
         if title and not self.program.title:
             self.program.title = comments[0]
         if LABEL.fullmatch(code):

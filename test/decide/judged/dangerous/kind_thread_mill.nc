@@ -1,0 +1,12 @@
+(expect: stop tool shape)
+(set: cutting.detail=engagement)
+G21 G90 G17
+(T1 THREAD MILL D=10 M14x1.5)
+T1 M6
+S8000 M3
+G0 X0 Y0 Z5
+G1 Z0 F500
+X20 Z-1
+X0 F500
+G0 Z5
+M30

@@ -1,0 +1,13 @@
+(expect: warning plunge)
+(set: cutting.detail=engagement)
+(set: tool.centre_cutting=false)
+G21 G90 G17
+(T1 D=25. CR=0. - SHELL MILL 2 INSERTS)
+T1 M6
+S4000 M3
+G0 X0 Y0 Z5
+G1 Z0 F400
+X11.196 Z-3 F500
+X0
+G0 Z5
+M30
