@@ -46,7 +46,8 @@ LOAD_UNITS = {
 }
 POUNDS = 0.453592  #: factor on compliances, of masses in pounds in the column of kg
 ALIKE = 1.25  #: factor around POUNDS; Table 1 beside the set of 2013 differs by 1.1 to 2.2 from joint to joint
-EDGE = 2.0  #: factor beyond the published coefficients from which a unit is suspected
+EDGE = 2.0  #: factor beyond the published ratios of coefficients from which the table is suspected
+SIZE = 1.25  #: factor beyond the published K_tc from which a unit is suspected: assumed; pounds give 0.225 times K_tc
 FORCE_UNITS = {
     1e-3: "forces in kN in the columns of N",
     1e3: "forces in mN in the columns of N",
@@ -277,7 +278,7 @@ def _coefficients(edge: LawFit) -> list[Doubt]:
         text = f"is feed_per_tooth_mm the feed per revolution? Divided by {teeth} it gives {1e-6 * k_tc * teeth:.0f}"
         return [Doubt(f"{shown}, and K_tc / K_te is {1e-3 * ratio:.2g} /mm, published {1e-3 * ratios.min():.0f} to "
                       f"{1e-3 * ratios.max():.0f}: {text}")]  # fmt: skip
-    if 0.0 < k_tc < low / EDGE or k_tc > high * EDGE:
+    if 0.0 < k_tc < low / SIZE or k_tc > high * SIZE:
         typical = float(np.median(known[:, 0]))
         cause = " or ".join(text for factor, text in FORCE_UNITS.items() if low < k_tc / factor < high)
         return [Doubt(f"{shown}, {k_tc / typical:.2g} times the median{f': {cause}?' if cause else ''}")]
