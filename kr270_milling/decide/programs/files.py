@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
@@ -19,6 +20,7 @@ from kr270_milling.base.units import seconds
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl, krl_motion
 from kr270_milling.decide.programs.rsi_context import write_rsi_context
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError, offsets
@@ -97,13 +99,15 @@ def write_tool_programs(
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
     setup, origin = _setup(cell, *commanded), source_of(cell, len(original))
     files: dict[str, list[Path]] = {}
-    programs = []
+    programs: list[tuple[str, str, int]] = []
+    limits: list[str] = []
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
         written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, heading, origin)
         files[f"krl_{motion.lower()}"] = written
         programs.append((motion, folder.name, len(written)))
+        limits = limits or krl.time_statements(program.replace(motion=motion), setup)
     if rsi and motions is not None:
         folder = place / f"rsi_{label}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -120,7 +124,7 @@ def write_tool_programs(
     write_csv(files["trajectory"][0], revised, joints[1])
     text = krl.filled(
         "manifest_tool.txt", stage=cell.stage, programs=programs, name=program.name, files=files,
-        tick_ms=f"{tick_ns / 1e6:g}", findings=findings,
+        tick_ms=f"{tick_ns / 1e6:g}", findings=findings, limits=limits, turning=_turning(program, original),
     )  # fmt: skip
     return files, text
 
@@ -143,7 +147,8 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
     mount, to_kuka = cell.mount, TOOL0.inverse()
     centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
-    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre)
+    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(cell) else (0.0, 0.0)
+    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, *law)
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
@@ -167,6 +172,11 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
     return approaches[0]
 
 
+def timed_by_cell(cell: Cell) -> bool:
+    """Whether ``timing`` decides about the times of the points."""
+    return cell.timed_path is not None and not cell.timed_path.timed_by_source
+
+
 def time_law(cell: Cell) -> str:
     """The times of the points, on which every figure of a program rests, as one line."""
     if cell.timed_path is None:
@@ -179,6 +189,20 @@ def time_law(cell: Cell) -> str:
         f"time law assumed: acceleration {timing.acceleration:g} m/s2, jerk {timing.jerk:g} m/s3 along the path, a "
         f"knot of the plan every {1e3 * timing.controller_step:g} ms"
     )
+
+
+def _turning(program: Program, run: Trajectory) -> str:
+    """A sentence where the tool turns faster than the program lets it."""
+    if not np.any(run.quaternion != run.quaternion[0]):
+        return ""
+    turned = Rotation.from_quat(run.quaternion)
+    turn = (turned[:-1].inv() * turned[1:]).magnitude()
+    rate = np.degrees(turn / (1e-9 * np.diff(run.time_ns)))
+    growth = np.abs(np.diff(rate)) / (1e-9 * np.diff(run.time_ns)[1:])
+    most = rate.max(initial=0.0), growth.max(initial=0.0)
+    allowed = np.degrees([program.turn_speed, program.turn_acceleration])
+    slower = "; more than $VEL.ORI or $ACC.ORI, the controller slows down there" if np.any(most > allowed) else ""
+    return f"the tool turns at up to {most[0]:.3g} deg/s and {most[1]:.3g} deg/s2 in the plan{slower}"
 
 
 def source_of(cell: Cell, count: int) -> krl_motion.Source | None:

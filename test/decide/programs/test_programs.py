@@ -390,6 +390,29 @@ def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
     assert not [f for f in compensate(cell, "inverse").checked.findings if f.what == "written program"]
 
 
+@pytest.mark.parametrize(("motion", "law", "names"), [
+    ("SPLINE", "jerk", ".*"), ("LIN", "jerk", "[^J]*"), ("SPLINE", "acceleration", "[^J]*"), ("SPLINE", "none", ""),
+])  # fmt: skip
+def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, tmp_path, motion, law, names):
+    """Both readers have the limits of ``timing`` and of the turning tool after BAS(#INITMOV,0), which resets them."""
+    cell, original = part
+    cell = cell.replace(program=cell.program.replace(time_law=law, turn_speed=np.radians(90.0)))
+    files = write_programs(tmp_path, cell, cell.target(), cell.target(), method="m", date=DATE, motions=[motion])
+    timing = cell.timing
+    values = {"$ACC.CP": timing.acceleration, "$JERK.CP": timing.jerk, "$VEL.ORI1": 90.0, "$VEL.ORI2": 90.0,
+              "$ACC.ORI1": 200.0, "$ACC.ORI2": 200.0}  # fmt: skip
+    expected = {name: values[name] for name in values if re.fullmatch(names, name)}
+    folder = files[f"krl_{motion.lower()}"][0].parent
+    robot = Robot(folder, "MILLING_CMP")
+    assert read_krl(folder, "MILLING_CMP").limits == pytest.approx(expected)
+    assert {name: float(robot.state[name]) for name in values if name in robot.state} == pytest.approx(expected)
+    text = files["manifest"][0].read_text()
+    assert all(f"{name}={value:.4f}" in text for name, value in expected.items())
+    assert ("KSS 8.3 or later" in text) == ("$JERK.CP" in expected)
+    if expected:
+        assert robot.steps.index("BAS(#INITMOV,0)") < robot.steps.index(f"$ACC.CP={timing.acceleration:.4f}")
+
+
 @pytest.mark.parametrize(("motion", "limit"), [("SPLINE", 1400), ("SPLINE", 120), ("LIN", 1400)])
 def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_path, motion, limit):
     cell, original = part
