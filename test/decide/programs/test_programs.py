@@ -344,6 +344,23 @@ def test_the_rsi_table_has_the_difference_of_both_paths_at_every_tick_and_turns_
     assert not shift.any()
 
 
+@pytest.mark.parametrize("lift", [0.0, 0.06], ids=["in the cut", "in the air"])
+def test_the_correction_of_rsi_fades_to_zero_above_the_stock(tmp_path, lift):
+    """The stock ends at z = 0, the retract at 50 mm with 50 mm/s; 0.2 s of air at the end of a path need no retract."""
+    rise = np.clip(LINE.time - 0.8, 0.0, 0.1)[:, None] * [0.0, 0.0, 10 * lift] - [0.0, 0.0, 2e-3]
+    low, bent = (run.with_position(run.position + rise) for run in (LINE, BENT))
+    for name, air in (("plain", None), ("faded", (0.0, 0.05, 0.05))):
+        write_rsi_table(tmp_path / name, low, bent, 4_000_000, air)
+    plain, faded = (np.genfromtxt(tmp_path / name, delimiter=",", names=True) for name in ("plain", "faded"))
+    last, z = faded[-1], faded["Z_mm"]
+    assert last["dY_mm"] == last["dZ_mm"] == last["dA_deg"] == 0.0 < abs(plain["dY_mm"][-1])
+    cut = np.flatnonzero(z[: len(plain)] < 0.0)
+    np.testing.assert_array_equal(faded["dY_mm"][cut], plain["dY_mm"][cut])
+    assert np.abs(np.diff(faded["dY_mm"])).max() < 1.2 * np.abs(plain["dY_mm"]).max() / 50  # 50 ticks of 4 ms
+    assert len(faded) == (len(plain) + 260 if not lift else len(plain)) and z[-1] == (50.0 if not lift else z[-1])
+    np.testing.assert_allclose(np.diff(faded["time_s"]), 0.004, atol=1e-9)
+
+
 def test_other_ticks_paths_of_unlike_duration_and_joints_that_do_not_fit_the_knots_are_refused(tmp_path):
     longer = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.0901, 4 / 60, 0.05)
     assert offsets(longer, longer, 12_000_000)[0][-1] >= longer.duration_ns  # no multiple of the tick
