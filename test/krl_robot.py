@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 NUMBER = r"-?\d+\.?\d*"
 SRC = [r"&ACCESS RVP", r"&REL 1", r"&PARAM EDITMASK = \*", r"DEF [A-Z]\w*\( \)", r";.*", r"BAS\(#INITMOV,0\)",
        r"\$(TOOL|BASE)=\{[XYZABC0-9 ,.-]*\}", r"\$(TOOL|BASE)=(TOOL|BASE)_DATA\[\d+\]", r"\$IPO_MODE=#BASE",
-       r"\$ORI_TYPE=#VAR", r"\$ADVANCE=3", rf"\$APO\.CDIS={NUMBER}", r"BAS\(#VEL_PTP,\d+\)",
+       r"\$ORI_TYPE=#VAR", r"\$ADVANCE=3", rf"\$APO\.CDIS={NUMBER}",
+       rf"\$(ACC|JERK)\.CP={NUMBER}", rf"\$(VEL|ACC)\.ORI[12]={NUMBER}", r"BAS\(#VEL_PTP,\d+\)",
        r"\$LOAD=\{M .*,CM \{X .*\}\}", r"PTP X(HOME|APPROACH)", r"LIN XRETRACT", r"WAIT SEC \d+\.\d", r"HALT",
        r"\$OUT\[\d+\]=(TRUE|FALSE)", r"[A-Z]\w*\( \)", r"SPLINE", r"ENDSPLINE",
        rf"SPL XP\d+ WITH \$VEL\.CP={NUMBER}", rf"\$VEL\.CP={NUMBER}", r"LIN XP\d+( C_DIS)?", r"END"]  # fmt: skip

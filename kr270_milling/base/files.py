@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import shutil
 import uuid
@@ -20,24 +21,46 @@ def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
 
     Yields the temporary directory and a function that returns the final path of a file. After an error ``directory``
     is unchanged. Files of the same names are replaced. A symbolic link inside ``directory`` is refused, so that no file
-    is written elsewhere. Raises InputError if the directory cannot be created.
+    is written elsewhere. Raises InputError if the directory cannot be created, or if another run writes into it.
     """
     final = Path(directory)
     try:
-        final.parent.mkdir(parents=True, exist_ok=True)
         if final.exists() and not final.is_dir():
             raise InputError(final, "is a file, but must be a directory to write into")
-        # inside an existing directory, which may be a mount point: files cannot move between file systems
-        place = final if final.is_dir() else final.parent
-        draft = place / f".{final.name}.{uuid.uuid4().hex}.part"
-        draft.mkdir()
+        new = not final.exists()
+        # inside the directory, which may be a mount point: files cannot move between file systems
+        draft = final / f".{final.name}.{uuid.uuid4().hex}.part"
+        draft.mkdir(parents=True)
+        handle = os.open(final, os.O_RDONLY)
     except OSError as error:
         raise InputError(final, f"cannot be written into ({error.strerror})") from None
     try:
+        _lock(handle, final, draft)
         yield draft, lambda path: final / Path(path).relative_to(draft)
         _move(draft, final)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+        if new:
+            with contextlib.suppress(OSError):  # not empty: files were written
+                final.rmdir()
+        os.close(handle)
+
+
+def _lock(handle: int, directory: Path, draft: Path) -> None:
+    """Lock a directory for this run; the system unlocks it when the process ends, in whatever way.
+
+    Drafts other than ``draft`` are removed: no run writes them.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        reason = "another run writes into it: wait for its end, or choose another directory"
+        raise InputError(directory, reason) from None
+    except OSError:  # a file system without locks
+        return
+    for left in directory.glob(f".{directory.name}.*.part"):  # of a run that was killed
+        if left != draft:
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def _move(draft: Path, final: Path) -> None:

@@ -198,6 +198,17 @@ class Program(Record):
     tool_number: int = parameter(0, low=0, high=64, text="$TOOL=TOOL_DATA[n]; 0: by value")
     base_number: int = parameter(0, low=0, high=64, text="$BASE=BASE_DATA[n]; 0: by value")
     set_load: bool = parameter(False, text="whether the program sets $LOAD, or a comment says what to set")
+    time_law: str = parameter(
+        "jerk", choices=("jerk", "acceleration", "none"),
+        text="statements of timing in the program: $ACC.CP and $JERK.CP (of SPLINE, KSS 8.3), $ACC.CP alone, or none",
+    )  # fmt: skip
+    # assumed: public programs for KUKA arms set 90 to 400 deg/s and 100 to 1000 deg/s2
+    turn_speed: float = parameter(
+        math.radians(200.0), unit="deg_per_s", above=0.0, high=1000.0, text="$VEL.ORI1 and $VEL.ORI2"
+    )
+    turn_acceleration: float = parameter(
+        math.radians(200.0), unit="deg_per_s2", above=0.0, high=10000.0, text="$ACC.ORI1 and $ACC.ORI2"
+    )
 
     def check(self) -> None:
         if not re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", self.name):  # with _ORG_001 the 24 characters of a KRL name

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -43,6 +45,21 @@ def test_after_an_error_everything_is_as_it_was(tmp_path, error, before):
         (draft / "old.txt").write_text("new")
         raise error
     assert names(tmp_path) == before and all((tmp_path / name).read_text() == "stays" for name in before)
+
+
+def test_a_second_run_in_one_directory_is_refused_until_the_first_one_ends_or_is_killed(tmp_path):
+    """The first run is another process, which SIGKILL ends: the system unlocks, no file remains."""
+    out = tmp_path / "out"
+    code = "import sys, time; from kr270_milling.base.files import staged\n"
+    code += "with staged(sys.argv[1]): print(flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", code, out], stdout=subprocess.PIPE) as first:
+        first.stdout.readline()
+        with pytest.raises(InputError, match="another run writes into it"), staged(out):
+            pytest.fail("the block was entered")
+        first.kill()
+    with staged(out) as (draft, _):
+        (draft / "a.txt").touch()
+    assert names(out) == ["a.txt"]
 
 
 @pytest.mark.skipif(not os.path.ismount("/dev/shm"), reason="no mount point that everybody may write into")

@@ -6,10 +6,12 @@ The manifest beside them says which file goes where, and in which order to try t
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
@@ -19,6 +21,7 @@ from kr270_milling.base.units import seconds
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl, krl_motion
 from kr270_milling.decide.programs.rsi_context import write_rsi_context
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError, offsets
@@ -27,8 +30,10 @@ from kr270_milling.physics.robot import pose, status_turn
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
 __all__ = [
+    "OLDER",
     "RSI_TICKS_NS",
     "as_commanded",
+    "set_aside",
     "source_of",
     "time_law",
     "write_joint_table",
@@ -42,6 +47,9 @@ AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: point
 BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
+OLDER = "older"  #: folder of the programs of earlier runs
+PROGRAMS = ("krl_*", "rsi_*_*_*", "joints_*.csv", "gcode_*", f"{NOT_RELEASED}*")  #: what an operator may take
+FADE = 0.2  #: [s], from the whole correction to none, as that of the command rsi by default
 
 
 def write_programs(
@@ -65,6 +73,22 @@ def write_programs(
     )  # fmt: skip
     files["manifest"] = [write_manifest(directory, [text], decision, released)]
     return files
+
+
+def set_aside(directory) -> list[str]:
+    """Move the programs of earlier runs into the folder OLDER, where they replace files of the same name; their names.
+
+    Programs of one name and another cell would lie side by side, and after the decision no they must not be run.
+    """
+    place = Path(directory)
+    found = sorted({path for pattern in PROGRAMS for path in place.glob(pattern)})
+    for path in found:
+        target = place / OLDER / path.name
+        target.parent.mkdir(exist_ok=True)
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        path.replace(target)
+    return [path.name for path in found]
 
 
 def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = (), released: bool = True) -> Path:
@@ -97,13 +121,15 @@ def write_tool_programs(
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
     setup, origin = _setup(cell, *commanded), source_of(cell, len(original))
     files: dict[str, list[Path]] = {}
-    programs = []
+    programs: list[tuple[str, str, int]] = []
+    limits: list[str] = []
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
         written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, heading, origin)
         files[f"krl_{motion.lower()}"] = written
         programs.append((motion, folder.name, len(written)))
+        limits = limits or krl.time_statements(program.replace(motion=motion), setup)
     if rsi and motions is not None:
         folder = place / f"rsi_{label}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -114,13 +140,14 @@ def write_tool_programs(
     files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
     files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
     files["trajectory"] = [place / f"reference_{named}.csv"]
-    write_rsi_table(files["rsi"][0], *commanded, tick_ns)
+    air = float(cell.stock.max[2]), setup.safe_z, cell.program.approach_feed
+    write_rsi_table(files["rsi"][0], *commanded, tick_ns, air)
     for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
         write_joint_table(path, run, q)
     write_csv(files["trajectory"][0], revised, joints[1])
     text = krl.filled(
         "manifest_tool.txt", stage=cell.stage, programs=programs, name=program.name, files=files,
-        tick_ms=f"{tick_ns / 1e6:g}", findings=findings,
+        tick_ms=f"{tick_ns / 1e6:g}", findings=findings, limits=limits, turning=_turning(program, original),
     )  # fmt: skip
     return files, text
 
@@ -143,8 +170,9 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
     mount, to_kuka = cell.mount, TOOL0.inverse()
     centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
+    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(cell) else (0.0, 0.0)
     spindle = f"{cell.tool.spindle_speed * 30.0 / np.pi:.6g} rpm, {cell.tool.rotation}"
-    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle)
+    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law)
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
@@ -168,6 +196,11 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
     return approaches[0]
 
 
+def timed_by_cell(cell: Cell) -> bool:
+    """Whether ``timing`` decides about the times of the points."""
+    return cell.timed_path is not None and not cell.timed_path.timed_by_source
+
+
 def time_law(cell: Cell) -> str:
     """The times of the points, on which every figure of a program rests, as one line."""
     if cell.timed_path is None:
@@ -182,22 +215,58 @@ def time_law(cell: Cell) -> str:
     )
 
 
+def _turning(program: Program, run: Trajectory) -> str:
+    """A sentence where the tool turns faster than the program lets it."""
+    if not np.any(run.quaternion != run.quaternion[0]):
+        return ""
+    turned = Rotation.from_quat(run.quaternion)
+    turn = (turned[:-1].inv() * turned[1:]).magnitude()
+    rate = np.degrees(turn / (1e-9 * np.diff(run.time_ns)))
+    growth = np.abs(np.diff(rate)) / (1e-9 * np.diff(run.time_ns)[1:])
+    most = rate.max(initial=0.0), growth.max(initial=0.0)
+    allowed = np.degrees([program.turn_speed, program.turn_acceleration])
+    slower = "; more than $VEL.ORI or $ACC.ORI, the controller slows down there" if np.any(most > allowed) else ""
+    return f"the tool turns at up to {most[0]:.3g} deg/s and {most[1]:.3g} deg/s2 in the plan{slower}"
+
+
 def source_of(cell: Cell, count: int) -> krl_motion.Source | None:
     """Line and feature of each knot; None without a program."""
     lines, features = cell.programmed.knot_source
     return krl_motion.Source(lines, features) if len(lines) == count else None
 
 
-def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:
+def write_rsi_table(
+    path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0],
+    air: tuple[float, float, float] | None = None,
+) -> None:  # fmt: skip
     """Write the offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg], X, Y, Z [mm].
 
-    X, Y, Z: the programmed point, from which the command ``rsi`` takes the progress on the path.
+    X, Y, Z: the programmed point, from which the command ``rsi`` takes the progress on the path. air: top of the stock
+    and height of the retract [m], feed of the retract [m/s]; the correction then fades to zero above the stock, on the
+    end of the path or, where that is too short, on the retract of the program.
     """
     if tick_ns not in RSI_TICKS_NS:
         raise TrajectoryError(f"RSI corrects every 4 or 12 ms, not every {tick_ns / 1e6:g} ms")
     time_ns, shift, turn = offsets(original, revised, tick_ns)
-    rows = np.hstack([shift * 1e3, np.degrees(turn), original.sample(time_ns) * 1e3]) + 0.0  # -0.0 becomes 0.0
+    rows = np.hstack([shift, turn, original.sample(time_ns)])
+    if air is not None:
+        rows = _faded(rows, 1e-9 * tick_ns, *air)
+        time_ns = tick_ns * np.arange(len(rows))
+    rows = rows * np.repeat([1e3, 180.0 / np.pi, 1e3], 3) + 0.0  # -0.0 becomes 0.0
     _write_rows(path, "dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg,X_mm,Y_mm,Z_mm", time_ns, rows, "{:.6f}".format)
+
+
+def _faded(rows: np.ndarray, tick: float, top: float, safe: float, feed: float) -> np.ndarray:
+    """Rows of shift, turn and place, (n, 9), whose correction ends at zero; with the retract where it is needed."""
+    wanted = int(np.ceil(FADE / tick))
+    if np.min(rows[-wanted:, 8]) < top and rows[-1, 8] < safe:
+        heights = np.append(np.arange(rows[-1, 8] + feed * tick, safe, feed * tick), safe)
+        retract = np.repeat(rows[-1:], len(heights), axis=0)
+        retract[:, 8] = heights
+        rows = np.concatenate([rows, retract])
+    count = min(wanted, int(np.argmin(np.append(rows[::-1, 8] >= top, False))))
+    rows[len(rows) - count :, :6] *= np.linspace(1.0, 0.0, count + 1)[1:, None]
+    return rows
 
 
 def write_joint_table(path, trajectory: Trajectory, joints) -> None:

@@ -38,7 +38,7 @@ from kr270_milling.decide.programs.krl_motion import (
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["Approach", "Heading", "Setup", "filled", "trajectory_hash", "write_krl"]
+__all__ = ["Approach", "Heading", "Setup", "filled", "time_statements", "trajectory_hash", "write_krl"]
 
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
@@ -66,6 +66,8 @@ class Setup:
     load_mass: float = 0.0  #: [kg], spindle and tool
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
+    acceleration: float = 0.0  #: of the time law [m/s2]; 0: the times of the points come from elsewhere
+    jerk: float = 0.0  #: of the time law [m/s3]
 
 
 @dataclass(frozen=True)
@@ -182,8 +184,23 @@ def _head_and_foot(program: Program, setup: Setup) -> list[list[str]]:
         base=f"{{{frame_text(frame_row(setup.base))}}}",
         spindle=setup.spindle,
         approach_feed=number(max(program.approach_feed, 1e-3), 3),
+        limits=time_statements(program, setup),
     )
     return [part.splitlines() for part in text.split("\u00b6\n")]
+
+
+def time_statements(program: Program, setup: Setup) -> list[str]:
+    """The limits of the controller on which the times of the points rest: m/s2, m/s3 of spline motions, deg/s, deg/s2.
+
+    BAS(#INITMOV,0) sets them to those of the machine data, so that they follow it.
+    """
+    if program.time_law == "none" or not setup.acceleration:
+        return []
+    jerk = program.time_law == "jerk" and program.motion == "SPLINE"
+    turn, turned = np.degrees([program.turn_speed, program.turn_acceleration])
+    values = {"$ACC.CP": setup.acceleration} | ({"$JERK.CP": setup.jerk} if jerk else {})
+    values |= {"$VEL.ORI1": turn, "$VEL.ORI2": turn, "$ACC.ORI1": turned, "$ACC.ORI2": turned}
+    return [f"{name}={number(value, 4)}" for name, value in values.items()]
 
 
 def filled(template: str, **values) -> str:

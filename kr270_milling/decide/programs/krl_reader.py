@@ -15,6 +15,7 @@ __all__ = ["KrlPath", "read_krl"]
 
 CALL = re.compile(r"([A-Z]\w*)\( \)")
 MOTION = re.compile(r"(SPL|LIN) XP(\d+)( C_DIS)?(?: WITH .*)?")
+LIMIT = re.compile(r"(\$(?:ACC\.CP|JERK\.CP|(?:VEL|ACC)\.ORI[12]))=(.*)")
 FRAME = re.compile(r"DECL FRAME XP(\d+)=\{X (.*),Y (.*),Z (.*),A (.*),B (.*),C (.*)\}")
 
 
@@ -26,6 +27,7 @@ class KrlPath:
     pose: Pose  #: in $BASE, (p, 3), (p, 3, 3)
     stops: np.ndarray  #: (p,) bool: exact stops; the first point is the end of the approach
     spline: bool  #: SPL motions; else LIN
+    limits: dict[str, float]  #: of the controller as the program sets them, such as $ACC.CP [m/s2]
 
 
 def read_krl(directory, main: str) -> KrlPath:
@@ -34,6 +36,7 @@ def read_krl(directory, main: str) -> KrlPath:
     frames: list[list[float]] = []
     stops: list[bool] = []
     kinds: set[str] = set()
+    limits: dict[str, float] = {}
 
     def run(module: str) -> None:
         own = _frames(Path(directory, f"{module}.dat"))
@@ -41,6 +44,8 @@ def read_krl(directory, main: str) -> KrlPath:
         for line in path.read_text(encoding="ascii").splitlines():
             if match := CALL.fullmatch(line):
                 run(match[1])
+            elif match := LIMIT.fullmatch(line):
+                limits[match[1]] = float(match[2])
             elif line == "ENDSPLINE":
                 stops[-1] = True
             elif match := MOTION.fullmatch(line):
@@ -57,7 +62,7 @@ def read_krl(directory, main: str) -> KrlPath:
         raise InputError(main, "the path must have SPL motions or LIN motions, at least one and not both")
     rows = np.array(frames)
     pose = Pose.from_abc(rows[:, :3] * 1e-3, np.radians(rows[:, 3:]))
-    return KrlPath(np.array(numbers), pose, np.array(stops), kinds == {"SPL"})
+    return KrlPath(np.array(numbers), pose, np.array(stops), kinds == {"SPL"}, limits)
 
 
 def _frames(path: Path) -> dict[int, list[float]]:

@@ -14,7 +14,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, commanded_joints, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.programs import krl
-from kr270_milling.decide.programs.files import as_commanded, source_of
+from kr270_milling.decide.programs.files import as_commanded, source_of, timed_by_cell
 from kr270_milling.decide.programs.krl_reader import read_krl
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
@@ -37,7 +37,8 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     if not cell.compensation.sag_compensated:
         commanded = as_commanded(cell, planned, commanded_joints(cell, planned))
     start = krl.Approach(planned.position[0], 0, 0)
-    setup = krl.Setup(NOWHERE, NOWHERE, (start, start), 0.0)
+    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(cell) else (0.0, 0.0)
+    setup = krl.Setup(NOWHERE, NOWHERE, (start, start), 0.0, acceleration=law[0], jerk=law[1])
     program = cell.program.replace(motion=motion, name="WRITTEN")
     target = cell.target()
     with tempfile.TemporaryDirectory() as folder:

@@ -71,6 +71,7 @@ COMMANDS = {
 def run_compensate(args) -> Answer:
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
+    from kr270_milling.decide.programs.files import OLDER, set_aside
     from kr270_milling.decide.programs.gcode import check_gcode
     from kr270_milling.decide.programs.rsi_context import rsi_address
     from kr270_milling.decide.tools import DecisionOnTools, in_turn
@@ -97,6 +98,8 @@ def run_compensate(args) -> Answer:
             print(f"warning: {decision.text}", file=sys.stderr)
         whole.say("files")
         values = _write(draft, final, jobs, decision, args, source, whole)
+        if older := set_aside(args.out):
+            print(f"programs of an earlier run moved to {Path(args.out, OLDER)}: {', '.join(older)}", file=sys.stderr)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
     return Answer(values, shown, code=decision.exit_code)
 

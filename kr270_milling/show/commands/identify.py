@@ -86,9 +86,12 @@ COMMANDS = {
                 option("--to S", "seconds after the first sample", bounded(0, 1e6), dest="stop"),
                 option("--band LOW:HIGH", "[Hz] (default: 2:100)", stretch(0.01, 1e5), (2.0, 100.0)),
                 option("--modes N", "at most", bounded(1, 20, int), 6),
-                option("--quantity", "of the channels", default=QUANTITIES[0], choices=QUANTITIES),
+                option(
+                    "--quantity", "of the channels (default: that of a UFF file, else displacement)",
+                    choices=QUANTITIES,
+                ),
                 option("--hammer", "direction of force_n: scales the shapes by the masses", choices=SIX_AXES),
-                option("--cell CELL.yaml", "scales the shapes by its compliance, where no hammer was"),
+                option("--cell CELL.yaml", "scales the shapes by its compliance, or checks those of a hammer"),
                 INCLUDE,
                 SELF_CONTAINED,
             )),
@@ -240,18 +243,25 @@ def identify_damping(args) -> Answer:
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.show.report.identification.modes import mode_outcome
     from kr270_milling.studies.identification import modes
+    from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts
     from kr270_milling.studies.identification.signals import read_signals
 
     source = find_file(args.recording) if args.recording.lower().endswith(".csv") else args.recording
-    signals = read_signals(source, args.topic).window(args.start, args.stop)
     low, high = args.band
+    signals = read_signals(source, args.topic).window(args.start, args.stop)
+    signals = modes.free_decay(signals, low, high)
+    doubts = [Doubt(note) for note in signals.notes]
+    cell = read_cell(find_file(args.cell)) if args.cell else None
     (identified, faint), shapes = modes.split_modes(signals, low, high, args.modes), None
     if args.hammer:
-        shapes = modes.by_hammer(identified, signals, args.hammer, args.quantity)
-    elif args.cell:
-        shapes = modes.by_compliance(identified, signals, modes.tool_compliance(read_cell(find_file(args.cell))))
+        quantity = args.quantity or signals.quantity or QUANTITIES[0]
+        note = modes.check_hammer(identified, signals, args.hammer, quantity)
+        shapes = modes.by_hammer(identified, signals, args.hammer, quantity)
+        doubts += [Doubt(note)] * bool(note) + hammer_doubts(identified, shapes, args.hammer, cell)
+    elif cell:
+        shapes = modes.by_compliance(identified, signals, modes.tool_compliance(cell))
     title = f"Modes between {low:g} and {high:g} Hz from {Path(args.recording).name}"
-    return _answer(args, mode_outcome(identified, faint, signals, shapes, title))
+    return _answer(args, mode_outcome(identified, faint, signals, shapes, title, doubts))
 
 
 def identify_material(args) -> Answer:

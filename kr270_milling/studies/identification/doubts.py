@@ -16,15 +16,18 @@ import numpy as np
 from scipy import stats
 
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.cutting.materials import materials
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.studies.identification.compliance import Fit, fit_compliance
 from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.forces import FIRST, LawFit, contradicting_cut, fit_forces
 from kr270_milling.studies.identification.measurements import Measurements
+from kr270_milling.studies.identification.modes import Mode, tool_compliance
 from kr270_milling.studies.identification.problem import TILTS, Problem
+from kr270_milling.studies.identification.signals import AXES
 
-__all__ = ["Doubt", "compliance_doubts", "force_doubts", "refuse_units"]
+__all__ = ["Doubt", "compliance_doubts", "force_doubts", "hammer_doubts", "refuse_units"]
 
 COMPLIANCE = 0.05e-6, 10e-6  #: [rad/(N m)] of a joint of a heavy arm, published
 #: factor on the arm file beyond which a unit is suspected: the published sets of one robot differ by 2.2
@@ -36,15 +39,39 @@ LOAD_UNITS = {
     1e-3: "displacements in m in the columns of mm, or forces 1000 times too large",
     1e3: "displacements in um in the columns of mm, or forces in kN in the columns of N",
     9.80665: "forces in kgf in the columns of N",
+    4.44822: "forces in pounds in the columns of N",
     1 / 9.80665: "weights in N in the column of kg",
-    25.4: "lengths in inch in the columns of mm",
+    1 / 25.4: "displacements in inch in the columns of mm",
+    39.3701: "displacements in thousandths of an inch in the columns of mm",
 }
-EDGE = 2.0  #: factor beyond the published coefficients from which a unit is suspected
+POUNDS = 0.453592  #: factor on compliances, of masses in pounds in the column of kg
+ALIKE = 1.25  #: factor around POUNDS; Table 1 beside the set of 2013 differs by 1.1 to 2.2 from joint to joint
+EDGE = 2.0  #: factor beyond the published ratios of coefficients from which the table is suspected
+SIZE = 1.25  #: factor beyond the published K_tc from which a unit is suspected: assumed; pounds give 0.225 times K_tc
 FORCE_UNITS = {
     1e-3: "forces in kN in the columns of N",
     1e3: "forces in mN in the columns of N",
     1 / 9.80665: "forces in kgf in the columns of N",
+    1 / 4.44822: "forces in pounds in the columns of N",
+    25.4: "depth or feed per tooth in inch in the columns of mm",
+    25.4**2: "depth and feed per tooth in inch in the columns of mm",
 }  #: factor on coefficients -> what causes it
+HAMMER_UNITS = {
+    1 / 9.80665: "accelerations in g instead of m/s2",
+    1e3: "forces in kN instead of N, or motions in mm instead of m",
+    4.44822: "forces in pounds instead of N",
+    1e-3: "forces in mN instead of N",
+}  #: factor on compliances -> what causes it
+#: another reading of F_x, F_y -> its matrix from the right
+READINGS = {
+    "forces on the part (--sensor-on part), or with x against the feed": ((-1, 0), (0, -1)),
+    "x and y swapped": ((0, 1), (1, 0)),
+    "x and y swapped and the signs of both changed": ((0, -1), (-1, 0)),
+    "the sensor turned (--sensor-abc 90,0,0)": ((0, 1), (-1, 0)),
+    "the sensor turned (--sensor-abc -90,0,0)": ((0, -1), (1, 0)),
+    "the sign of y changed, or the other sense of rotation": ((1, 0), (0, -1)),
+    "the sign of x changed": ((-1, 0), (0, 1)),
+}
 UNEXPLAINED = 0.25  #: share of the displacements that the model leaves, from which another frame or arm is suspected
 FALLS = 0.4  #: residuals fall to this share under a hypothesis that is named
 SURE = 1e-4  #: p-value of a base that tilts
@@ -65,6 +92,16 @@ def likely_factor(factor: float, known: dict[float, str]) -> str:
     return f": {known[nearest]}?" if abs(np.log(factor / nearest)) < np.log(NEAR) else ""
 
 
+def _entered_twice(kind: str, *columns: np.ndarray) -> list[Doubt]:
+    """Rows, (n,) or (n, k), that equal an earlier row to the digit, as noise never repeats."""
+    rows = np.column_stack([np.nan_to_num(column) for column in columns])
+    _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    earlier = first[place.ravel()]
+    pairs = [f"{k + 1} = {e + 1}" for k, e in enumerate(earlier) if k != e]
+    text = f"{kind} {', '.join(pairs)} to the digit: entered twice? Then the intervals are too narrow"
+    return [Doubt(text)] if pairs else []
+
+
 # --- load tests ---
 
 
@@ -73,14 +110,19 @@ def refuse_units(problem: Problem, path) -> None:
 
     An arm that really is so much softer or stiffer needs an arm file that is nearer.
     """
-    moved, predicted = problem.measured.displacement[:, :3], problem.predict(problem.start)[:, :3]
-    factor = float(np.sqrt(np.nansum(moved**2) / np.nansum(predicted[np.isfinite(moved)] ** 2)))
+    factor, size = _size(problem)
     if factor == 0.0:
         raise InputError(path, "all displacements are zero")
     cause = likely_factor(factor, LOAD_UNITS)
     if not 1 / UNLIKELY < factor < UNLIKELY and (cause or not 1 / FAR < factor < FAR):
-        size = f"the displacements are {factor:.3g} times what the arm file predicts for these loads"
         raise InputError(path, f"{size}{cause or ', which no arm explains'}")
+
+
+def _size(problem: Problem) -> tuple[float, str]:
+    """Measured over predicted displacement, and the sentence with it."""
+    moved, predicted = problem.measured.displacement[:, :3], problem.predict(problem.start)[:, :3]
+    factor = float(np.sqrt(np.nansum(moved**2) / np.nansum(predicted[np.isfinite(moved)] ** 2)))
+    return factor, f"the displacements are {factor:.3g} times what the arm file predicts for these loads"
 
 
 def compliance_doubts(fit: Fit) -> list[Doubt]:
@@ -88,7 +130,12 @@ def compliance_doubts(fit: Fit) -> list[Doubt]:
     if not fit.free[:6].any():
         return [Doubt("nothing is identified", True)]
     outside = fit.free[:6] & ~((fit.values[:6] > COMPLIANCE[0]) & (fit.values[:6] < COMPLIANCE[1]))
-    doubts = _pattern(fit)
+    measured, (factor, size) = fit.problem.measured, _size(fit.problem)
+    doubts = _pattern(fit) + _entered_twice("test", measured.q, measured.wrench, measured.displacement)
+    if not 1 / UNLIKELY < factor < UNLIKELY:
+        doubts.append(Doubt(f"{size}: is a unit wrong, or the arm file that of another arm?"))
+    if 1 / ALIKE < factor / POUNDS < ALIKE and not measured.wrench[:, [0, 1, 3, 4, 5]].any():
+        doubts.append(Doubt(f"{size}: masses in pounds in the column of kg?"))
     if outside.any():
         names = ", ".join(str(k + 1) for k in np.flatnonzero(outside))
         limits = "{:g} to {:g}".format(*(1e6 * limit for limit in COMPLIANCE))
@@ -207,8 +254,10 @@ def force_doubts(fits: list[LawFit], law: str) -> list[Doubt]:
     """Doubts about cuts; fits: the linear-edge law first; law: of the parameter file."""
     edge = fits[0]
     chosen = {fit.law: fit for fit in fits}[law]
-    doubts = _contradicting_cut(edge) or _swapped_modes(edge)
+    cuts = edge.cuts
+    doubts = _other_axes(edge) or _contradicting_cut(edge) or _swapped_modes(edge)
     doubts += _coefficients(edge)
+    doubts += _entered_twice("cut", cuts.feed_per_tooth, cuts.depth, cuts.entry, cuts.exit, cuts.force)
     lateral = chosen.values[:4] if law == FIRST else chosen.values[np.isfinite(chosen.values)][:3]
     if np.any(lateral < 0.0) or lateral[0] == 0.0:
         doubts.append(Doubt("a coefficient of the cut is negative or zero, which no cut has", True))
@@ -229,12 +278,37 @@ def _coefficients(edge: LawFit) -> list[Doubt]:
         text = f"is feed_per_tooth_mm the feed per revolution? Divided by {teeth} it gives {1e-6 * k_tc * teeth:.0f}"
         return [Doubt(f"{shown}, and K_tc / K_te is {1e-3 * ratio:.2g} /mm, published {1e-3 * ratios.min():.0f} to "
                       f"{1e-3 * ratios.max():.0f}: {text}")]  # fmt: skip
-    if 0.0 < k_tc < low / EDGE or k_tc > high * EDGE:
+    if 0.0 < k_tc < low / SIZE or k_tc > high * SIZE:
         typical = float(np.median(known[:, 0]))
-        cause = next((f": {text}?" for factor, text in FORCE_UNITS.items()
-                      if low / EDGE < k_tc / factor < high * EDGE), "")  # fmt: skip
-        return [Doubt(f"{shown}, {k_tc / typical:.2g} times the median{cause}")]
+        cause = " or ".join(text for factor, text in FORCE_UNITS.items() if low < k_tc / factor < high)
+        return [Doubt(f"{shown}, {k_tc / typical:.2g} times the median{f': {cause}?' if cause else ''}")]
     return []
+
+
+def _plausible(fit: LawFit) -> bool:
+    """Whether K_tc and K_rc are positive with a ratio as published."""
+    ratios = [row.values[2] / row.values[0] for row in materials()]
+    k_tc, k_rc = fit.values[0], fit.values[2]
+    return bool(k_tc > 0.0 and min(ratios) / EDGE < k_rc / k_tc < max(ratios) * EDGE)
+
+
+def _other_axes(edge: LawFit) -> list[Doubt]:
+    """The readings of F_x and F_y with which the coefficients are as those of a cut, where they are not as read."""
+    if _plausible(edge):
+        return []
+    left = {}
+    for name, turned in READINGS.items():
+        force = edge.cuts.force.copy()
+        force[:, :2] = force[:, :2] @ np.array(turned)
+        with contextlib.suppress(MillingError):
+            other = fit_forces(FIRST, dataclasses.replace(edge.cuts, force=force))
+            if _plausible(other) and other.lateral_rms < max(edge.lateral_rms / FALLS, 1e-9):
+                left[name] = other.lateral_rms
+    if not left:
+        return []
+    names = " or ".join(name for name, rms in left.items() if rms < min(left.values()) / FALLS)
+    found = "K_tc is {:.3g}, K_rc {:.3g} N/mm2".format(*(1e-6 * edge.values[[0, 2]]))
+    return [Doubt(f"{found}, as no cut has; the signs and sizes are those of a cut with {names}", True)]
 
 
 def _contradicting_cut(edge: LawFit) -> list[Doubt]:
@@ -262,4 +336,28 @@ def _swapped_modes(edge: LawFit) -> list[Doubt]:
                 "up and down milling are swapped? With the other mode the residual falls from "
                 f"{edge.lateral_rms:.3g} to {other.lateral_rms:.3g} N: look at the mode and the sense of rotation"
             )]  # fmt: skip
+    return []
+
+
+# --- a hammer ---
+
+
+def hammer_doubts(modes: list[Mode], shapes: np.ndarray, axis: str, cell: Cell | None) -> list[Doubt]:
+    """Masses and compliance of the modes at the drive point, on which a wrong unit shows; shapes: (n, 6).
+
+    The modes of the arm are a part of its static compliance, sum phi_d^2 / omega^2 <= C_dd, and nearly all of it where
+    they begin with the first mode of the cell.
+    """
+    at, omega = AXES.index(axis), 2 * np.pi * np.array([mode.frequency for mode in modes])
+    soft, unit = float(np.sum((shapes[:, at] / omega) ** 2)), ("kg", "um/N") if at < 3 else ("kg m2", "urad/(N m)")
+    masses = ", ".join(f"{1 / value**2:.3g}" for value in shapes[:, at])
+    shown = f"at the drive point the modes have {masses} {unit[0]} and together {1e6 * soft:.3g} {unit[1]}"
+    if cell is None:
+        return [Doubt(f"{shown}, if the columns are in SI units: a motion in g or mm/s2 and a force in kN show only "
+                      "with --cell")]  # fmt: skip
+    whole = float(tool_compliance(cell)[at, at]) + cell.tool.lateral_compliance * (at < 2)
+    factor = soft / whole
+    if factor > UNLIKELY or (factor < 1 / UNLIKELY and omega.min() < NEAR * cell.modal_model.frequency[0]):
+        cause = likely_factor(factor, HAMMER_UNITS) or ": is a unit wrong, or the cell that of another arm?"
+        return [Doubt(f"{shown}, {factor:.3g} times that of the cell{cause}", True)]
     return []

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import specs
 from kr270_milling.physics.cutting import LAWS, ForceLaw
 from kr270_milling.physics.cutting.materials import NAMES, SCALE
@@ -170,7 +170,12 @@ def _fit_curved(law: str, cuts: CutMeasurements) -> LawFit:
     values[~axial] = solved.x * start
     widths[~axial] = np.nan_to_num(quantile * np.sqrt(variance * np.diag(inverse)) * start, nan=np.inf, posinf=np.inf)
     values[axial], widths[axial] = _fit_axial(kind, cuts, solved.x * start)
-    modelled = kind(*(float(v) for v in np.nan_to_num(values))).mean_forces(cuts)
+    try:
+        law_of_fit = kind(*map(float, np.nan_to_num(values)))
+    except ParameterError:  # axial coefficients that no cut has, where F_x and F_y are not those of a cut
+        values[axial], widths[axial] = np.nan, np.nan
+        law_of_fit = kind(*map(float, np.nan_to_num(values)))
+    modelled = law_of_fit.mean_forces(cuts)
     return LawFit(law, cuts, values, widths, modelled)
 
 

@@ -12,6 +12,8 @@ the envelope is that of the analytic signal (Hilbert).
 Mass-normalised shapes, as ``dynamics.modes`` wants them: a mode of shape phi answers an impulse along d with
 phi phi_d sin(omega_d t) exp(-zeta omega t) / omega_d; its residues are R = phi phi_d / (2 i omega_d). With a hammer the
 drive point gives phi_d^2 = 2 i omega_d R_d, and the others follow. Velocities and accelerations have s R and s^2 R.
+A force channel that is late by tau makes of R the residue R exp(s tau): the phase of 2 i omega_d R_d, which is 0, grows
+by omega_d tau with the frequency. Another quantity turns all phases by 90 or 180 degrees.
 Without a hammer only the direction psi of phi = alpha psi is known. The static compliance of the arm is the sum over
 its modes, C = sum alpha_k^2 psi_k psi_k^T / omega_k^2, which gives alpha_k^2 >= 0 by least squares over the components
 that were measured.
@@ -19,6 +21,7 @@ that were measured.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -32,8 +35,8 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
-__all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "split_modes",
-           "tool_compliance"]  # fmt: skip
+__all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "check_hammer", "find_modes", "free_decay",
+           "split_modes", "tool_compliance"]  # fmt: skip
 
 MOST_SAMPLES = 1200  #: of the pencil; longer ones are thinned after a low-pass
 SHARE = 1e-3  #: of the strongest singular value: below is noise
@@ -43,6 +46,10 @@ CLEAR = 8.0  #: standard deviations; a pole that follows noise reaches about 4
 LEAST = 1e-6  #: share of the energy below which a pole is rounding
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
+QUIET = 0.2  #: share of the largest motion in the band, below which the ring-down has not begun: assumed
+PHASE = math.radians(10)  #: of the drive point without a word; the shape is then off by 1 - sqrt(cos PHASE) = 0.8 %
+MOST_PHASE = math.radians(30)  #: of the drive point; the shape is then off by 7 %
+BLOW = 5.0, 5e4  #: [N] of a hammer; from the smallest for tool tips to a sledge hammer: assumed
 
 
 class NoModeError(MillingError):
@@ -131,6 +138,26 @@ def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tup
         widths = half_widths.get(int(k), (math.nan, math.nan))
         modes.append(Mode(complex(poles[k]), residues[k], float(clear[k]), share, decrement, widths))
     return modes[: len(order)], modes[len(order) :]
+
+
+def free_decay(signals: Signals, low: float, high: float) -> Signals:
+    """Leave out the quiet samples before a ring-down, whose step is no free vibration; a force needs no such cut."""
+    if signals.force is not None:
+        return signals
+    edges = [low, min(high, 0.45 / signals.step)]
+    if edges[0] >= edges[1]:
+        return signals
+    data = signal.sosfiltfilt(signal.butter(2, edges, "bandpass", fs=1 / signals.step, output="sos"), signals.values,
+                              axis=0, padlen=0)  # fmt: skip
+    size = np.linalg.norm(data / np.maximum(np.abs(data).max(0), 1e-300), axis=1)
+    start = int(np.argmax(size > QUIET * size.max())) * signals.step
+    power = np.sum(np.abs(np.fft.rfft(data, axis=0)) ** 2, axis=1)
+    if start * int(np.argmax(power)) < 0.25 * len(data) * signals.step:  # a quarter of the strongest period
+        return signals
+    start = int(np.argmax(size)) * signals.step
+    note = f"the first {start:.4g} s are left out: the ring-down begins there (pre-trigger)"
+    cut = signals.window(start, None)
+    return dataclasses.replace(cut, notes=(*cut.notes, note))
 
 
 def impulse_response(signals: Signals, force: np.ndarray) -> np.ndarray:
@@ -243,19 +270,56 @@ def log_decrement(channel: np.ndarray, step: float, frequency: float, band: floa
     return float(-slope / (2 * np.pi * frequency))
 
 
-def by_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str = "displacement") -> np.ndarray:
-    """(n, 6) [kg^-1/2]; axis: of the hammer's force, one of the channels; signals in SI units. Raises InputError."""
+def check_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str) -> str:
+    """Return a sentence about the phases of the drive point, empty where they are 0; raise InputError.
+
+    axis: of the hammer's force, one of the channels; quantity: of POWER. Signs, another quantity and a force that is
+    not sampled with the motion show as phases; the delay is the least that explains all of them.
+    """
     if signals.force is None or axis not in signals.names:
         raise InputError("--hammer", f"needs the columns force_n and {axis}: a hammer and the motion where it hits")
+    if signals.drive not in ("", axis):
+        raise InputError("--hammer", f"is {axis}, but the file states that the hammer hit {signals.drive}")
+    if signals.quantity not in ("", quantity):
+        raise InputError("--quantity", f"is {quantity}, but the file states {signals.quantity}")
+    blow = float(np.abs(signals.force - np.median(signals.force)).max())
+    if not BLOW[0] < blow < BLOW[1]:
+        raise InputError("force_n", f"has a blow of {blow:.3g} N, allowed: {BLOW[0]:g} to {BLOW[1]:g} N: another unit?")
+    drive = signals.names.index(axis)
+    omega = np.array([mode.pole.imag for mode in modes])
+    phase = np.angle([2j * mode.residues[drive] / mode.pole ** POWER[quantity] for mode in modes])
+    sure = np.maximum(PHASE, 3.0 / np.array([mode.clear for mode in modes]))
+    if np.all(np.abs(phase) < sure):
+        return ""
+    listed = ", ".join(f"{np.degrees(a):.0f} deg at {m.frequency:.4g} Hz" for a, m in zip(phase, modes, strict=True))
+    shown = f"the phase of the drive point must be 0, but is {listed}"
+    if np.all(np.abs(phase) < MOST_PHASE):
+        return f"{shown}: the shapes may be off by {100 - 100 * float(np.sqrt(np.cos(phase)).min()):.0f} % or more"
+    turns = {"the signs are wrong": 2} | {f"--quantity is {name}": p - POWER[quantity] for name, p in POWER.items()}
+    causes = [text for text, turn in turns.items() if np.all(np.abs(_wrapped(phase - turn * np.pi / 2)) < 3 * sure)]
+    tried = np.radians(sorted(range(-360, 361), key=abs)) / omega.max()
+    fits = np.all(np.abs(_wrapped(phase[:, None] - np.outer(omega, tried))) < sure[:, None], axis=0)
+    if fits.any():
+        delay = float(tried[np.argmax(fits)])
+        delay += float(omega @ _wrapped(phase - omega * delay) / (omega @ omega))
+        causes.append(f"force_n is {1e3 * abs(delay):.2g} ms {'late' if delay > 0.0 else 'early'}")
+    cause = " or ".join(causes) or f"force and motion do not begin together, or {axis} is not where the hammer hits"
+    raise InputError("--hammer", f"{shown}: {cause}?")
+
+
+def _wrapped(phase: np.ndarray) -> np.ndarray:
+    """Phases [rad] in -pi to pi."""
+    return (phase + np.pi) % (2 * np.pi) - np.pi
+
+
+def by_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str = "displacement") -> np.ndarray:
+    """(n, 6) [kg^-1/2]; axis: of the hammer's force, one of the channels; signals in SI units. Raises InputError."""
+    check_hammer(modes, signals, axis, quantity)
     drive, shapes = signals.names.index(axis), []
     for mode in modes:
         residues = mode.residues / mode.pole ** POWER[quantity]
         share = 2j * mode.pole.imag * residues
-        square = float(share[drive].real)
-        if not square > 0.0:
-            reason = f"the mode at {mode.frequency:.4g} Hz moves against the force: check the signs"
-            raise InputError("--hammer", reason)
-        shapes.append(signals.along_axes(share.real / np.sqrt(square)))
+        shapes.append(signals.along_axes(share.real / np.sqrt(float(share[drive].real))))
     return np.array(shapes)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,9 +19,15 @@ __all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resa
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
 COLUMNS = ("time_s", *AXES, FORCE)
+QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  #: by specific data type of a UFF file
+FORCES = (9, 13)  #: specific data types: reaction force, excitation force
+SI = ("", "NONE", "M", "M/S", "M/S2", "M/S^2", "M/S**2", "N", "RAD")  #: labels of units of a UFF file
 UFF = (".uff", ".unv", ".58")
 FEWEST = 16
 MOST_BYTES = 256 * 1024 * 1024  #: of a UFF file, which is read as a whole
+LONGEST_GAP = 10.0  #: steps that are bridged by a straight line: assumed
+UNEVEN = 0.1  #: share of a step by which stamps may be uneven without a word: assumed, 3 degrees at 10 samples a period
+CONFLICTS = 0.01  #: share of the messages that may repeat a stamp with other values: assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +38,9 @@ class Signals:
     values: np.ndarray  #: (n, channels)
     names: tuple[str, ...]  #: of the channels, of AXES where they are known
     force: np.ndarray | None = None  #: of the hammer [N], (n,)
+    quantity: str = ""  #: of QUANTITIES; empty: the file does not state the quantity
+    drive: str = ""  #: of AXES, where the file states the direction of the force, or the other point that was hit
+    notes: tuple[str, ...] = ()  #: sentences about stamps and channels
 
     def along_axes(self, shape: np.ndarray) -> np.ndarray:
         """A shape of the channels along x, y, z, rx, ry, rz, (6,); 0 where nothing was measured."""
@@ -47,7 +57,7 @@ class Signals:
         if last - first < FEWEST:
             raise InputError("window", f"holds {max(0, last - first)} samples, but modes need at least {FEWEST}")
         force = None if self.force is None else self.force[first:last]
-        return Signals(self.step, self.values[first:last], self.names, force)
+        return dataclasses.replace(self, values=self.values[first:last], force=force)
 
 
 def read_signals(path, topic: str = "deflection") -> Signals:
@@ -55,29 +65,52 @@ def read_signals(path, topic: str = "deflection") -> Signals:
 
     Gaps are bridged by straight lines.
     """
-    suffix = Path(path).suffix.lower()
+    suffix, stated, lines = Path(path).suffix.lower(), {}, None
     if suffix == ".csv":
         table = read_table(path, COLUMNS, ("time_s",))
         names = tuple(name for name in (*AXES, FORCE) if name in table)
-        if not set(names) & set(AXES):
-            raise InputError(path, f"has none of the columns {', '.join(AXES)}", 1)
-        time, values = table.number("time_s"), table.numbers(names)
+        time, values, lines = table.number("time_s"), table.numbers(names or ("time_s",)), table.lines
     elif suffix in UFF:
-        time, names, values = _read_uff(path)
+        time, names, values, stated = _read_uff(path)
     else:
         time, values = read_topic(path, topic, FIXED)
         names = AXES[: 6 if values.shape[1] == 6 else 3]
-    order = np.argsort(time, kind="stable")
-    steps = np.diff(time[order])
+    if not any(name != FORCE for name in names):
+        raise InputError(path, f"has none of the columns {', '.join(AXES)}", 1)
+    time, step, note = _even_stamps(path, time, lines)
+    values = resampled(time, values, step)
+    notes = (*stated.pop("notes", ()), *([note] if note else []))
+    force = values[:, -1] if names[-1] == FORCE else None
+    channels = len(names) - (force is not None)
+    return Signals(step, values[:, :channels], names[:channels], force, notes=notes, **stated)
+
+
+def _even_stamps(path, time: np.ndarray, lines) -> tuple[np.ndarray, float, str]:
+    """Times [s], (n,), their step [s], and a sentence about stamps that are not even. Raises InputError.
+
+    Stamps that differ from even ones by their last digit are rounded; the samples then are even. lines: of the file.
+    """
+    steps = np.diff(time)
     if len(time) < FEWEST or not steps.any():
         raise InputError(path, f"holds {len(time)} samples, but modes need at least {FEWEST}")
-    step = float(np.median(steps[steps > 0.0]))
-    if steps.max() > 10 * step:
+    late = int(np.argmin(steps)) + 1
+    line = None if lines is None else lines[late]
+    if steps.min() < 0.0:
+        raise InputError(path, f"the time goes back from {time[late - 1]:.9g} to {time[late]:.9g} s", line)
+    if steps.min() == 0.0:
+        share = f"{int((steps == 0.0).sum())} of {len(time)} samples have the stamp of the sample before them"
+        raise InputError(path, f"{share}, as {time[late]:.9g} s: write the stamps with all their digits", line)
+    step = float(np.median(steps))
+    if steps.max() > LONGEST_GAP * step:
         raise InputError(path, f"has a gap of {steps.max():.3g} s where samples come every {step:.3g} s")
-    values = resampled(time[order], values[order, : len(names)], step)
-    if names[-1] == FORCE:
-        return Signals(step, values[:, :-1], names[:-1], values[:, -1])
-    return Signals(step, values, names)
+    uneven = float(np.abs(steps - step).max())
+    even = np.linspace(time[0], time[-1], len(time))
+    digit = next((d for d in 10.0 ** -np.arange(10) if np.abs(time - d * np.rint(time / d)).max() < 1e-3 * d), 0.0)
+    if np.abs(time - even).max() <= 1.01 * digit:
+        note = f"the stamps are rounded to {digit:g} s: the samples are taken as even, every {even[1] - even[0]:.6g} s"
+        return even, float(even[1] - even[0]), note if uneven > UNEVEN * step else ""
+    note = f"the stamps are uneven, {steps.min():.3g} to {steps.max():.3g} s: straight lines give even samples"
+    return time, step, note if uneven > UNEVEN * step else ""
 
 
 def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
@@ -86,8 +119,8 @@ def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
     return np.stack([np.interp(grid, time, column) for column in values.T], -1)
 
 
-def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
-    """Seconds, names and values of the time histories (function type 1) of data set 58."""
+def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
+    """Seconds, names, values and the stated fields of ``Signals`` of the time histories (function type 1) of set 58."""
     require_extra(f"{path}", "uff", "pyuff")
     import pyuff
 
@@ -98,14 +131,43 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(path, f"is no UFF file that pyuff reads ({error})") from None
     histories = [s for s in sets if s.get("func_type") == 1]
+    histories.sort(key=_is_force)  # the force is the last column
     if not histories:
         raise InputError(path, "holds no time history (data set 58, function type 1)")
+    forces, moves = [s for s in histories if _is_force(s)], [s for s in histories if not _is_force(s)]
+    axes = [_direction(s, i) for i, s in enumerate(histories)]
+    names = (*axes[: len(moves)], *[FORCE] * len(forces))
+    nodes = list(dict.fromkeys(int(s["rsp_node"]) for s in moves))
+    times = [np.asarray(s["x"], float) for s in histories]
+    rates = list(dict.fromkeys(f"{1 / (x[1] - x[0]):.6g} from {x[0]:g} s" for x in times if len(x) > 1))
+    kinds = list(dict.fromkeys(QUANTITIES.get(s.get("ordinate_spec_data_type"), "") for s in moves))
+    for kind, several in (("nodes", nodes), ("sampling rates, a second:", rates), ("quantities", kinds)):
+        if len(several) > 1:
+            listed = ", ".join(str(value) or "unknown" for value in several)
+            raise InputError(path, f"holds {kind} {listed}: modes need one file for each")
+    if repeated := {name for name in names if names.count(name) > 1}:
+        raise InputError(path, f"holds several histories of {', '.join(sorted(repeated))}")
+    drive = axes[-1] if forces else ""
+    if forces and moves and int(forces[0]["rsp_node"]) != nodes[0]:
+        drive = f"node {int(forces[0]['rsp_node'])}, not node {nodes[0]}"
+    labels = [str(s.get("ordinate_axis_units_lab") or "").strip() for s in histories]
+    foreign = (f"{name} in {label}" for name, label in zip(names, labels, strict=True) if label.upper() not in SI)
+    notes = tuple(f"the file states {text}: its numbers are taken as SI units" for text in foreign)
     length = min(len(s["data"]) for s in histories)
-    directions = [int(s["rsp_dir"]) for s in histories]
-    names = tuple(AXES[abs(d) - 1] if 1 <= abs(d) <= 6 else f"channel {i}" for i, d in enumerate(directions))
-    data = [np.real(s["data"][:length]) for s in histories]
-    values = np.stack(data, -1) * np.where(np.array(directions) < 0, -1.0, 1.0)
-    return np.asarray(histories[0]["x"], float)[:length], names, values
+    signs = [-1.0 if int(s["rsp_dir"]) < 0 else 1.0 for s in histories]
+    values = np.stack([np.real(s["data"][:length]) for s in histories], -1) * signs
+    stated = {"quantity": kinds[0] if kinds else "", "drive": drive, "notes": notes}
+    return times[0][:length], names, values, stated
+
+
+def _is_force(history: dict) -> bool:
+    return history.get("ordinate_spec_data_type") in FORCES
+
+
+def _direction(history: dict, number: int) -> str:
+    """The axis of a history of a UFF file."""
+    axis = abs(int(history["rsp_dir"]))
+    return AXES[axis - 1] if 1 <= axis <= 6 else f"channel {number}"
 
 
 def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +187,11 @@ def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
         read = series(recording, matches[0])
     if len(read.stamp) < 2:
         raise RecordingError(path, f"{matches[0]} has no two messages")
-    stamp, first = np.unique(read.stamp, return_index=True)
+    stamp, first, place = np.unique(read.stamp, return_index=True, return_inverse=True)
+    others = int((read.values != read.values[first[place]]).any(1).sum())  # a repeated answer has the same values
+    if others > CONFLICTS * len(place):
+        reason = f"{others} of {len(place)} messages of {matches[0]} have the stamp of another message"
+        raise RecordingError(path, f"{reason}: stamp each sample with its own time")
     return stamp * 1e-9, read.values[first]
 
 

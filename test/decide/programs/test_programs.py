@@ -356,6 +356,23 @@ def test_the_rsi_table_has_the_difference_of_both_paths_at_every_tick_and_turns_
     assert not shift.any()
 
 
+@pytest.mark.parametrize("lift", [0.0, 0.06], ids=["in the cut", "in the air"])
+def test_the_correction_of_rsi_fades_to_zero_above_the_stock(tmp_path, lift):
+    """The stock ends at z = 0, the retract at 50 mm with 50 mm/s; 0.2 s of air at the end of a path need no retract."""
+    rise = np.clip(LINE.time - 0.8, 0.0, 0.1)[:, None] * [0.0, 0.0, 10 * lift] - [0.0, 0.0, 2e-3]
+    low, bent = (run.with_position(run.position + rise) for run in (LINE, BENT))
+    for name, air in (("plain", None), ("faded", (0.0, 0.05, 0.05))):
+        write_rsi_table(tmp_path / name, low, bent, 4_000_000, air)
+    plain, faded = (np.genfromtxt(tmp_path / name, delimiter=",", names=True) for name in ("plain", "faded"))
+    last, z = faded[-1], faded["Z_mm"]
+    assert last["dY_mm"] == last["dZ_mm"] == last["dA_deg"] == 0.0 < abs(plain["dY_mm"][-1])
+    cut = np.flatnonzero(z[: len(plain)] < 0.0)
+    np.testing.assert_array_equal(faded["dY_mm"][cut], plain["dY_mm"][cut])
+    assert np.abs(np.diff(faded["dY_mm"])).max() < 1.2 * np.abs(plain["dY_mm"]).max() / 50  # 50 ticks of 4 ms
+    assert len(faded) == (len(plain) + 260 if not lift else len(plain)) and z[-1] == (50.0 if not lift else z[-1])
+    np.testing.assert_allclose(np.diff(faded["time_s"]), 0.004, atol=1e-9)
+
+
 def test_other_ticks_paths_of_unlike_duration_and_joints_that_do_not_fit_the_knots_are_refused(tmp_path):
     longer = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.0901, 4 / 60, 0.05)
     assert offsets(longer, longer, 12_000_000)[0][-1] >= longer.duration_ns  # no multiple of the tick
@@ -400,6 +417,29 @@ def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
     assert finding.value == pytest.approx(1e6 * done.revised.scores.max_deviation)
     assert finding.value > 1.2 * finding.limit == pytest.approx(1.2e6 * done.planned.max_deviation)
     assert not [f for f in compensate(cell, "inverse").checked.findings if f.what == "written program"]
+
+
+@pytest.mark.parametrize(("motion", "law", "names"), [
+    ("SPLINE", "jerk", ".*"), ("LIN", "jerk", "[^J]*"), ("SPLINE", "acceleration", "[^J]*"), ("SPLINE", "none", ""),
+])  # fmt: skip
+def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, tmp_path, motion, law, names):
+    """Both readers have the limits of ``timing`` and of the turning tool after BAS(#INITMOV,0), which resets them."""
+    cell, original = part
+    cell = cell.replace(program=cell.program.replace(time_law=law, turn_speed=np.radians(90.0)))
+    files = write_programs(tmp_path, cell, cell.target(), cell.target(), method="m", date=DATE, motions=[motion])
+    timing = cell.timing
+    values = {"$ACC.CP": timing.acceleration, "$JERK.CP": timing.jerk, "$VEL.ORI1": 90.0, "$VEL.ORI2": 90.0,
+              "$ACC.ORI1": 200.0, "$ACC.ORI2": 200.0}  # fmt: skip
+    expected = {name: values[name] for name in values if re.fullmatch(names, name)}
+    folder = files[f"krl_{motion.lower()}"][0].parent
+    robot = Robot(folder, "MILLING_CMP")
+    assert read_krl(folder, "MILLING_CMP").limits == pytest.approx(expected)
+    assert {name: float(robot.state[name]) for name in values if name in robot.state} == pytest.approx(expected)
+    text = files["manifest"][0].read_text()
+    assert all(f"{name}={value:.4f}" in text for name, value in expected.items())
+    assert ("KSS 8.3 or later" in text) == ("$JERK.CP" in expected)
+    if expected:
+        assert robot.steps.index("BAS(#INITMOV,0)") < robot.steps.index(f"$ACC.CP={timing.acceleration:.4f}")
 
 
 @pytest.mark.parametrize(("motion", "limit"), [("SPLINE", 1400), ("SPLINE", 120), ("LIN", 1400)])

@@ -86,6 +86,18 @@ def test_limited_corrections_are_a_warning_and_a_stop_leaves_no_program(quick, t
     assert not list((tmp_path / "out").glob("krl*")) and "no robot program is written" in answer.out
 
 
+def test_programs_of_an_earlier_run_move_aside_also_where_the_decision_is_no(quick, tmp_path):
+    """A second cell gives other programs of the same names; no program stays in the folder after the decision no."""
+    out, older = tmp_path / "out", tmp_path / "out" / "older"
+    ask(*command(tmp_path, "--method", "linear"))
+    first = {path.name for path in [*out.glob("krl_*"), *out.glob("joints_*"), *out.glob("rsi_*")]}
+    assert len(first) == 4 and not older.exists()
+    answer = ask(*command(tmp_path, "--method", "linear", sets=["limits.spindle_power_kw=0.01"]))
+    assert answer.code == 1 and f"programs of an earlier run moved to {older}" in answer.err
+    assert {path.name for path in older.iterdir()} == first and not list(out.glob("krl_*"))
+    assert next(older.glob("krl_*/MILLING_CMP.src")).exists()
+
+
 def test_repeating_lists_the_errors_of_its_passes(quick, tmp_path):
     result = answered(*command(tmp_path, "--method", "mirror", sets=["compensation.repeat=true"]))
     errors = result["remaining_errors_um"]

@@ -144,7 +144,45 @@ def swapped(one: str, other: str):
     return change
 
 
+def doubled(rows) -> None:
+    rows.append(rows[3])
+
+
+def in_turn(*changes):
+    def change(rows) -> None:
+        for each in changes:
+            each(rows)
+
+    return change
+
+
+def hung_pounds(rows) -> None:
+    """Hung masses alone, in pounds [0.45359237 kg] in the column of kg."""
+    rows[:] = [row for row in rows if float(row["fx_n"]) == 0.0 == float(row["fy_n"])]
+    for row in rows:
+        row["mass_kg"] = repr(float(row["fz_n"]) / -9.80665 / 0.45359237)
+        for name in measurements.WRENCH:
+            del row[name]
+
+
 TABLE = {
+    "pounds for N": (LOAD, times(FORCES, 1 / 4.4482216), 2, "forces in pounds in the columns of N?"),
+    "inch for mm": (LOAD, times(SHIFTS, 1 / 25.4), 2, "displacements in inch in the columns of mm?"),
+    "pounds for kg": (LOAD, hung_pounds, 0, "masses in pounds in the column of kg?"),
+    "displacements 20 times as large": (LOAD, times(SHIFTS, 20.0), 0, "times what the arm file predicts"),
+    "a test entered twice": (LOAD, doubled, 0, "test 19 = 4 to the digit: entered twice?"),
+    "a cut entered twice": (CUT, doubled, 0, "cut 13 = 4 to the digit: entered twice?"),
+    "a plate under the part": (CUT, times(FORCES, -1.0), 1, "--sensor-on part"),
+    "fx and fy swapped": (CUT, swapped(*FORCES[:2]), 1, "those of a cut with x and y swapped"),
+    "sign of fx": (CUT, times(FORCES[:1], -1.0), 1, "those of a cut with the sign of x changed"),
+    "sign of fy": (CUT, times(FORCES[1:2], -1.0), 1, "those of a cut with the sign of y changed"),
+    "sensor turned": (
+        CUT,
+        in_turn(swapped(*FORCES[:2]), times(FORCES[:1], -1.0)),
+        1,
+        "the sensor turned (--sensor-abc -90,0,0)",
+    ),
+    "cuts in pounds": (CUT, times(FORCES, 1 / 4.4482216), 0, "forces in pounds in the columns of N"),
     "metres for mm": (LOAD, times(SHIFTS, 1e-3), 2, "displacements in m in the columns of mm"),
     "kgf for N": (LOAD, times(FORCES, 1 / 9.80665), 2, "forces in kgf in the columns of N?"),
     "kN for N": (LOAD, times(FORCES, 1e-3), 2, "forces in kN in the columns of N?"),

@@ -12,10 +12,22 @@ from campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, me
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
 from kr270_milling.physics.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock
 from kr270_milling.studies.identification.cuts import Sensor, read_cuts
+from kr270_milling.studies.identification.doubts import hammer_doubts
 from kr270_milling.studies.identification.forces import OneFeedError, fit_forces, law_sections
-from kr270_milling.studies.identification.modes import NoModeError, by_compliance, by_hammer, find_modes
+from kr270_milling.studies.identification.modes import (
+    Mode,
+    NoModeError,
+    by_compliance,
+    by_hammer,
+    check_hammer,
+    find_modes,
+    free_decay,
+    tool_compliance,
+)
 from kr270_milling.studies.identification.signals import Signals, read_signals
 
 
@@ -152,40 +164,136 @@ def test_tables_are_read_and_refused_with_a_sentence_and_a_creep_does_not_ring(t
     file.write_text("time_s,force_n\n0,1\n")
     with pytest.raises(InputError, match="none of the columns"):
         read_signals(file)
+    for stamps, reason in (
+        (lambda i: f"{i / 5120:.3f}", "321 of 400 samples have the stamp of the sample before them"),
+        (lambda i: f"{(i % 390) * 5e-3}", "line 392.*the time goes back from 1.945 to 0 s"),
+    ):
+        file.write_text("time_s,x\n" + "\n".join(f"{stamps(i)},{x}" for i, x in enumerate(ring.values[:, 0])) + "\n")
+        with pytest.raises(InputError, match=reason):
+            read_signals(file)
     creep = Signals(1e-3, np.linspace(1.0, 0.0, 500)[:, None] ** 2, ("x",))
     with pytest.raises(NoModeError, match="nothing rings"):
         find_modes(creep, 5.0, 50.0)
 
 
-def test_a_uff_file_is_read(tmp_path):
+def uff_file(folder, *changes):
+    """One history of the ring-down for each change."""
     pyuff = pytest.importorskip("pyuff")
-    file, ring = tmp_path / "ring.uff", ring_down(n=400, step=5e-3)
+    file, ring = folder / "ring.uff", ring_down(n=400, step=5e-3)
     common = {"type": 58, "func_type": 1, "rsp_node": 1, "ref_node": 1, "ref_dir": 1, "abscissa_spacing": 1}
     common |= {"x": np.arange(400) * ring.step, "orddenom_spec_data_type": 0}
-    for i in range(3):
-        pyuff.UFF(str(file)).write_sets({**common, "rsp_dir": i + 1, "data": ring.values[:, i]}, "add")
-    read = read_signals(file)
+    for i, change in enumerate(changes):
+        history = {**common, "rsp_dir": 1, "data": ring.values[:, i], **change}
+        pyuff.UFF(str(file)).write_sets(history, "add")
+    return file
+
+
+def test_a_uff_file_is_read(tmp_path):
+    ring = ring_down(n=400, step=5e-3)
+    read = read_signals(uff_file(tmp_path, *({"rsp_dir": i + 1} for i in range(3))))
     assert read.names == ("x", "y", "z") and read.values == pytest.approx(ring.values, abs=1e-9)
+
+
+def test_stamps_that_are_rounded_are_taken_as_even(tmp_path):
+    """900 Hz at 5120 samples a second; four decimals shift each stamp by up to a quarter of a step."""
+    file, ring = tmp_path / "ring.csv", ring_down([(900.0, 0.02, [1.0, 0.5, 0.0])], n=1024, step=1 / 5120)
+    rows = [f"{i / 5120:.4f},{x}" for i, x in enumerate(ring.values[:, 0].tolist())]
+    file.write_text("time_s,x\n" + "\n".join(rows) + "\n")
+    read = read_signals(file)
+    assert "the stamps are rounded to 0.0001 s" in read.notes[0]
+    assert find_modes(read, 100.0, 2000.0)[0].frequency == pytest.approx(900.0, rel=3e-4)  # 0.05 ms of 0.2 s
+
+
+@pytest.mark.parametrize("lead", [0.0, 1.0], ids=["quiet", "held away"])
+def test_what_was_recorded_before_a_ring_down_is_left_out(lead):
+    """One mode stays one mode; before, five were found."""
+    ring = ring_down([(12.0, 0.03, [1.0, 0.5, 0.0])], n=2000)
+    before = np.tile(lead * ring.values[:1], (700, 1))
+    whole = free_decay(Signals(ring.step, np.concatenate([before, ring.values]), ring.names), 5.0, 60.0)
+    (mode,) = find_modes(whole, 5.0, 60.0)
+    assert (mode.frequency, mode.damping_ratio) == pytest.approx((12.0, 0.03), rel=1e-3)
+    assert "(pre-trigger)" in whole.notes[0] and free_decay(ring, 5.0, 60.0) is ring
+
+
+@pytest.mark.parametrize(("change", "reason"), [
+    ({"rsp_node": 2}, "holds nodes 1, 2: modes need one file for each"),
+    ({"x": np.arange(400) * 1e-3}, "holds sampling rates"),
+    ({"rsp_dir": 1}, "holds several histories of x"),
+])  # fmt: skip
+def test_a_uff_file_of_several_points_or_rates_is_refused(tmp_path, change, reason):
+    with pytest.raises(InputError, match=reason):
+        read_signals(uff_file(tmp_path, {}, {"rsp_dir": 2} | change))
+
+
+def test_the_force_of_a_uff_file_is_no_motion(tmp_path):
+    """Specific data type 13 is the excitation force."""
+    force = {"ordinate_spec_data_type": 13, "ordinate_axis_units_lab": "lbf", "rsp_node": 2}
+    read = read_signals(uff_file(tmp_path, force, {"ordinate_spec_data_type": 12}))
+    assert read.names == ("x",) and read.force is not None
+    assert (read.quantity, read.drive) == ("acceleration", "node 2, not node 1")
+    assert "states force_n in lbf" in read.notes[0]
 
 
 def test_a_hammer_scales_the_shapes_by_the_masses():
     """Shapes of M and K by eigh, phi^T M phi = 1; an impact of 4 ms, with displacements and with accelerations."""
-    squared, phi = eigh(STIFFNESS, MASS)
-    n, step = 8000, 2.5e-4
-    t = np.arange(n) * step
-    hammer = np.where(t < 0.004, 2000 * np.sin(np.pi * t / 0.004), 0.0)
-    response = np.zeros((n, 2))
-    for omega, shape in zip(np.sqrt(squared), phi.T, strict=True):
-        damped = omega * np.sqrt(1 - 0.03**2)
-        impulse = shape[0] * np.exp(-0.03 * omega * t) * np.sin(damped * t) / damped
-        response += np.outer(np.convolve(hammer, impulse)[:n] * step, shape)
-    signals = Signals(step, response, ("x", "y"), hammer)
+    phi = eigh(STIFFNESS, MASS)[1]
+    signals = impact()
+    step, response, hammer = signals.step, signals.values, signals.force
     modes = find_modes(signals, 2.0, 60.0)
     shapes = by_hammer(modes, signals, "x")[:, :2]
     assert shapes * np.sign(shapes[:, :1]) == pytest.approx((phi * np.sign(phi[0])).T, rel=0.02)
     accelerations = Signals(step, np.gradient(np.gradient(response, step, axis=0), step, axis=0), ("x", "y"), hammer)
     again = by_hammer(find_modes(accelerations, 2.0, 60.0), accelerations, "x", "acceleration")
     assert np.abs(again[:, :2]) == pytest.approx(np.abs(phi.T), rel=0.05)
+
+
+@pytest.mark.parametrize(("shift", "factor", "quantity", "reason"), [
+    (0.0, 1.0, "displacement", ""),
+    (16e-3, 1.0, "displacement", "force_n is 16 ms late"),
+    (-16e-3, 1.0, "displacement", "force_n is 16 ms early"),
+    (0.0, -1.0, "displacement", "the signs are wrong or --quantity is acceleration"),
+    (0.0, 1.0, "velocity", "--quantity is displacement"),
+    (0.0, 1e-3, "displacement", "has a blow of 2 N, allowed: 5 to 50000 N"),
+])  # fmt: skip
+def test_a_force_that_does_not_belong_to_the_motion_is_refused_with_its_cause(shift, factor, quantity, reason):
+    """The phase of the drive point, which is 0 for a force and a motion of one time, grows by omega times the delay."""
+    whole = impact(start=0.02)
+    hammer = factor * np.roll(whole.force, round(shift / whole.step))
+    signals = Signals(whole.step, whole.values, whole.names, hammer)
+    modes = find_modes(signals, 2.0, 60.0)
+    if not reason:
+        assert check_hammer(modes, signals, "x", quantity) == ""
+        return
+    with pytest.raises(InputError, match=reason):
+        by_hammer(modes, signals, "x", quantity)
+
+
+def test_a_hammer_in_another_unit_does_not_fit_the_compliance_of_the_cell():
+    """A mode with all of the compliance along x, phi = sqrt(C) omega; accelerations in g give phi / sqrt(9.80665)."""
+    cell = read_cell(find_file("test_piece.yaml"))
+    soft, omega = tool_compliance(cell)[0, 0], float(cell.modal_model.frequency[0])
+    mode = Mode(complex(-0.03 * omega, omega), np.ones(1), 100.0, 1.0, 0.03)
+    for factor, sentence in ((1.0, ""), (9.80665**-0.5, "accelerations in g"), (1e3**0.5, "forces in kN")):
+        shapes = np.array([[factor * omega * np.sqrt(soft), 0, 0, 0, 0, 0]])
+        doubts = hammer_doubts([mode], shapes, "x", cell)
+        assert [doubt.forbids for doubt in doubts] == [True] * bool(sentence)
+        assert all(sentence in doubt.text for doubt in doubts)
+    (stated,) = hammer_doubts([mode], shapes, "x", None)
+    assert not stated.forbids and "if the columns are in SI units" in stated.text
+
+
+def impact(start: float = 0.0) -> Signals:
+    """A blow of 2000 N and 4 ms along x at the machine of MASS and STIFFNESS."""
+    squared, phi = eigh(STIFFNESS, MASS)
+    n, step = 8000, 2.5e-4
+    t = np.arange(n) * step
+    hammer = np.where(np.abs(t - start - 0.002) < 0.002, 2000 * np.sin(np.pi * (t - start) / 0.004), 0.0)
+    response = np.zeros((n, 2))
+    for omega, shape in zip(np.sqrt(squared), phi.T, strict=True):
+        damped = omega * np.sqrt(1 - 0.03**2)
+        impulse = shape[0] * np.exp(-0.03 * omega * t) * np.sin(damped * t) / damped
+        response += np.outer(np.convolve(hammer, impulse)[:n] * step, shape)
+    return Signals(step, response, ("x", "y"), hammer)
 
 
 def test_the_static_compliance_scales_the_shapes_where_there_was_no_hammer():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
+from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.modes import Mode
 from kr270_milling.studies.identification.signals import Signals
 
@@ -17,11 +20,12 @@ MOST_POINTS = 4000  #: of a signal in the figure
 
 
 def mode_outcome(
-    modes: list[Mode], faint: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str
-) -> Outcome:
+    modes: list[Mode], faint: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str,
+    doubts: Sequence[Doubt] = (),
+) -> Outcome:  # fmt: skip
     """Return the result of ``identify damping``; shapes: mass-normalised shapes, (n, 6); None: not scaled.
 
-    faint: modes that may be noise; they are listed and not used.
+    faint: modes that may be noise; they are listed and not used; doubts: about the signals and the units.
     """
     duration = len(signals.values) * signals.step
     axes = [signals.along_axes(mode.shape).tolist() for mode in modes]
@@ -37,8 +41,10 @@ def mode_outcome(
         "duration_s": duration,
         "samples_per_s": 1 / signals.step,
         "channels": list(signals.names),
+        "doubts": [doubt.text for doubt in doubts],
+        "usable": not any(doubt.forbids for doubt in doubts),
     }
-    sentences = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second"]
+    sentences = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second", *result["doubts"]]
     if faint:
         listed = ", ".join(f"{mode.frequency:.4g} Hz ({100 * mode.share:.2g} %)" for mode in faint)
         sentences.append(f"left out, not above the noise (share of the energy): {listed}")
@@ -52,7 +58,8 @@ def mode_outcome(
     table = table_of(title, shown, [{"mode": i, **entry} for i, entry in enumerate(entries, 1)])
     use = "name this file in `includes`, or copy the keys that you need"
     sections = _sections(modes, shapes)
-    return Outcome("modes", title, result, [table], sentences, lambda: _figures(signals), sections, use)
+    refused = not result["usable"]
+    return Outcome("modes", title, result, [table], sentences, lambda: _figures(signals), sections, use, refused)
 
 
 def _shape(values: list[float]) -> str:
