@@ -225,7 +225,7 @@ REFUSED = {".apt": [
 ], ".csv": [
     ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"), ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
     ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"), ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
-    (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"), (HEADER, 1, "no row"),
+    (HEADER + "0,0,0,600\n1,0,0,60", 3, "cut off"), (HEADER, 1, "no row"),
     *((f"{HEADER}0,0,0,600\n{row}\n", 3, word) for row, word in (
         ("1,0,0", "3 values"), ("1,0,nan,600", "z_mm is not finite"), ("1,0,1_0,600", "1_0"), ("1,0,0,0", "zero feed"),
         ("1,0,0,-1", "out of range"), ("1e9,0,0,600", "wrong unit"))),

@@ -50,7 +50,7 @@ class Machine:
         self.cycle: Cycle | None = None
         self.feed_mode = 94  #: per minute; 95: per revolution, 93: inverse time
         self.feed: float | None = feed or None  #: [m/s], [m/rev] or [1/s]; at first what the cell says
-        self.feed_by_word = False  #: the program gave it
+        self.feed_word: float | None = None  #: number of the last F
         self.no_feed = NO_FEED  #: why there is none
         self.drilled = False  #: the block drilled a hole
         self.ended = False
@@ -73,7 +73,7 @@ class Machine:
         most = 60 * REACH / unit
         if 0 <= value <= most:
             self.feed = {94: value * unit / 60, 95: value * unit, 93: value / 60}[self.feed_mode]
-            self.feed_by_word = True
+            self.feed_word = value
         else:
             word = f"F{value:g}"
             self.program.refuse(word, f"the feed {word} must lie between 0 and {most:g} per minute")
@@ -152,6 +152,8 @@ class Machine:
 
     def _cut(self, start, end, arc: dict, axes: dict) -> None:
         straight = self.mode == 1
+        if straight:
+            self._surplus(arc)
         known = not any(map(math.isnan, start))
         if not known and straight and self._approach(start, end):
             self.program.rapid(end)
@@ -161,7 +163,6 @@ class Machine:
         elif any(map(math.isnan, end)):
             return
         elif straight:
-            self._surplus(arc)
             self._feed_to(start, [end], math.dist(start, end))
         else:
             try:
@@ -269,6 +270,8 @@ class Machine:
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
             return
         place = {axis: axes.pop(axis) for axis in "XY" if axis in axes}
+        if not repeats:  # the cycle is defined and drills nothing here
+            self.program.count("L0", 1 + len(place))
         for _ in range(int(repeats)):
             x, y, _ = self._end(dict(place))
             if not self._hole(x, y, cycle):

@@ -35,7 +35,7 @@ FURTHER = frozenset("ABCUVW")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 OF_DATA = "LPQRXYZIJKHD"  #: letters of G10
-FEED_UNIT = "the feed F comes before or with {}, and controls take it in either unit"
+FEED_UNIT = "the feed {} comes before or with {}, and controls take it in either unit"
 
 
 class Interpreter(Machine):
@@ -72,7 +72,8 @@ class Interpreter(Machine):
         if "S" in axes or "spindle" in groups:
             self._turn(groups, axes)
         if "unclear" in groups:
-            self.feed, self.no_feed = None, FEED_UNIT.format(named("G", groups["unit"]))
+            words_of_both = named("F", self.feed_word or 0.0), named("G", groups["unit"])
+            self.feed, self.no_feed = None, FEED_UNIT.format(*words_of_both)
         if axes or groups:
             self.move(axes, groups.get("motion"), groups.get("cycle"))
             for letter, value in axes.items():
@@ -125,7 +126,7 @@ class Interpreter(Machine):
         unit = self.unit
         for group in MODAL.keys() & groups.keys():
             setattr(self, group, MODAL[group][groups[group]])
-        if self.unit != unit and (self.feed_by_word or "F" in axes):
+        if self.unit != unit and (self.feed_word is not None or "F" in axes):
             groups["unclear"] = 0
         if "feed" in groups:
             self.set_feed_mode(int(groups["feed"]))
@@ -137,11 +138,10 @@ class Interpreter(Machine):
             self.change_tool(self.next_tool)
         if "dwell" in groups:
             self._dwell(groups, axes)
+        if "offset" in groups or "G15" in groups:
+            self._offset(groups, axes)
         for word in [group for group in groups if group[0] in "GM"]:
             self._silent(word, groups[word], axes)
-        if "offset" in groups:
-            value = groups["offset"]
-            self._offset(OFFSETS.get(value) or f"{named('G', value)} {named('P', axes.pop('P', 1))}")
         if "home" in groups:
             self._home(groups, axes)
         for group, word in (("preset", "G92"), ("shift", "G52"), ("data", "G10")):
@@ -152,8 +152,18 @@ class Interpreter(Machine):
         if groups.get("spindle") == 19:
             self._read_over("M19", axes, SILENT_M[19])
 
-    def _offset(self, name: str) -> None:
-        self.program.set_frame("work offsets", name)
+    def _offset(self, groups: dict, axes: dict) -> None:
+        """G54 to G59.3 and others; G54.1 P, G154 P, and G15 H of Okuma."""
+        names = []
+        if "G15" in groups and "H" in axes:
+            names.append(f"G15 {named('H', axes.pop('H'))}")
+        if "offset" in groups:
+            value = groups["offset"]
+            names.append(OFFSETS.get(value) or f"{named('G', value)} {named('P', axes.pop('P', 1))}")
+        for name in names:
+            self.program.set_frame("work offsets", name)
+        if len(names) > 1:
+            self.program.refuse(names[1], f"{names[1]} contradicts {names[0]} in the same line")
 
     def _claimed(self, groups: dict, axes: dict) -> None:
         """Refuse letters that are a move on one control and something else on another."""
@@ -178,12 +188,10 @@ class Interpreter(Machine):
             self._read_over("G4", axes, times[0])
 
     def _silent(self, word: str, value: float, axes: dict) -> None:
-        """A word that changes no path, except together with certain words: G5, G15, G54.4, G74, G75, G92.1 to G92.3."""
+        """A word that changes no path, except together with certain words: G5, G54.4, G74, G75, G92.1 to G92.3."""
         began = len(self.program) > 0
         letters = (SILENT_G if word[0] == "G" else SILENT_M)[value]
-        if word == "G15" and "H" in axes:  # of Okuma
-            self._offset(f"G15 {named('H', axes.pop('H'))}")
-        elif word in ("G92.1", "G92.2", "G92.3") and began and (self.preset or value == 92.3):
+        if word in ("G92.1", "G92.2", "G92.3") and began and (self.preset or value == 92.3):
             self.program.refuse(word, advice=DATUM, lost=True)
         elif word in ("G74", "G75") or (word == "G5" and not axes.keys().isdisjoint("XYIJ")):
             self.program.refuse(word, advice=ADVICE.get(word, UNKNOWN), lost=True)
