@@ -14,7 +14,13 @@ from kr270_milling.base.text import read_lines, unended
 
 __all__ = ["Table", "read_table", "write_table"]
 
-DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
+SEPARATOR = re.compile(r'"?sep=(.)"?\s*', re.I)  #: the first line of a table that a spreadsheet wrote
+MARKED = re.compile(r"[0-9][.,]|[.,][0-9]")
+#: decimal sign -> a number with this sign, perhaps with the other one between groups of three digits
+NUMBERS = {
+    sign: re.compile(rf"[+-]?(?:[1-9][0-9]{{0,2}}(?:\{group}[0-9]{{3}})+|[0-9]*)(?:\{sign}[0-9]+)?(?:[eE][+-]?[0-9]+)?")
+    for sign, group in (".,", ",.")
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +80,10 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
     known: allowed names of columns; required: names that must be present; whole: the last line must end with a newline.
     """
     lines = read_lines(path)
-    if whole and (reason := unended(lines)):
-        raise InputError(path, reason, len(lines))
     rows = _cells(lines, path)
+    last = [row[-1] for _, row in rows[-2:] if len(row) == len(rows[0][1])]  # cut off in its last cell, if anywhere
+    if whole and (reason := unended(lines)) and not (len(last) == 2 and last[0] == last[1]):
+        raise InputError(path, reason, len(lines))
     if not rows:
         raise InputError(path, "holds no table: the first line names the columns", 1)
     line, names = rows[0]
@@ -91,7 +98,8 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
             raise InputError(path, f"has no column {name}", line)
     for number, row in rows[1:]:
         if len(row) != len(names):
-            raise InputError(path, f"has {len(row)} values where the header has {len(names)}", number)
+            hint = "; with decimal commas, separate the columns by ;" if len(row) == 2 * len(names) else ""
+            raise InputError(path, f"has {len(row)} values where the header has {len(names)}{hint}", number)
     if len(rows) < 2:
         raise InputError(path, "has no row below its header", line)
     return Table(str(path), names, tuple(row for _, row in rows[1:]), tuple(number for number, _ in rows[1:]))
@@ -100,18 +108,47 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
 def _cells(lines: list[str], path) -> list[tuple[int, tuple[str, ...]]]:
     """Return the rows that contain a value, with their line numbers.
 
-    A spreadsheet may separate columns by semicolons and write 1,5 for 1.5.
+    A spreadsheet may separate columns by semicolons or tabs, write 1,5 for 1.5, and begin with sep=;.
     """
     header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    german = ";" in header and "," not in header
-    reader = csv.reader(lines, delimiter=";" if german else ",")
+    if said := SEPARATOR.fullmatch(header):
+        separator, lines = said[1], [line if line is not header else "" for line in lines]
+    else:
+        separator = "," if "," in header else next((sign for sign in ";\t" if sign in header), ",")
+    reader = csv.reader(lines, delimiter=separator)
     try:
         rows = [(number, tuple(map(str.strip, row))) for number, row in enumerate(reader, 1)]
     except csv.Error as error:
         raise InputError(path, f"is no CSV text ({error})", reader.line_num or 1) from None
-    if german:
-        rows = [(number, tuple(DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row)) for number, row in rows]
-    return [(number, row) for number, row in rows if any(row) and not row[0].startswith("#")]
+    rows = [(number, row) for number, row in rows if any(row) and not row[0].startswith("#")]
+    return rows if separator == "," else _with_points(rows, separator == ";", path)
+
+
+def _with_points(rows: list[tuple[int, tuple[str, ...]]], semicolons: bool, path) -> list[tuple[int, tuple[str, ...]]]:
+    """Return rows with decimal points alone, whose numbers may have decimal commas and groups of digits.
+
+    1.500 may be 1.5 or 1500: all numbers together show which. Semicolons separate what has decimal commas.
+    """
+    signs, doubtful = set(NUMBERS), []  # decimal signs that all numbers so far allow, and numbers that allow both
+    for number, row in rows:
+        for cell in filter(MARKED.search, row):
+            fits = {sign for sign, pattern in NUMBERS.items() if pattern.fullmatch(cell)} or signs
+            if not signs & fits:
+                raise InputError(path, f"{cell[:20]!r} has another decimal sign than the rows above", number)
+            signs &= fits
+            doubtful += [(number, cell)] if fits == set(NUMBERS) else []
+    if len(signs) > 1 and semicolons and any("," in cell for _, cell in doubtful):
+        signs = {","}
+    if len(signs) > 1 and doubtful:
+        number, cell = doubtful[0]
+        reason = f"{cell[:20]!r} may have three decimals or be thousands; write it without the sign"
+        raise InputError(path, reason, number)
+    sign = min(signs, key=".,".index)
+    plain = str.maketrans(sign, ".", "," if sign == "." else ".")
+    return [
+        (number, tuple(cell.translate(plain) if NUMBERS[sign].fullmatch(cell) else cell for cell in row))
+        for number, row in rows
+    ]
 
 
 def write_table(path, names, rows, notes=()) -> None:

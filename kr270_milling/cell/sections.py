@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 import re
 from dataclasses import dataclass
 
@@ -12,7 +11,7 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
-from kr270_milling.path.cam.readers import READERS
+from kr270_milling.path.cam.readers import known_reader
 from kr270_milling.physics.motion.imperfections import LEAST_SERVO_FREQUENCY
 
 __all__ = ["Limits", "Path", "Program", "Tolerances", "Uncertainty", "Workpiece"]
@@ -89,7 +88,7 @@ class Path(Record):
     @property
     def recorded(self) -> bool:
         """Whether ``file`` is a recording."""
-        reader = READERS.get(pathlib.Path(self.file).suffix.lower())
+        reader = known_reader(self.file)
         return reader is not None and reader.recorded
 
     def check(self) -> None:

@@ -22,7 +22,7 @@ from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
 from kr270_milling.path.trajectory_csv import read_csv
 
 VALID = {
-    ".nc": b"G21 G90 (a)\nG0 X0 Y0 Z0\nG1 X1 F100\nG2 X5 Y4 I4 J0\nG3 X0 Y0 R6\nG91 G20 G1 X-.5\nM30\n",
+    ".nc": b"G21 G90 (a)\nG0 X0 Y0 Z0\nG1 X1 F100\nG2 X5 Y4 I4 J0\nG3 X0 Y0 R6\nG91 G20\nG1 X-.5 F4\nM30\n",
     ".apt": b"UNITS/MM\nGOTO/0,0,0\nFEDRAT/100,MMPM\nRAPID\nGOTO/1,2,3,0,0,1\nGOTO/1,$\n5,3\n$$ a\nFINI\n",
     ".csv": b"x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n0,0,0,0,0,180,1\n1,0,1,0,0,180,60\n",
 }
@@ -225,7 +225,7 @@ REFUSED = {".apt": [
 ], ".csv": [
     ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"), ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
     ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"), ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
-    (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"), (HEADER, 1, "no row"),
+    (HEADER + "0,0,0,600\n1,0,0,60", 3, "cut off"), (HEADER, 1, "no row"),
     *((f"{HEADER}0,0,0,600\n{row}\n", 3, word) for row, word in (
         ("1,0,0", "3 values"), ("1,0,nan,600", "z_mm is not finite"), ("1,0,1_0,600", "1_0"), ("1,0,0,0", "zero feed"),
         ("1,0,0,-1", "out of range"), ("1e9,0,0,600", "wrong unit"))),

@@ -53,7 +53,7 @@ def test_the_length_of_an_arc_is_radius_times_angle_also_where_rounding_keeps_it
 
 def test_a_feed_per_revolution_inverse_time_or_inch_is_a_feed_and_may_come_from_the_cell(read):
     # in mm/s: 0.2 mm x 10 1/s, and the length of the move times 6/min
-    texts = ("G95 S600 M3\nG1 X30 F0.2\n", "G93 G1 X30 Y40 F6\n", "G93 G2 X20 Y0 I10 F6\n", "G20 G1 X1 F60\n")
+    texts = ("G95 S600 M3\nG1 X30 F0.2\n", "G93 G1 X30 Y40 F6\n", "G93 G2 X20 Y0 I10 F6\n", "G20\nG1 X1 F60\n")
     feeds = [1e3 * read(":1000\n" + START + text).feed[-1] for text in texts]
     assert feeds == pytest.approx([2.0, 5.0, math.pi, 25.4], rel=1e-6)
     np.testing.assert_allclose(read(START + "G1 X1\nX2\n", feed=0.02).feed[1:], 0.02)
@@ -82,10 +82,10 @@ REFUSED = [
     *((block, "post without macros") for block in ("#1=5", "G1 X[#1+2]", "o100 sub", "WHILE [#1 LT 5] DO1")),
     *((block, block.split()[0]) for block in ("G52 X5", "G92 X5", "G10 L2 P1 X5")),
     ("G84 Z-5 R1 F100", "G84: leave threads out"), ("G5 X1 Y1 I1 J1", "G5: let the CAM output lines and arcs"),
-    ("G123", "G123: it is not known"), ("G1 X1 A90 F100", "A90: post a 3-axis program"),
+    ("G173", "G173: it is not known"), ("G1 X1 A90 F100", "A90: post a 3-axis program"),
     ("TRAORI", "TRAORI: post a 3-axis program"), ("CYCLE81(10,0,2,-5)", "CYCLE81: let the CAM output the cycle"),
     ("G1 X10 Y0,R2 F100", "let the CAM output lines and arcs"), ("G1 X1", "without a feed"), ("G1 X1 F0", "zero feed"),
-    ("G1 X1 F-100", "F-100"), ("G1 XNaN F100", "XNAN"), ("G1 X F100", "X has no number"), ("G1 X1e5 F100", "E5"),
+    ("G1 X1 F-100", "F-100"), ("G1 XNaN F100", "XNAN"), ("G1 X F100", "X has no number"), ("G1 X1 E5 F100", "E5"),
     ("G1 X1 X2 F100", "X occurs twice"), ("G0 G1 X1 F100", "G1 contradicts"),
     *((f"G2 {words} F100", "does not close") for words in ("X10 Y0 I4 J0", "X10 Y0 R4.9", "X5 I0 J0")),
     *((f"G2 {words} F100", "wrong unit") for words in (

@@ -9,17 +9,18 @@ from kr270_milling.path.source_program import ProgramTool
 __all__ = ["ABOUT_TOOL", "AXIAL_KINDS", "described_tool", "kind_of", "operation_name"]
 
 NUMBER = r"((?<![0-9])[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"  # one start and one end in a row of digits
-#: lines by which posts announce an operation: FreeCAD, OpenBuilds, Vectric, Estlcam
+#: lines by which posts announce an operation: FreeCAD, OpenBuilds, Vectric, Estlcam, CATIA
 ANNOUNCED = re.compile(
-    r"(?:begin operation|toolpath ?(?:name)?|operation \d+ of \d+|operation|op(?: ?\d+)?)\s*[:=]-?\s*(\S.*)", re.I
+    r"(?:begin operation|toolpath ?(?:name)?|operation(?: \d+ of \d+| name)?|op(?: ?\d+)?)\s*[:=]-?\s*(\S.*)",
+    re.I,
 )
 NAME = re.compile(r"[^\W_][\w .,/+#&'-]*(?:\([\w ]*\))?[\w .]*")
 #: comments that look like names: what begins and ends, hints to the operator, notes of a post
 NO_NAME = re.compile(
     r"(?:begin|end|start|finish operation|stop|block|path|exported|post|output|file|date|time|compensated|"
     r"machine|vendor|model|description|document|setup|units?|material|program|made|generated|created|msg|debug|"
-    r"print|when using|moves|rapid moves|using|tools?|t\d+|tc|set|safe|spindle|coolant|work|stock|www|http|"
-    r"default tool|feature|n/?a|no|mm|inch|x|y|z|wcs|total|this|return|go|move|retract|penetrate|header|"
+    r"print|when using|moves|rapid moves|using|tools?|toolchange\w*|t\d+|tc|set|safe|spindle|coolant|work|stock|www|"
+    r"http|default tool|feature|n/?a|no|mm|inch|x|y|z|wcs|total|this|return|go|move|retract|penetrate|header|"
     r"footer)\b",
     re.I,
 )

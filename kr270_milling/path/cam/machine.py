@@ -27,6 +27,8 @@ CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
 REPEATS = 1000  #: holes that one block drills in a row
+NO_FEED = "a cutting move without a feed"
+FEED_OF_EACH = "G93 needs F in each line with a cutting move"
 START = "start with G0 X Y Z"
 
 
@@ -49,6 +51,9 @@ class Machine:
         self.cycle: Cycle | None = None
         self.feed_mode = 94  #: per minute; 95: per revolution, 93: inverse time
         self.feed: float | None = feed or None  #: [m/s], [m/rev] or [1/s]; at first what the cell says
+        self.feed_word: float | None = None  #: number of the last F
+        self.no_feed = NO_FEED  #: why there is none
+        self.drilled = False  #: the block drilled a hole
         self.ended = False
 
     # --- what moves no tool through material ---
@@ -62,7 +67,7 @@ class Machine:
         """A feed of one kind means nothing as another."""
         if mode != self.feed_mode:
             self.feed_mode = mode
-            self.feed = None
+            self.feed, self.no_feed = None, NO_FEED
 
     def set_feed(self, value: float, unit: float) -> None:
         """The number of a feed, lengths in ``unit`` [m]."""
@@ -71,6 +76,7 @@ class Machine:
         self.program.feed_units[time if self.feed_mode == 93 else f"{length} {time}"] = None
         if 0 <= value <= most:
             self.feed = {94: value * unit / 60, 95: value * unit, 93: value / 60}[self.feed_mode]
+            self.feed_word = value
         else:
             word = f"F{value:g}"
             self.program.refuse(word, f"the feed {word} must lie between 0 and {most:g} per minute")
@@ -101,7 +107,8 @@ class Machine:
         """
         if mode is not None:
             self.set_mode(mode)
-        if cycle == 80 or (cycle is not None and not axes):
+        self.drilled = False
+        if cycle == 80:
             self.cycle = cycle = None
         if cycle is not None or (self.cycle is not None and not axes.keys().isdisjoint("XYZ")):
             self._drill(cycle, axes)
@@ -148,6 +155,8 @@ class Machine:
 
     def _cut(self, start, end, arc: dict, axes: dict) -> None:
         straight = self.mode == 1
+        if straight:
+            self._surplus(arc)
         known = not any(map(math.isnan, start))
         if not known and straight and self._approach(start, end):
             self.program.rapid(end)
@@ -157,7 +166,6 @@ class Machine:
         elif any(map(math.isnan, end)):
             return
         elif straight:
-            self._surplus(arc)
             self._feed_to(start, [end], math.dist(start, end))
         else:
             try:
@@ -175,13 +183,15 @@ class Machine:
 
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
         feed = self._feed_rate(length if math.isfinite(length) else 0.0)
+        if self.feed_mode == 93:
+            self.feed, self.no_feed = None, FEED_OF_EACH
         if feed:
             self.program.cut(start, ends, feed, curvature)
         elif length and feed == 0:
             self.program.refuse("F", "zero feed on a cutting move", derived=True)
         elif length:
             advice = "give path.feed_rate_m_per_min in the cell"
-            self.program.refuse("F", "a cutting move without a feed", advice, derived=True)
+            self.program.refuse("F", self.no_feed, advice, derived=True)
 
     def _feed_rate(self, length: float) -> float | None:
         """[m/s] over a move of ``length`` [m]; None where no feed was given."""
@@ -202,8 +212,10 @@ class Machine:
         far = next((letter for letter in arc if letter != "TURN" and not abs(arc[letter]) * self.unit <= FLAT), None)
         if far:
             raise ArcError(f"{far}{arc[far]:g} is more than {FLAT / 1e3:g} km; wrong unit?")
-        if arc.get(across) and not self.absolute_centre:
+        if arc.get(across) and not (self.absolute_centre and abs(arc[across] * self.unit - start[plane[2]]) < CLOSING):
             raise ArcError(f"{across} does not belong to an arc of G{self.plane}")
+        if "R" in arc and "CR" in arc:
+            raise ArcError("an arc is given by R or by CR=, not by both")
         radius = arc.get("R", arc.get("CR"))
         centres = [letter for letter in (first, second) if letter in arc]
         if radius is not None and centres:
@@ -217,13 +229,17 @@ class Machine:
         else:
             given = [arc.get(letter, 0.0) * self.unit for letter in (first, second)]
             absolute = [self.absolute.get(letter, self.absolute_centre) for letter in (first, second)]
+            if self.absolute_centre and len(centres) == 1 and not self.absolute.keys() & centres:
+                raise ArcError(f"an absolute centre (G90.1) needs {first} and {second}")
             centre = tuple(given[n] if absolute[n] else from_point[n] + given[n] for n in (0, 1))
             closing = _closing(from_point, centre)
             if _misses(from_point, to_point, centre, closing) and not _misses(from_point, to_point, given, closing):
                 advice = "write G90.1 first or post incremental centres"
                 raise ArcError(f"the arc closes with an absolute centre only; {advice}")
-        turns = int(arc.get("TURN", axes.pop("P", 1) - 1))
-        points, curvature, swept = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, turns)
+        turns = arc["TURN"] if "TURN" in arc else axes.pop("P", 1.0) - 1
+        if turns != int(turns):
+            raise ArcError(f"a helix of {turns:g} turns is not meant")
+        points, curvature, swept = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, int(turns))
         length = math.hypot(swept, to_point[2] - from_point[2])
         x, y, z = map(plane.index, (0, 1, 2))
         ends = [(point[x], point[y], point[z]) for point in points]
@@ -233,10 +249,17 @@ class Machine:
 
     def _drill(self, kind: float | None, axes: dict) -> None:
         """One block of a drilling cycle: a hole at its X, Y, or several in a row with G91 and L or K."""
+        self.drilled = True
+        if self.plane != 17:
+            reason = f"a drilling cycle in G{self.plane} drills along {'XYZ'[PLANES[self.plane][2]]}"
+            self.program.refuse(f"G{self.plane}", reason, "write G17 before the cycle", lost=True)
+            axes.clear()
+            return
+        if not axes:
+            self.program.refuse(f"G{kind:g}", "a drilling cycle without X, Y, Z or R", lost=True)
+            return
         floor, level, peck = (axes.pop(letter, None) for letter in "ZRQ")
-        repeats = axes.pop("L", axes.pop("K", 1.0))
-        for letter in ("P", "I", "J"):
-            axes.pop(letter, None)
+        repeats = axes.pop("L" if "L" in axes else "K", 1.0)
         cycle = self.cycle = self.cycle or Cycle(0, self.position[2], self.position[2])
         if kind is not None:
             cycle.kind = int(kind)
@@ -246,10 +269,12 @@ class Machine:
             cycle.bottom = floor * self.unit + (cycle.retract if self.incremental else 0.0)
         if peck is not None:
             cycle.peck = abs(peck) * self.unit
-        if not 0 <= repeats <= REPEATS or (repeats > 1 and not self.incremental):
+        if not 0 <= repeats <= REPEATS or repeats != int(repeats) or (repeats > 1 and not self.incremental):
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
             return
         place = {axis: axes.pop(axis) for axis in "XY" if axis in axes}
+        if not repeats:  # the cycle is defined and drills nothing here
+            self.program.count("L0", 1 + len(place))
         for _ in range(int(repeats)):
             x, y, _ = self._end(dict(place))
             if not self._hole(x, y, cycle):

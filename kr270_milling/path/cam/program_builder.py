@@ -37,17 +37,20 @@ class ProgramBuilder(PathBuilder):
         self.lost = False  #: a move was refused: the place of the tool is unknown
         self.title = ""
         self.tool = ""  #: in the spindle
-        self.offset = ""  #: work offset
+        self.frame = {"work offsets": "", "tool lengths": "", "tool edges": ""}  #: kind -> word that is active
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: what words, not comments, say of tools
         self.feed_units: dict[str, None] = {}  #: of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self._before_change = 0  #: number of comments up to the last move
+        self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
+        self.refusals = 0  #: with those that follow from earlier ones
         self._tools: dict[str, int] = {}  #: name -> line of its first change
         self._cuts: Counter[str] = Counter()  #: tool -> cutting blocks
         self._last_cut: dict[str, int] = {}  #: tool -> line
-        self._offsets: dict[tuple[str, str], int] = {}  #: (tool, offset) while cutting -> first line
+        self._frames: dict[tuple[str, ...], int] = {}  #: (tool, its frame) while cutting -> first line
+        self._key = ("", *self.frame.values())
         self._refused: list[tuple[str, Refusal]] = []  #: with the tool in the spindle
 
     # --- moves ---
@@ -70,7 +73,7 @@ class ProgramBuilder(PathBuilder):
         self._before_change = len(self.comments)
         self._cuts[self.tool] += 1
         self._last_cut[self.tool] = self.line
-        self._offsets.setdefault((self.tool, self.offset), self.line)
+        self._frames.setdefault(self._key, self.line)
         if not self.active:
             return
         if self.last != start or self.away:
@@ -88,11 +91,27 @@ class ProgramBuilder(PathBuilder):
                 self.comments[k] = comment, tool, False
         self.away = self.away or bool(self.tool) or len(self) > 0
         self.tool = tool
+        self._key = (tool, *self.frame.values())
         self.moved = False
         self.active = self.selected in ("", tool)
         self._tools.setdefault(tool, self.line)
         if not self.named:
             self.name_feature(tool)
+
+    def set_frame(self, kind: str, word: str) -> None:
+        """Note a word that places the coordinates of the moves that follow, such as G55 or H1."""
+        self.frame[kind] = word
+        self._key = (self.tool, *self.frame.values())
+
+    def count(self, word: str, words: int = 1) -> None:
+        """Count a word that moves nothing, with the words that belong to it."""
+        self.silent[word] += 1
+        self.words["counted"] += words
+
+    @property
+    def cuts(self) -> int:
+        """Return the number of cutting moves of all tools."""
+        return self._cuts.total()
 
     @property
     def inside_operation(self) -> bool:
@@ -122,6 +141,7 @@ class ProgramBuilder(PathBuilder):
         lost: it may have moved the tool, so that what follows from its place is not refused once more; derived: it may
         only follow from an earlier one; line: other than the one that is read.
         """
+        self.refusals += 1
         if derived and self.lost:
             return
         refusal = Refusal(line or self.line, one_line(short(word)), one_line(reason), advice)
@@ -146,12 +166,14 @@ class ProgramBuilder(PathBuilder):
         tools = self._described_tools(unit)
         cutters = [tool for tool in tools if tool.cuts]
         chosen = self.selected or (cutters[0].name if cutters else "")
-        offsets = {name: line for (tool, name), line in self._offsets.items() if not self.selected or tool == chosen}
+        frames = {kind: self._of_frame(number, chosen) for number, kind in enumerate(self.frame, 1)}
         # words before the first tool concern every one
         refused = [r for tool, r in self._refused if not self.selected or tool in ("", self.selected)]
         refused += self._selection(cutters)
         if not refused or len(cutters) < 2:
-            refused += _several_speeds(speeds) + _several_offsets(offsets)
+            refused += _several_speeds(speeds)
+            for kind, words in frames.items():
+                refused += _several(kind, [(name or "G54", line) for name, line in words.items()])
         names = list(self.features)
         return SourceProgram(
             title=self.title,
@@ -160,11 +182,19 @@ class ProgramBuilder(PathBuilder):
             spindle_speeds=tuple(speed for speed in speeds if speed),
             feeds=tuple(np.unique(columns["feed"][cutting]).tolist()),
             feed_units=tuple(self.feed_units),
-            work_offset=next(filter(None, offsets), self.offset),
+            work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(ReadOver(word, count) for word, count in self.silent.most_common()),
             refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
         )
+
+    def _of_frame(self, number: int, tool: str) -> dict[str, int]:
+        """Words of one kind that a tool cut with, and their first lines; a length that no word gives is none."""
+        words: dict[str, int] = {}
+        for key, line in self._frames.items():
+            if (not self.selected or key[0] == tool) and (number == 1 or key[number]):
+                words.setdefault(key[number], line)
+        return words
 
     def _described_tools(self, unit: float) -> tuple[ProgramTool, ...]:
         """Every tool that the program changes to, with what its comments say; "" for cuts before the first one."""
@@ -209,10 +239,6 @@ def _several_speeds(speeds: dict[float, int]) -> list[Refusal]:
             distinct.append((speed, line))
     words = [(f"S{abs(speed) * 30 / math.pi:.6g}{' M4' if speed < 0 else ''}", line) for speed, line in distinct]
     return _several("spindle speeds", words)
-
-
-def _several_offsets(offsets: dict[str, int]) -> list[Refusal]:
-    return _several("work offsets", list({name or "G54": line for name, line in offsets.items()}.items()))
 
 
 def _several(what: str, words: list[tuple[str, int]]) -> list[Refusal]:

@@ -21,6 +21,7 @@ __all__ = [
     "READERS",
     "PathReader",
     "find_tool_path",
+    "known_reader",
     "read_path_file",
     "read_points",
     "read_toolpath",
@@ -95,9 +96,17 @@ READERS: dict[str, PathReader] = {
 READERS |= {point.name.lower(): PathReader(point.module, point.attr) for point in registered("readers", READERS)}
 
 
+def known_reader(path) -> PathReader | None:
+    """Return the reader of a file by its name, None for an unknown kind; Creo numbers its versions: op010.ncl.1."""
+    suffixes = [suffix.lower() for suffix in Path(path).suffixes]
+    while len(suffixes) > 1 and suffixes[-1] not in READERS and suffixes[-1][1:].isdigit():
+        suffixes.pop()
+    return READERS.get(suffixes[-1]) if suffixes else None
+
+
 def reader_of(path) -> PathReader:
     """Return the reader of a file by its name; raise InputError for an unknown kind."""
-    reader = READERS.get(Path(path).suffix.lower())
+    reader = known_reader(path)
     if reader is None:
         raise InputError(path, f"is no tool path by its name; known are {', '.join(READERS)}")
     return reader

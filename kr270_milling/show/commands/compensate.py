@@ -6,6 +6,7 @@ Exit code 1 where the decision is ``no``; then no program is written, unless by 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.column import CONVERGED, TextTable, columns, columns_of, fixed, table_of

@@ -7,15 +7,29 @@ i, j, k points from the tip to the spindle; the tool turns about no more than it
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 import re
 
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.text import read_lines, short, unended
-from kr270_milling.path.cam.apt.words import ADVICE, CENTRE, DATUM, FEEDS, LENGTHS, MILL, SILENT, SPINDLE_WORDS
+from kr270_milling.path.cam.apt.words import (
+    ADVICE,
+    CENTRE,
+    DATUM,
+    FEEDS,
+    LENGTHS,
+    MILL,
+    MOVES,
+    SILENT,
+    SYSTEMS,
+    TEXTS,
+)
 from kr270_milling.path.cam.comments import kind_of, operation_name
-from kr270_milling.path.cam.machine import Machine
+from kr270_milling.path.cam.gcode.words import SILENT_M
+from kr270_milling.path.cam.machine import INCH, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
@@ -24,6 +38,11 @@ from kr270_milling.path.trajectory import TOOL_DOWN
 __all__ = ["read_apt"]
 
 WORD = re.compile(r"[A-Z][A-Z0-9 _-]*")
+TEXT = re.compile(rf"\s*(?:{'|'.join(TEXTS)})\b", re.I)
+ROW = re.compile(r"[-+0-9.,EeDd \t]*\$?\s*")  #: numbers that continue a remark of Creo
+CARD = re.compile(r".{72}\s{0,7}[A-Z]{0,5}([0-9]{1,8})\s*")  #: columns 73 to 80 of a punched card number it
+INSERTED = re.compile(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", re.I)  #: a block of an INSERT that sets or moves
+SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO")
 LARGEST_CUTTER = 0.2  #: [m]
 FASTEST = 1e6  #: [rad/s]
 NO_END = "a CIRCLE/ without the GOTO/ of its end"
@@ -51,13 +70,17 @@ class _AptReader(Machine):
         self.rapid = False
         self.numbered = False  #: whether LOADTL names the tools
         self.circle: tuple[list[float], int] | None = None  #: its numbers and line, until the GOTO of its end
-        self.system: list[str] | None = None
+        self.systems: dict[str, list] = {}  #: word -> its values
+        self.units_given = False
+        self.announced = False  #: a comment announced an operation by word
+        self.retracted = 0  #: line of a RETRCT/ that the tool has not come back from
         self.actions = {"GOTO": self._goto, "FROM": self._from, "GODLTA": self._delta, "CIRCLE": self._circle,
                         "RAPID": self._rapid, "FEDRAT": self._feed, "FEED": self._feed, "SPINDL": self._spindle,
                         "UNITS": self._units, "FINI": self._end_program, "END": self._end_program,
                         "GOHOME": self._home, "LOADTL": self._load, "LOAD": self._load, "TOOLNO": self._load,
                         "CUTTER": self._cutter, "TLDATA": self._cutter, "CUTCOM": self._compensation,
-                        "MSYS": self._system}  # fmt: skip
+                        "RETRCT": self._retract, "AUXFUN": self._auxiliary, "PREFUN": self._preparatory,
+                        **{word: functools.partial(self._system, word) for word in SYSTEMS}}  # fmt: skip
 
     @property
     def started(self) -> bool:
@@ -68,43 +91,65 @@ class _AptReader(Machine):
 
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
-        statement, first, number = "", 0, 1
-        for number, line in enumerate(lines if lines[-1].strip() else lines[:-1], 1):
-            code, comment, note = line.partition("$$")
-            code, continued, _ = code.partition("$")  # what follows the sign is a remark
-            if comment and not (code.strip() or continued):
-                self._name(note.strip())
+        statement, remark, first, number, cuts = "", "", 0, 1, 0
+        for number, line in enumerate(_without_numbers(lines if lines[-1].strip() else lines[:-1]), 1):
+            if remark and ROW.fullmatch(line):
+                remark, line = remark.rstrip("$ \t") + line.strip(), ""
+            if remark and not remark.endswith("$"):
+                self._remark(remark)
+                remark = ""
+            if not statement and TEXT.match(line):
+                code, comment, note, continued = line, "", "", ""
+            else:
+                code, comment, note = line.partition("$$")
+                code, continued, _ = code.partition("$")  # what follows the sign is a remark
             first = first if statement else number
+            self.program.line = first
+            if comment and not (code.strip() or continued):
+                if note.startswith("->"):
+                    remark = note.strip()
+                self._name(note.strip())
             statement += code.strip()
             if continued:
                 continue
-            self.program.line = first
+            cuts, self.program.moved = self.program.cuts, False
             if statement:
-                self._statement(statement)
+                self._counted(statement)
             statement = ""
             if self.ended or self.program.hopeless:
                 break
         else:
             self.program.line = number
+            retract = self.program.moved and self.program.cuts == cuts > 0
             if statement:
                 self.program.refuse("$", "the file ends in a statement that is continued with $")
-            elif reason := unended(lines):
+            elif (reason := unended(lines)) and not (retract or lines[-1].partition("/")[0].strip().upper() in SILENT):
                 self.program.refuse("", reason)
+        if remark:
+            self._remark(remark)
         if self.circle is not None:
             self.program.refuse("CIRCLE", NO_END, line=self.circle[1])
+
+    def _counted(self, statement: str) -> None:
+        """Run a statement and note that it was used, counted or refused."""
+        words, refusals, counted = self.program.words, self.program.refusals, self.program.words["counted"]
+        self._statement(statement)
+        if words["counted"] == counted:
+            words["used" if self.program.refusals == refusals else "refused"] += 1
 
     def _statement(self, statement: str) -> None:
         head, slash, tail = statement.partition("/")
         word = " ".join(head.split()).upper()
         first = word.split(" ")[0]
+        values = [value.strip().upper() for value in tail.split(",")] if tail.strip() else []
         if word in self.actions:
-            self._run(word, [value.strip().upper() for value in tail.split(",")] if slash else [])
-        elif first in ("PPRINT", "PARTNO"):
-            self._text(first, (tail or head.strip()[6:]).strip())
+            self._run(word, values)
+        elif first in TEXTS:
+            self._text(first, (tail or head.strip()[6:]).strip(), statement.strip()[6:])
         elif word == "TOOL PATH":
             self._tool_path(tail)
-        elif first in SILENT:
-            self.program.silent[first] += 1
+        elif first in SILENT or (first in ADVICE and values in (["OFF"], ["NOMORE"])):
+            self.program.count(first)
         elif first in ADVICE:
             self.program.refuse(first, advice=ADVICE[first], lost=True)
         elif WORD.fullmatch(word):
@@ -124,17 +169,27 @@ class _AptReader(Machine):
     # --- names ---
 
     def _name(self, text: str) -> None:
-        name, _ = operation_name(text)
-        if name:
+        name, announced = operation_name(text)
+        self.announced = self.announced or announced
+        if name and (announced or not self.announced):
             self.program.name_feature(name)
 
-    def _text(self, word: str, text: str) -> None:
-        self.program.silent[word] += 1
+    def _text(self, word: str, text: str, block: str) -> None:
+        if word == "INSERT" and INSERTED.search(block):
+            self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} is a block of its own", MOVES, lost=True)
+            return
+        self.program.count(word)
         if word == "PPRINT":
             self._name(text)
             self.program.comments.append((text, self.program.tool, False))
-        else:
+        elif word == "PARTNO":
             self.program.title = self.program.title or text
+
+    def _remark(self, text: str) -> None:
+        """Remarks of Creo that state what others write as statements."""
+        word, _, tail = text.removeprefix("->").partition("/")
+        if word.strip() in ("CSYS", "CUTTER"):
+            self._run(word.strip(), [value.strip() for value in tail.rstrip("$ ").split(",") if value.strip()])
 
     def _tool_path(self, tail: str) -> None:
         """TOOL PATH/operation,TOOL,name of NX."""
@@ -146,11 +201,18 @@ class _AptReader(Machine):
             self.program.known.setdefault(name, ProgramTool(name))
 
     def _load(self, values: list[str]) -> None:
-        """LOADTL/1, TOOLNO/1,..., LOAD/TOOL,1"""
-        name = next((value for value in values if value.lstrip("+").isdigit()), "")
-        if name:
-            self.numbered = True
-            self.change_tool(f"T{int(name)}")
+        """LOADTL/1, TOOLNO/1,..., LOAD/TOOL,1; what follows is data of the tool, such as its length."""
+        name = next((value for value in values if value not in ("TOOL", "TURRET")), "")
+        if not name or name in ("LENGTH", "ADJUST", "OSETNO"):
+            raise StatementError("LOADTL/ needs the number of the tool first")
+        if not name[:1].isalpha():
+            number = _number(name)
+            if number != int(number):
+                raise StatementError(f"the number {short(name)} of the tool is not whole")
+            name = f"T{int(number)}"
+        self.numbered = True
+        self.retracted = 0
+        self.change_tool(name)
 
     def change_tool(self, tool: str) -> None:
         self.program.named = True  # statements name the features, not the tools
@@ -161,7 +223,7 @@ class _AptReader(Machine):
 
         a and b are the angles of the bottom and of the side. TLDATA begins with the kind: MILL, DRILL, TCUTTER.
         """
-        self.program.silent["CUTTER"] += 1
+        self.program.count("CUTTER")
         sizes = [value for value in values if not value[:1].isalpha()]
         diameter = _number(sizes[0]) * self.unit if sizes else 0.0
         if 0 < diameter <= LARGEST_CUTTER:
@@ -193,6 +255,10 @@ class _AptReader(Machine):
         self._block(numbers[:3])
 
     def _block(self, end: list[float]) -> None:
+        if self.retracted:
+            reason = "RETRCT lifts the tool to a plane of the machine"
+            self.program.refuse("RETRCT", reason, MOVES, lost=True, line=self.retracted)
+            self.retracted = 0
         axes = dict(zip("XYZ", end, strict=True))
         mode = 0 if self.rapid or not self.started else 1
         if self.circle is not None and mode:
@@ -234,12 +300,20 @@ class _AptReader(Machine):
         self.incremental = False
 
     def _home(self, values: list[str]) -> None:
-        self.program.silent["GOHOME"] += 1
+        self.retracted = 0
+        self.program.count("GOHOME")
         if self.started:
             self.home(["Z"])
 
     def _rapid(self, values: list[str]) -> None:
+        if values:
+            raise StatementError(f"RAPID/{short(','.join(values))} is not supported; RAPID holds for one move")
         self.rapid = True
+
+    def _retract(self, values: list[str]) -> None:
+        """Harmless where the tool is changed or the program ends next."""
+        self.retracted = self.program.line
+        self.program.count("RETRCT")
 
     def _end_program(self, values: list[str]) -> None:
         self.ended = True
@@ -252,48 +326,82 @@ class _AptReader(Machine):
         if len(rest) != 1 or len(units) > 1:
             raise StatementError("FEDRAT/ needs one number and, if any, MMPM, IPM, MMPR or IPR")
         length, per_turn = FEEDS[units[0]] if units else (None, False)
+        if length == INCH and not self.units_given:
+            raise StatementError(f"FEDRAT/ in {units[0]} without UNITS/; add UNITS/INCHES or UNITS/MM before it")
         self.set_feed_mode(95 if per_turn else 94)
         self.set_feed(_number(rest[0]), length or self.unit)
         self.rapid = False
 
     def _spindle(self, values: list[str]) -> None:
-        sense = 1
-        for value in values:
+        sense, speeds = 1, []
+        rest = iter(values)
+        for value in rest:
             if value == "OFF":
                 self.program.spindle_speed = 0.0
                 return
-            if value == "CCLW":
+            if value in ("RANGE", "MAXRPM"):  # a gear or a limit
+                next(rest, "")
+            elif value == "CCLW":
                 sense = -1
             elif value[:1].isalpha() and value not in SPINDLE_WORDS:
                 raise StatementError(f"SPINDL/{short(value)} is not supported (ON, OFF, a number, RPM, CLW, CCLW are)")
             elif value not in SPINDLE_WORDS:
-                self.speed = _number(value) * 2 * math.pi / 60
-                if not 0 <= self.speed <= FASTEST:
+                speeds.append(_number(value) * 2 * math.pi / 60)
+                if not 0 <= speeds[-1] <= FASTEST:
                     raise StatementError(f"the spindle speed {short(value)} is out of range")
+        if len(speeds) > 1:
+            raise StatementError(f"SPINDL/{short(','.join(values))} has {len(speeds)} speeds")
+        self.speed = speeds[0] if speeds else self.speed
         self.program.spindle_speed = sense * self.speed
 
     def _units(self, values: list[str]) -> None:
         if len(values) != 1 or values[0] not in LENGTHS:
             raise StatementError(f"UNITS/ needs MM or INCHES, not {short(','.join(values))!r}")
+        if self.started and not self.units_given and self.unit != LENGTHS[values[0]]:
+            raise StatementError(f"UNITS/{values[0]} comes after moves that are read in mm; write UNITS/ first")
         self.unit = LENGTHS[values[0]]
+        self.units_given = True
 
     def _compensation(self, values: list[str]) -> None:
-        if values and values[0] not in ("OFF", "ADJUST", "ON"):
-            self.program.refuse("CUTCOM", advice=CENTRE)
+        """Only that of the tool's length, and its end, leave the path as it is."""
+        side = {"LEFT", "RIGHT"} & set(values) or not {"OFF", "ADJUST", "LENGTH"} & set(values)
+        if values and side:
+            self.program.refuse("CUTCOM", advice=CENTRE, lost=True)
         else:
-            self.program.silent["CUTCOM"] += 1
+            self.program.count("CUTCOM")
 
-    def _system(self, values: list[str]) -> None:
-        """MSYS/: the coordinates are counted from one system of the machine, whichever it is."""
-        if values != self.system and (self.system is not None or self.started):
-            raise StatementError(f"a second MSYS/; {DATUM}")
-        self.system = values
-        self.program.silent["MSYS"] += 1
+    def _system(self, word: str, values: list[str]) -> None:
+        """MSYS/, ORIGIN/, CSYS/: the coordinates are counted from one system of the machine, whichever it is."""
+        numbers = [_number(value) for value in values]
+        late = self.started and word not in self.systems
+        if late or self.systems.setdefault(word, numbers) != numbers:
+            raise StatementError(f"a second {word}/; {DATUM}")
+        self.program.count(word)
+
+    def _auxiliary(self, values: list[str]) -> None:
+        """AUXFUN/8 is M8."""
+        if len(values) != 1 or _number(values[0]) not in SILENT_M:
+            raise StatementError(f"AUXFUN/{short(','.join(values))} is not known; leave it out where it moves no axis")
+        self.program.count("AUXFUN")
+
+    def _preparatory(self, values: list[str]) -> None:
+        """PREFUN/17 is G17."""
+        if len(values) != 1 or _number(values[0]) not in (17, 40, 49, 61, 64, 80, 90, 94):
+            raise StatementError(f"PREFUN/{short(','.join(values))} sets or moves what GOTO does not state; {MOVES}")
+        self.program.count("PREFUN")
+
+
+def _without_numbers(lines: list[str]) -> list[str]:
+    """Return the lines of punched cards without the rising numbers of their columns 73 to 80, other lines unchanged."""
+    cards = [CARD.fullmatch(line) for line in lines if line.strip()]
+    numbers = [int(card[1]) for card in cards if card]
+    rising = all(a < b for a, b in itertools.pairwise(numbers))
+    return [line[:72] for line in lines] if len(numbers) == len(cards) > 1 and rising else lines
 
 
 def _number(text: str) -> float:
     try:
-        value = float(text) if text.isascii() and "_" not in text else math.nan
+        value = float(text.upper().replace("D", "E")) if text.isascii() and "_" not in text else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -4,28 +4,31 @@ from __future__ import annotations
 
 from kr270_milling.path.cam.machine import INCH, MM
 
-__all__ = ["ADVICE", "CENTRE", "DATUM", "FEEDS", "LENGTHS", "MILL", "SILENT", "SPINDLE_WORDS"]
+__all__ = ["ADVICE", "CENTRE", "DATUM", "FEEDS", "LENGTHS", "MILL", "MOVES", "SILENT", "SYSTEMS", "TEXTS"]
 
 LENGTHS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "CM": 1e-2}
 #: unit of FEDRAT -> length [m], None: that of UNITS, and whether it is per revolution
 FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MMPR": (MM, True), "IPR": (INCH, True),
          "PERREV": (None, True)}  # fmt: skip
-#: words without effect on the path
+#: words without effect on the path, whatever their values
 SILENT = frozenset({
     "REMARK", "MACHIN", "COOLNT", "DISPLY", "PAINT", "INTOL", "OUTTOL", "TOLER", "END-OF-PATH", "STOP", "OPSTOP",
-    "OPSKIP", "DELAY", "DWELL", "REWIND", "SEQNO", "AUXFUN", "PREFUN", "INSERT", "LEADER", "CLEARP", "CLEARANCE",
-    "CHECK", "SETMODE", "MODE", "CATPROCESS", "OP", "TPRINT", "CAMERA", "HEAD", "ROTABL", "THICK", "ORIGIN", "LETTER",
-    "OVPLOT", "PIVOTZ", "RETRCT", "SAFETY", "SELECT", "SET", "MULTAX", "MCHTOL", "ARCSLP", "POSTN", "PLUNGE", "BREAK",
+    "OPSKIP", "DELAY", "DWELL", "REWIND", "SEQNO", "LEADER", "CLEARP", "CLEARANCE", "CHECK", "SETMODE", "MODE",
+    "CATPROCESS", "OP", "TPRINT", "CAMERA", "HEAD", "THICK", "LETTER", "OVPLOT", "PIVOTZ", "SELECT", "SET", "MULTAX",
+    "MCHTOL", "ARCSLP", "BREAK", "UNLOAD", "TLON",
 })  # fmt: skip
+TEXTS = ("PARTNO", "PPRINT", "REMARK", "INSERT", "LETTER")  #: their values are text, in which $ is a character
+SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: what the coordinates are counted from
 CENTRE = "let the CAM output the path of the tool's centre"
 MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
 ARCS = "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"
 DATUM = "let the CAM output coordinates of one system"
+MOVES = "let the CAM output this move as GOTO"
 MACROS = "let the CAM output CL data without macros, loops and geometry statements"
 ADVICE = {
     "CYCLE": "let the CAM output drilling as GOTO moves", "THREAD": "leave threads out", "PROBE": "leave probing out",
-    **dict.fromkeys(("TLON", "INDIRV", "GOFWD", "NURBS", "ARCMOV", "MOVARC", "HELIX"), ARCS),
-    **dict.fromkeys(("TRACUT", "TRANS", "COPY", "CSYS", "ROTATE"), DATUM),
+    **dict.fromkeys(("TLLFT", "TLRGT", "INDIRV", "GOFWD", "NURBS", "ARCMOV", "MOVARC", "HELIX"), ARCS),
+    **dict.fromkeys(("TRACUT", "TRANS", "COPY", "ROTATE", "ROTABL", "ROTHED", "PATTERN"), DATUM),
+    **dict.fromkeys(("PLUNGE", "SAFETY", "POSTN"), MOVES),
     **dict.fromkeys(("LOOPST", "LOOPND", "MACRO", "CALL", "IF", "JUMPTO", "TERMAC"), MACROS),
 }  # fmt: skip
-SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO", "RANGE")

@@ -18,9 +18,12 @@ from kr270_milling.path.cam.gcode.words import ADVICE, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
-__all__ = ["COMMENT", "PIECE", "GcodeReader", "changes_by_m6", "read_gcode"]
+__all__ = ["COMMENT", "PIECE", "SKIP", "GcodeReader", "changes_by_m6", "read_gcode"]
 
-NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
+#: an E directly after the digits begins an exponent if an integer follows; else, as after a blank, it is a letter of
+#: its own. One of two alternatives, so that a row of E words has one meaning.
+EXPONENT = r"E[-+]?[0-9]+(?![0-9.])"
+NUMBER = rf"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:{EXPONENT}|(?!{EXPONENT}))"
 WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
 SIMPLE = re.compile(rf"(?:[ \t]*[A-Z][ \t]*{NUMBER})*[ \t]*")  # a line of words of one letter alone
 #: a comment in brackets, nested twice at most where they pair, or after a semicolon; the brackets of a call are none
@@ -46,8 +49,11 @@ ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 TITLE = re.compile(r"\s*[O:]\s*[0-9]+\s*", re.I)
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
-LAST = re.compile(r"\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})+\s*", re.I)
+LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
+SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
+HEADER = re.compile(r"%[ \t]*(?:[O:]?[0-9]*|[A-Z_][A-Z0-9_]*)[ \t]*", re.I)  #: start or end of a program, with a name
 MOST_COMMENTS = 2000
+HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
 def read_gcode(path, tool: str = "", feed: float = 0.0) -> Toolpath:
@@ -79,13 +85,17 @@ class GcodeReader:
 
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
-        for self.program.line, line in enumerate(lines, 1):
+        program, cuts = self.program, 0
+        for program.line, line in enumerate(lines, 1):
+            if program.line == len(lines):
+                cuts, program.moved = program.cuts, False
             self.run_line(line)
-            if self.machine.ended or self.program.hopeless:
+            if self.machine.ended or program.hopeless:
                 return
-        # a program without an end may be cut off, unless it ends in M words, which move nothing
-        if (reason := unended(lines)) and not LAST.fullmatch(_split_comments(lines[-1])[0]):
-            self.program.refuse("", reason)
+        # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move
+        retract = program.moved and program.cuts == cuts > 0
+        if (reason := unended(lines)) and not (retract or LAST.fullmatch(_split_comments(lines[-1])[0])):
+            program.refuse("", reason)
 
     def run_line(self, line: str) -> None:
         """Run the blocks of one line."""
@@ -100,13 +110,15 @@ class GcodeReader:
             self.machine.run(words)
 
     def _line(self, line: str) -> None:
-        if line[:1] == "%":
+        code, comments = _split_comments(line)
+        if code[:1] == "%":
             self.percent += 1
             self.machine.ended = line == "%" and self.percent > 1 and len(self.program) > 1
+            if not HEADER.fullmatch(code):
+                self.program.refuse(code, f"{short(code)!r} is no start of a program", "write blocks in lines after %")
             return
-        code, comments = _split_comments(line)
-        if code[:1] == "/":
-            code = code.lstrip("/0123456789 ") if code[1:2].isdigit() else code[1:]
+        if skip := SKIP.match(code):
+            code = (skip[1] or "") + " " + code[skip.end() :]
             self.program.silent["/"] += 1
         if code[:1] == ":":
             code = "O" + code[1:]
@@ -122,14 +134,18 @@ class GcodeReader:
         """A line that is more than words of one letter; nothing of it is run where one piece cannot be."""
         words: list[tuple[str, Any]] = []
         names: list[tuple[str, str]] = []  # with the text after them
+        count = 0
         for match in PIECE.finditer(code):
             kind, text = match.lastgroup, match.group()
+            count += kind != "blank"
             if text == "SUPA":
                 words.append(("G", 53.0))
             elif kind == "word":
                 words.append((text[0], float(text[1:])))
             elif kind == "assigned":
                 self._assigned(text, words, names)
+            elif text == "RET":
+                words.append(("M", 17.0))
             elif kind in ("name", "call"):
                 name, bracket, rest = text.partition("(")
                 names.append((name.strip(), bracket + rest))
@@ -137,24 +153,26 @@ class GcodeReader:
                 self._refuse(kind, text)
                 break
         else:
-            if self._known(names):
+            if self._known(names, any(letter != "N" for letter, _ in words)):
                 self.machine.run(words)
+                count = 0
+        self.program.words["refused"] += count  # nothing of a line is run where a piece of it cannot be
         self.machine.absolute = {}
 
     def _assigned(self, text: str, words: list, names: list) -> None:
         """What Sinumerik writes with a sign of equality: X=AC(1), CR=5, S1=3000, Z1=0, T="MILL 10"."""
         name, mode, number, quoted = ASSIGNED.findall(text)[0]
         letter, numbered = name[0], name[1:].isdigit()
-        if not number:
-            words += [("T", quoted.strip())] if name == "T" and quoted.strip() else []
+        if not number and name == "T" and quoted.strip():
+            words.append(("T", quoted.strip()))
         elif name in ("CR", "TURN") or len(name) == 1:
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"
         elif numbered and letter in "SM":
             words.append((letter, float(number)))
-        elif numbered and letter in "XYZ":  # of the machine: it goes home
-            words[:] = [word for word in words if word not in (("G", 74), ("G", 75))]
+        elif numbered and letter in "XYZ" and any(word in words for word in HOMES):  # of the machine: it goes home
+            words[:] = [word for word in words if word not in HOMES[:2]]
             words += [("G", 28.0), (letter, 0.0)]
         else:
             names.append((name, text[len(name) :]))
@@ -164,6 +182,9 @@ class GcodeReader:
             self.program.refuse(text, advice=MACROS, lost=True)
         elif kind == "bare":
             self.program.refuse(text, f"the word {text} has no number")
+        elif re.match(r",[0-9]", text):
+            reason = f"a number with a decimal comma before {short(text)!r}"
+            self.program.refuse(text, reason, "write a decimal point", lost=True)
         elif text[0] == "(":
             self.program.refuse("(", "a comment is opened with ( but not closed", "close the bracket")
         elif re.match(r",[RCA][0-9.]", text):
@@ -172,17 +193,19 @@ class GcodeReader:
             advice = "a word is a letter and a number, or put a remark in brackets"
             self.program.refuse(text, f"{short(text)!r} is no G-code word", advice)
 
-    def _known(self, names: list[tuple[str, str]]) -> bool:
-        """Whether the words of several letters in a line let it be run."""
-        known = True
+    def _known(self, names: list[tuple[str, str]], further: bool) -> bool:
+        """Whether the words of several letters in a line let it be run; further: the line has other words."""
+        silent = []
         for name, rest in names:
-            reset = not rest and name in ("TRANS", "ROT", "SCALE", "MIRROR")
+            reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")
             idle = name == "CYCLE800" and not re.search(r"[1-9]", rest.split(",,")[-1])
             if name in SILENT or reset or idle:
-                self.program.silent[name] += 1
+                silent.append(name)
             else:
-                known = False
                 self.program.refuse(name, advice=ADVICE.get(name, UNKNOWN), lost=True)
+        known = len(silent) == len(names)
+        for name in silent if known else ():
+            self.program.count(name)
         return known
 
     def _comments(self, code: str, comments: list[str]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.text import read_lines
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
-from kr270_milling.path.cam.gcode.reader import COMMENT, PIECE, GcodeReader, changes_by_m6
+from kr270_milling.path.cam.gcode.reader import COMMENT, PIECE, SKIP, GcodeReader, changes_by_m6
 from kr270_milling.path.cam.machine import MM
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 
@@ -163,8 +163,11 @@ def _words(point: np.ndarray, unit: float) -> str:
 def _rewritten(line: str, move: SourceMove, places: list[str]) -> list[str]:
     """One line as the blocks that lead to ``places``."""
     code = line.lstrip()
-    skip = code[: len(code) - len(code.lstrip("/0123456789 "))] if code[:1] == "/" else ""
-    words, ending, comments, place = _sorted_words(code[len(skip) :], move)
+    skip = ""
+    if mark := SKIP.match(code):
+        number = mark[1] or ""
+        skip, code = mark[0][len(number) :].lstrip(), number + " " + code[mark.end() :]
+    words, ending, comments, place = _sorted_words(code, move)
     feed = move.kind == "feed"
     blocks = [f"G1 {one}" if feed else one for one in places]
     words.insert(place, blocks[0] if blocks else "G1")

@@ -8,7 +8,24 @@ from __future__ import annotations
 
 from kr270_milling.path.cam.machine import INCH, MM
 
-__all__ = ["ADVICE", "G_GROUPS", "MODAL", "M_GROUPS", "OFFSETS", "SILENT", "UNKNOWN"]
+__all__ = [
+    "ADVICE",
+    "BELONGS",
+    "CLAIMS",
+    "DATUM",
+    "G_GROUPS",
+    "LEFT",
+    "MACROS",
+    "MODAL",
+    "M_GROUPS",
+    "OFFSETS",
+    "SILENT",
+    "SILENT_G",
+    "SILENT_M",
+    "UNKNOWN",
+    "UNKNOWN_M",
+    "named",
+]
 
 #: what a machine keeps -> the G words that set it, and to what
 MODAL: dict[str, dict[float, object]] = {
@@ -18,9 +35,35 @@ MODAL: dict[str, dict[float, object]] = {
     "plane": {17: 17, 18: 18, 19: 19},
     "to_initial": {98: True, 99: False},
 }
-OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *range(505, 600))}
-#: G word -> modal group; two different words of one group are not allowed in one line
+#: work offsets: 110 to 129 of Haas, 500 is the machine's own zero on Sinumerik
+OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *range(110, 130), *range(500, 600))}
+#: G words that change no path -> the letters that belong to them: cancelled modes, look-ahead, exact stop, the length
+#: of the tool, limits. 5, 74 and 75 change none together with some other words.
+SILENT_G: dict[float, str] = {
+    **dict.fromkeys((9, 13.1, 15, 40, 40.1, 49, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""),
+    **dict.fromkeys((290, 291, 450, 451, *range(601, 604), *range(641, 647)), ""),
+    **dict.fromkeys((5, 8, 54.4, 61.1, 103), "P"),
+    **dict.fromkeys((25, 26), "XYZS"),  # working area, least and largest speed
+    **dict.fromkeys((5.1, 64), "PQR"),
+    43: "H",
+    50: "S",
+    50.1: "XYZ",
+    187: "PE",
+}
+#: M words that change no path -> the letters that belong to them: stops, coolant, clamps, gears, conveyors, doors,
+#: outputs, overrides (ISO 6983-1, Haas, LinuxCNC, Sinumerik)
+SILENT_M: dict[float, str] = {
+    **dict.fromkeys((0, 1, 7, 8, 9, 10, 11, 12, 18, *range(20, 29), *range(31, 46), 48, 49, *range(54, 59)), ""),
+    **dict.fromkeys((60, 70, 71, 73, *range(76, 90), *range(104, 120), 126, 127, 138, 139, 158, 159, 160, 161), ""),
+    **dict.fromkeys((49, 50, 51, 52, 53, 59, 62, 63, 64, 65, 69, 109), "P"),
+    **dict.fromkeys((67, 68), "EQ"),
+    19: "RPQ",
+    66: "PLEQ",
+    106: "PS",
+}
+#: G word -> modal group; two different words of one group are not allowed in one line. Each silent word is a group.
 G_GROUPS: dict[float, str] = {
+    **{n: f"G{n:g}" for n in SILENT_G},
     **{word: name for name, words in MODAL.items() for word in words},
     **dict.fromkeys((0, 1, 2, 3), "motion"),
     **dict.fromkeys((73, 80, 81, 82, 83, 85, 86, 89), "cycle"),  # drilling and boring cycles, expanded; 80: their end
@@ -32,16 +75,20 @@ G_GROUPS: dict[float, str] = {
     52: "shift",
     92: "preset",
 }
-#: G words that change no path: cancelled modes, look-ahead, exact stop, the length of the tool; 5, 74 and 75 change
-#: none together with some other words. Each is a separate group.
-G_GROUPS |= {n: f"G{n:g}" for n in (
-    5.1, 8, 9, 15, 40, 43, 49, 50, 50.1, 60, 61, 61.1, 61.2, 62, 63, 64, 67, 69, 69.1, 92.1, 92.2, 92.3, 97, 103, 187,
-    450, 451, 500, 601, 602, 603, 641, 642, 643, 644, 645, 646, 13.1, 54.4, 290, 291, 126, 127, 40.1, 5, 74, 75,
-)}  # fmt: skip
 M_GROUPS: dict[float, str] = {
+    **{n: f"M{n:g}" for n in SILENT_M},
     **dict.fromkeys((2, 30, 99, 17), "end"),
     **dict.fromkeys((3, 4, 5, 13, 14, 19), "spindle"),
-    6: "tool",
+    **dict.fromkeys((6, 61), "tool"),
+}
+#: G words that own these letters on some controls and not on others -> letters, what they mean there; with G0 to G3 in
+#: the line they are a move
+CLAIMS: dict[float, tuple[str, str]] = {
+    **dict.fromkeys((58, 59), ("XYZ", "shifts the zero on Sinumerik and moves the tool elsewhere")),
+    **dict.fromkeys((110, 111, 112), ("XYZ", "is a pole on Sinumerik and a work offset of Haas")),
+    **dict.fromkeys((70, 71), ("IJKLPQ", "is a circle of holes on Haas, a cycle of lathes and a unit elsewhere")),
+    50: ("XYZ", "sets coordinates on some controls and ends a scale on others"),
+    60: ("XYZ", "is a rapid move on Fanuc and an exact stop on Sinumerik"),
 }
 
 CENTRE = "let the CAM output the path of the tool's centre (compensation in the computer)"
@@ -55,7 +102,15 @@ LATHE = "this is a word of lathes; post for a mill"
 POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
 UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"
 
+UNKNOWN_M = "it is not known; leave it out where it moves no axis"
+JUMPS = "a jump or a call; " + MACROS
+
 HEIDENHAIN = "a program of a Heidenhain control; post it as ISO (DIN) G-code"
+
+
+def named(letter: str, value: float) -> str:
+    """Return a word as the program writes it: its number may be a name, and a name keeps all digits."""
+    return f"{letter}{value:.15g}"
 
 
 def _each(names: str, advice: str) -> dict[str, str]:
@@ -71,13 +126,13 @@ ADVICE = {
         ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
         MACROS,
     ),
-    **_each("G16 G51 G51.1 G68 G110 G111 G112 G44 G100 G101", DATUM),
+    **_each("G16 G51 G51.1 G68 G44 G100 G101 DIAMON DIAM90", DATUM),
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
     **_each("G5 G5.2 G5.3 G6 G6.1 G6.2 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
     **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
     **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
-    **_each("G33 G33.1 G74 G76 G84 G84.2 G84.3 G88 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70", THREADS),
+    **_each("G33 G33.1 G74 G76 G84 G84.2 G84.3 G88 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70", THREADS),
     **_each("G96 G7 G32 G72", LATHE),
     **_each("G87 G12 G13 G150 G34 G47", POCKETS),
     **_each(
@@ -87,15 +142,23 @@ ADVICE = {
     ),
     **_each("G22 G23 G31 G36 G37 G35 G136 G38.2 G38.3 G38.4 G38.5", PROBING),
     **_each("MEAS MEAW CYCLE977 CYCLE978 CYCLE998", PROBING),
-    **_each("BEGIN PGM", HEIDENHAIN),
+    **_each("BEGIN PGM M91 M92 M136 M140", HEIDENHAIN),
+    **_each("FLIN OVR FGROUP FB FZ FD", "let the CAM output each feed as F"),
 }
+#: letters that no word of their line takes -> what to do
+LEFT = {
+    **dict.fromkeys("LPO", JUMPS),
+    **dict.fromkeys("ABCUVW", AXES5),
+    "E": "a word of 3-D printers; post for a milling machine",
+}
+BELONGS = "write it in the line of the word that it belongs to, or leave it out"
 #: names that change no path: dynamics, compressors, orientation of nothing, messages, modes that end
 SILENT = frozenset(
     _each(
-        """DIAMOF DIAMON DIAM90 FFWON FFWOF SOFT BRISK DRIVE COMPOF COMPON COMPCAD COMPCURV COMPSURF CFTCP CFC CFIN
+        """DIAMOF FFWON FFWOF SOFT BRISK DRIVE COMPOF COMPON COMPCAD COMPCURV COMPSURF CFTCP CFC CFIN
         TRAFOOF STOPRE UPATH SPATH KONT KONTC KONTT NORM CUT2D WORKPIECE CYCLE832 MSG GROUP_BEGIN GROUP_END GROUP_ADDEND
-        DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC PROC SETMS SPOS ADIS ADISPOS FGROUP FNORM FLIN ORIWKS
-        ORIMKS ORIAXES DISPLOF SAVE ACC OVR SPCON SPCOF FRESH CTOL OTOL STOLF LIMS VELOLIM JERKLIM ACCLIM""",
+        DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC PROC SETMS SPOS ADIS ADISPOS FNORM ORIWKS
+        ORIMKS ORIAXES DISPLOF SAVE ACC SPCON SPCOF FRESH CTOL OTOL STOLF LIMS VELOLIM JERKLIM ACCLIM""",
         "",
     )
 )
