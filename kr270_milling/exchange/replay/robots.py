@@ -187,7 +187,7 @@ class Robots:
         ends: dict[str, dict[int, int]] = {}
         references = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
         longest = end_of(self.cell, self.cell.target())
-        for message in self.recording.messages(set(references)):
+        for message in self.recording.messages(set(references), _ignore):
             with contextlib.suppress(MillingError):
                 reference, namespace = trajectory_from_bytes(message.data), references[message.topic]
                 firsts.setdefault(namespace, message.data)
@@ -198,7 +198,7 @@ class Robots:
     def feed(self, progress=None, feed: Callable[[Robot, str, bytes], None] = Robot.feed) -> None:
         """Feed all messages in the order of the file; ``feed`` takes the messages of a robot."""
         count = self.recording.count
-        for done, message in enumerate(self.recording.messages(), 1):
+        for done, message in enumerate(self.recording.messages(on_damage=_ignore), 1):
             if progress and (done % 1000 == 0 or done == count):
                 progress(done, count)
             if message.topic in self._names:
@@ -221,3 +221,7 @@ class Robots:
         except (ValueError, OverflowError) as error:
             reason = f"a message on {topic} cannot be used: {' '.join(str(error).split())}"
             raise RecordingError(self.recording.path, reason) from error
+
+
+def _ignore(*_) -> None:
+    """Pass over a damage, which ``recompute`` reports."""

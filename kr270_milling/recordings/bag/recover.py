@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.recordings.bag.chunks import Chunk
+from kr270_milling.recordings.bag.files import find_recording, is_rosbag
+from kr270_milling.recordings.bag.mcap_file import Attached, Damage
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.records import Damage, RecordPlace, mcap_file
 from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
@@ -46,8 +47,10 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     target: by default the path of the source with "_recovered". The source is not changed. The target appears when it
     is complete; it must not exist before. A whole source is copied only if a target is given. Raises RecordingError.
     """
-    file, place = mcap_file(source), Path(os.path.abspath(source))
-    name = place.name if place.is_dir() else place.stem
+    file, place = find_recording(source), Path(os.path.abspath(source))
+    if is_rosbag(file):
+        raise RecordingError(file, "is not one MCAP file, and only such a file can be recovered")
+    name = place.name if place.is_dir() else place.name.partition(".")[0]
     whole, damage = _examine(file)
     if whole and target is None:
         return whole
@@ -55,12 +58,12 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     if os.path.lexists(target):
         raise RecordingError(target, "exists already and is not overwritten")
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    losses = Losses()
     try:
-        losses = Losses()
-        with Recording(file, on_damage=losses.add) as salvage, BagWriter(part, target.name) as writer:
-            if salvage.profile is None and not (salvage.chunks or salvage.attachments or salvage.metadata()):
-                raise RecordingError(file, "nothing in it can be recovered")
+        with Recording(file, on_damage=losses.add_summary) as salvage, BagWriter(part, target.name) as writer:
             _copy(salvage, losses, writer, progress)
+            if salvage.profile is None and not (writer.count or salvage.attachments or salvage.metadata()):
+                raise RecordingError(file, "nothing in it can be recovered")
             lost_messages = _lost_messages(salvage, losses, writer.count)
         with Recording(part) as copy:
             result = _describe(copy)
@@ -101,33 +104,45 @@ def _describe(recording: Recording) -> Recovered:
 
 
 class Losses:
-    """The damage of a file that is recovered, while ``source`` reads it."""
+    """The damage of a file that is recovered."""
 
     def __init__(self):
         self.dropped: list[str] = []  #: a sentence for each lost place
         self.bytes = 0
-        self.in_summary = False
+        self.complete = True  #: no message was lost
 
-    def add(self, damage: Damage, place: RecordPlace | Chunk | None) -> None:
-        """Take a damage of a record or of a chunk; None: of the summary, which costs no message."""
-        if place is None:
-            self.in_summary = True
-            self.dropped.append(f"the summary: {damage.reason}")
-            return
-        self.bytes += place.end - place.offset
-        self.dropped.append(f"{place.end - place.offset} bytes at byte {place.offset}: {damage.reason}")
+    def add_summary(self, damage: Damage, _: int) -> None:
+        """Take a damage of the summary, which costs no message."""
+        self.dropped.append(damage.reason)
+
+    def add(self, damage: Damage, size: int) -> None:
+        """Take a damage of the data, and the bytes that are lost with it."""
+        self.complete = False
+        self.bytes += size
+        self.dropped.append(f"{size} bytes at byte {damage.offset}: {damage.reason}")
+
+    @contextlib.contextmanager
+    def of_attachment(self, about: Attached) -> Iterator[None]:
+        """Take the damage of an attachment."""
+        try:
+            yield
+        except RecordingError as error:
+            self.bytes += about.end - about.offset
+            self.dropped.append(error.reason)
 
 
 def _lost_messages(source: Recording, losses: Losses, written: int) -> int | None:
     """Return the number of lost messages; None if the source does not state how many messages it had."""
-    whole = source.ended and len(losses.dropped) == losses.in_summary
-    return max(source.count - written, 0) if source.statistics or whole else None
+    if source.statistics:
+        return max(source.statistics.message_count - written, 0)
+    return max(source.count - written, 0) if losses.complete and not source.cut_off else None
 
 
 def _copy(source: Recording, losses: Losses, writer: BagWriter, progress: Callable[[int, int], None] | None) -> None:
     """Write everything that can be read."""
     for about in source.attachments:
-        writer.add_attachment(about.name, source.attachment(about.name))
+        with losses.of_attachment(about):
+            writer.add_attachment(about.name, source.attachment(about.name))
     for name, values in source.metadata().items():
         if name != "rosbag2":  # the writer adds a new one
             writer.add_metadata(name, values)
@@ -137,29 +152,13 @@ def _copy(source: Recording, losses: Losses, writer: BagWriter, progress: Callab
         parsed = (schema.name, schema.encoding, schema.data)
         numbers[number] = writer.add_channel(channel.topic, parsed, channel.message_encoding, channel.metadata)
     refused: Counter[str] = Counter()  # reason -> messages
-    for chunk in source.chunks:
-        try:
-            refused += _copy_chunk(source, chunk, writer, numbers)
-        except Damage as damage:
-            losses.add(damage, chunk)
-        if progress:
-            progress(chunk.end, source.size)
-    losses.dropped += [f"{count} messages {reason}" for reason, count in refused.items()]
-    writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(losses.dropped) or "nothing"})
-
-
-def _copy_chunk(source: Recording, chunk: Chunk, writer: BagWriter, numbers: dict[int, int]) -> Counter[str]:
-    """Write the messages of a chunk; return reason -> messages that are not written. Raises Damage."""
-    content = source.open_chunk(chunk)
-    topics = {number: channel.topic for number, channel in source.channels.items()}
-    refused: Counter[str] = Counter()
-    for number, count in content.counts.items():
-        if number not in topics:
-            refused[f"of channel {number}, whose definition is lost"] += count
-    for message in content.messages(topics):
+    for count, message in enumerate(source.messages(on_damage=losses.add)):
         number = numbers[message.channel]
         try:
             writer.write_raw(number, message.data, message.publish_time, message.log_time, message.sequence)
         except MessageRefused as error:
             refused[f"that {error.reason}"] += 1
-    return refused
+        if progress and count % 10_000 == 0:
+            progress(count, source.count)
+    losses.dropped += [f"{count} messages {reason}" for reason, count in refused.items()]
+    writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(losses.dropped) or "nothing"})

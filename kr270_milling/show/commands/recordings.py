@@ -74,7 +74,7 @@ def run_info(args) -> Answer:
     shown = [f"{about['file']}: damaged; recover saves what can be read" if damage else bag_info.info_text(about)]
     shown += ["  " + one_line(sentence) for sentence in damage]
     if args.verify and not damage:
-        shown.append("whole: every checksum and index fits")
+        shown.append("whole: every checksum and count fits")
     return Answer(about | ({"damage": damage} if args.verify else {}), shown, code=int(bool(damage)))
 
 

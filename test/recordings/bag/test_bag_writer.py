@@ -99,7 +99,7 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_and_recov
     command = [sys.executable, "-c", KILLED, str(tmp_path / "a"), posed(0).hex()]
     env = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[3]))
     with subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True) as process:
-        begin, lines = time.monotonic(), [process.stdout.readline()]
+        lines, begin = [process.stdout.readline()], time.monotonic()
         while time.monotonic() - begin < 1.5:
             lines.append(process.stdout.readline())
         process.kill()

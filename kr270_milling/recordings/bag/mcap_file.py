@@ -1,0 +1,397 @@
+"""One MCAP file [MCAP], read by mcap with its checksums.
+
+Sizes that a file claims are compared with the file and with a limit before bytes are read or unpacked.
+"""
+
+from __future__ import annotations
+
+import bisect
+import contextlib
+import io
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any, NamedTuple, cast
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.summary import Summary
+
+from kr270_milling.recordings.bag.files import open_to_read
+
+__all__ = ["Attached", "Damage", "McapFile", "OnDamage", "RawMessage"]
+
+MAGIC = b"\x89MCAP0\r\n"
+LIMIT = 256 * 1024 * 1024  # [bytes] of a record, and of an unpacked chunk
+LATEST = 2**63  # [ns], in the year 2262; arrays of times are signed
+HEAD = struct.Struct("<BQ")  # opcode and length of a record
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+DEFINITIONS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+FOOTER = HEAD.pack(Opcode.FOOTER, 20)
+FOOTER_SIZE = len(FOOTER) + 20 + len(MAGIC)
+UNREADABLE = (McapError, ValueError, struct.error, zstandard.ZstdError, RuntimeError, EOFError, MemoryError)
+
+
+class Damage(ValueError):
+    """A fault in the file; offset: its place [bytes]."""
+
+    def __init__(self, reason: str, offset: int):
+        self.reason = reason
+        self.offset = offset
+        super().__init__(reason)
+
+
+OnDamage = Callable[[Damage, int], None]  #: receives a damage and the number of bytes that are lost with it
+
+
+class RawMessage(NamedTuple):
+    """One message as it was recorded."""
+
+    topic: str
+    log_time: int  #: [ns]
+    publish_time: int  #: [ns]
+    data: bytes
+    channel: int = 0
+    sequence: int = 0
+
+
+class Placed(NamedTuple):
+    """A record of the file, its first byte and the byte after its last one."""
+
+    record: Any
+    offset: int
+    end: int
+
+
+class Attached(NamedTuple):
+    """An attachment without its bytes, and the place of its record."""
+
+    name: str
+    media_type: str
+    size: int  #: [bytes]
+    offset: int
+    end: int
+
+
+class _Whole:
+    """A stream that reads all the bytes of a field: mcap takes a field that ends early for a whole one."""
+
+    def __init__(self, stream: IO[bytes], size: int):
+        self._stream, self._size, self.at = stream, size, 0
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self.at = self._stream.seek(offset, whence)
+        return self.at
+
+    def read(self, size: int) -> bytes:
+        if size > self._size - self.at:
+            raise EndOfFile
+        self.at += size
+        return self._stream.read(size)
+
+
+class McapFile:
+    """The content of one file. Raises RecordingError, and Damage where the file is damaged.
+
+    A file with a whole summary is not read when it is opened, any other file once. ``cut_off``: its writer did not
+    finish it; it is read up to its last whole chunk. on_damage: receives each damage that is passed over; by default
+    the first damage is raised.
+    """
+
+    def __init__(self, path: Path, progress: Callable[[int, int], None] | None, on_damage: OnDamage | None):
+        self._file = open_to_read(path)
+        self.size = self._file.seek(0, io.SEEK_END)
+        self._stream = _Whole(self._file, self.size)
+        self.profile: str | None = None  #: None: the file has no header
+        self.library = ""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()  #: channel -> messages
+        self.attachments: list[Attached] = []
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.statistics: Statistics | None = None  #: of the summary
+        self.first: int | None = None  #: [ns], smallest and largest log time; None without a message
+        self.last: int | None = None
+        self._known: list[int] = []  # offsets of chunks by the summary, ascending
+        self._end = self.size  # of the data section
+        try:
+            self._open(progress, on_damage)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        self._file.close()
+
+    # --- content without messages ---
+
+    def _open(self, progress, on_damage: OnDamage | None) -> None:
+        self._stream.seek(0)
+        begin = self._file.read(len(MAGIC))
+        if begin != MAGIC and not on_damage:
+            part = begin and MAGIC.startswith(begin)
+            raise Damage("the file ends in its first bytes" if part else "this is not an MCAP file", 0)
+        footer = max(self.size - FOOTER_SIZE, 0)
+        self._file.seek(footer)
+        last = self._file.read()
+        self.cut_off = not (footer >= len(MAGIC) and last.startswith(FOOTER) and last.endswith(MAGIC))
+        listed = False
+        if not self.cut_off:
+            self._end = footer
+            try:
+                listed = self._read_summary(footer)
+            except UNREADABLE as error:
+                _report(Damage(f"the summary {_reason(error)}", footer), 0, on_damage, error)
+        for placed in self._records(on_damage and _ignore):
+            with _reporting(placed.offset, placed.end, on_damage and _ignore):
+                self._take(placed)
+            if listed:
+                break  # after the header
+            if progress:
+                progress(placed.end, self.size)
+        if self.profile is None and not on_damage:
+            raise Damage("the file ends before its header", len(MAGIC))
+
+    def _read_summary(self, footer: int) -> bool:
+        """Read the summary; return whether it lists all that the data section has. Raises the errors in UNREADABLE."""
+        start, _, crc = struct.unpack_from("<QQI", self._read(footer, FOOTER_SIZE), len(FOOTER))
+        begin = start or footer
+        if not len(MAGIC) <= begin <= footer:
+            raise ValueError("is said to be at an impossible place")
+        if crc and zlib.crc32(self._read(begin, footer + len(FOOTER) + 16 - begin)) != crc:
+            raise ValueError("does not fit its checksum")
+        self._stream.seek(0)
+        summary = SeekingReader(cast(IO[bytes], self._stream), record_size_limit=LIMIT).get_summary() or Summary()
+        self._end = begin
+        self._known = sorted(index.chunk_start_offset for index in summary.chunk_indexes)
+        self.schemas, self.channels, stated = summary.schemas, summary.channels, summary.statistics
+        self.statistics = stated
+        if (
+            stated is None
+            or stated.attachment_count != len(summary.attachment_indexes)
+            or stated.metadata_count != len(summary.metadata_indexes)
+            or stated.message_count != sum(stated.channel_message_counts.get(number, 0) for number in self.channels)
+        ):
+            return False
+        self.attachments = [
+            Attached(index.name, index.media_type, index.data_size, index.offset, index.offset + index.length)
+            for index in summary.attachment_indexes
+        ]
+        for index in summary.metadata_indexes:
+            record = Metadata.read(_fields(self._read(index.offset + HEAD.size, index.length - HEAD.size)))
+            self.metadata[record.name] = record.metadata
+        self.counts.update(stated.channel_message_counts)
+        if stated.message_count:
+            self.first, self.last = stated.message_start_time, stated.message_end_time
+        return True
+
+    def _read(self, begin: int, size: int) -> bytes:
+        self._stream.seek(begin)
+        return self._stream.read(size)
+
+    def _take(self, placed: Placed) -> None:
+        """Take what a record states of the content. Raises the errors in UNREADABLE."""
+        record = placed.record
+        if isinstance(record, Header):
+            self.profile, self.library = record.profile, record.library
+        elif isinstance(record, (Schema, Channel)):
+            self._define(record)
+        elif isinstance(record, Metadata):
+            self.metadata[record.name] = record.metadata
+        elif isinstance(record, Statistics) and self.cut_off:  # in its summary
+            self.statistics = record
+        elif isinstance(record, Attachment):
+            about = Attached(record.name, record.media_type, len(record.data), placed.offset, placed.end)
+            self.attachments.append(about)
+        elif isinstance(record, Message):
+            self._count(record.channel_id, record.log_time)
+        elif isinstance(record, Chunk):
+            data = _unpack(record)
+            for opcode, begin, end in _inside(data):
+                if opcode == Opcode.MESSAGE:
+                    channel, _, log_time, _ = MESSAGE.unpack_from(data, begin)
+                    self._count(channel, log_time)
+                elif opcode in DEFINITIONS:
+                    self._define(DEFINITIONS[opcode].read(_fields(data[begin:end])))
+
+    def _define(self, record: Schema | Channel) -> None:
+        known: dict = self.schemas if isinstance(record, Schema) else self.channels
+        known[record.id] = record
+
+    def _count(self, channel: int, log_time: int) -> None:
+        self.counts[channel] += 1
+        self.first = log_time if self.first is None else min(self.first, log_time)
+        self.last = log_time if self.last is None else max(self.last, log_time)
+
+    def attachment(self, about: Attached) -> bytes:
+        """Return the bytes of an attachment, compared with its checksum, which mcap does not do. Raises Damage."""
+        try:
+            content = self._read(about.offset + HEAD.size, about.end - about.offset - HEAD.size)
+            fields = _fields(content)
+            data = Attachment.read(fields).data
+            crc = int.from_bytes(content[fields.count - 4 : fields.count], "little")
+            if crc and zlib.crc32(content[: fields.count - 4]) != crc:
+                raise ValueError(f"the attachment {about.name} does not fit its checksum")
+            return data
+        except UNREADABLE as error:
+            raise Damage(_reason(error), about.offset) from error
+
+    # --- messages ---
+
+    def messages(self, names: Mapping[int, str], on_damage: OnDamage | None = None) -> Iterator[RawMessage]:
+        """Yield the messages on some channels, in the order of the file. Raises Damage.
+
+        names: channel -> topic. on_damage: receives each damage, and reading continues at the next chunk.
+        """
+        chunks = 0
+        for record, offset, end in self._records(on_damage):
+            with _reporting(offset, end, on_damage):
+                if isinstance(record, Chunk):
+                    chunks += 1
+                    yield from self._unpacked(record, names)
+                elif isinstance(record, Message):
+                    if record.channel_id not in self.channels or record.log_time >= LATEST:
+                        raise ValueError("a message belongs to no channel, or has a log time after the year 2262")
+                    if record.channel_id in names:
+                        topic, times = names[record.channel_id], (record.log_time, record.publish_time)
+                        yield RawMessage(topic, *times, record.data, record.channel_id, record.sequence)
+        stated = self.statistics
+        if stated and stated.chunk_count not in (0, chunks):
+            damage = Damage(f"has {chunks} chunks, but its summary counts {stated.chunk_count}", len(MAGIC))
+            _report(damage, 0, on_damage and _ignore)
+
+    def _unpacked(self, chunk: Chunk, names: Mapping[int, str]) -> Iterator[RawMessage]:
+        data = _unpack(chunk)
+        undefined = None
+        for opcode, begin, end in _inside(data):
+            if opcode != Opcode.MESSAGE:
+                continue
+            channel, sequence, log_time, publish_time = MESSAGE.unpack_from(data, begin)
+            if log_time >= LATEST:
+                raise ValueError(f"a log time of {log_time} ns is after the year 2262")
+            if channel in names:
+                payload = data[begin + MESSAGE.size : end]
+                yield RawMessage(names[channel], log_time, publish_time, payload, channel, sequence)
+            elif channel not in self.channels:
+                undefined = channel
+        if undefined is not None:
+            raise ValueError(f"messages belong to channel {undefined}, which is not defined")
+
+    def _records(self, on_damage: OnDamage | None) -> Iterator[Placed]:
+        """Yield the records of the data section. Raises Damage.
+
+        Behind a damaged record, reading continues at its end or, where its length is damaged, at the next chunk that
+        the summary lists.
+        """
+        begin = 0
+        while begin < self._end:
+            whole, at = _Whole(self._file, self._end), begin or len(MAGIC)
+            whole.seek(begin)
+            try:
+                reader = StreamReader(cast(IO[bytes], whole), begin > 0, True, begin == 0, LIMIT)
+                for record in reader.records:
+                    if whole.at > self._limit(at):
+                        raise ValueError("the length of a record leads into the next chunk")
+                    yield Placed(record, at, whole.at)
+                    at = whole.at
+                    if at == self._end:
+                        return
+                    whole.seek(at)  # an attachment may have been read meanwhile
+            except UNREADABLE as error:
+                begin, is_whole = self._after(at)
+                if self.cut_off and not is_whole:
+                    return
+                reason = _reason(error) if is_whole else "these bytes are not a whole record"
+                _report(Damage(reason, at), begin - at, on_damage, error)
+
+    def _limit(self, at: int) -> int:
+        """Return the latest end of a record at an offset: the next chunk that the summary lists, or the end."""
+        following = bisect.bisect_right(self._known, at)
+        return self._known[following] if following < len(self._known) else self._end
+
+    def _after(self, at: int) -> tuple[int, bool]:
+        """Return where reading continues after a damaged record at an offset, and whether its length is possible."""
+        limit = self._limit(at)
+        self._file.seek(at)
+        head = self._file.read(HEAD.size)
+        end = at + HEAD.size + HEAD.unpack(head)[1] if len(head) == HEAD.size else limit + 1
+        return (end, True) if end <= limit else (limit, False)
+
+
+def _ignore(damage: Damage, size: int) -> None:
+    """Pass over a damage that is reported elsewhere."""
+
+
+def _report(damage: Damage, size: int, on_damage: OnDamage | None, cause: BaseException | None = None) -> None:
+    """Give a damage to ``on_damage``, or raise it."""
+    if on_damage is None:
+        raise damage from cause
+    on_damage(damage, size)
+
+
+@contextlib.contextmanager
+def _reporting(offset: int, end: int, on_damage: OnDamage | None) -> Iterator[None]:
+    """Give an error of a record to ``on_damage``, or raise it as Damage."""
+    try:
+        yield
+    except UNREADABLE as error:
+        _report(Damage(_reason(error), offset), end - offset, on_damage, error)
+
+
+def _reason(error: BaseException) -> str:
+    """Return what is wrong with a record as a clause."""
+    if type(error) is ValueError:
+        return str(error)
+    if isinstance(error, CRCValidationError):
+        return "the data do not fit the checksum at their end"
+    if isinstance(error, (RuntimeError, zstandard.ZstdError, EOFError, MemoryError)):
+        return "a chunk cannot be unpacked"
+    return "a record cannot be parsed"
+
+
+def _fields(content: bytes) -> ReadDataStream:
+    """Return the content of a record as the stream that mcap's records read."""
+    return ReadDataStream(cast(IO[bytes], _Whole(io.BytesIO(content), len(content))))
+
+
+def _unpack(chunk: Chunk) -> bytes:
+    """Return the bytes of a chunk. Raises the errors in UNREADABLE."""
+    size = chunk.uncompressed_size
+    if size > LIMIT:
+        raise ValueError(f"a chunk claims {size} unpacked bytes, more than the limit of {LIMIT}")
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.open(io.BytesIO(chunk.data)).read(size + 1)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise ValueError(f"a chunk has the unknown compression {chunk.compression[:16]!r}")
+    if len(data) != size:
+        raise ValueError(f"a chunk does not unpack to the {size} bytes that it announces")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("a chunk does not fit its checksum")
+    return data
+
+
+def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and end of the content of each record in a chunk.
+
+    ``mcap.stream_reader.breakup_chunk`` makes an object of each message first: a chunk takes twice its size, and a
+    recording is read in 0.36 s instead of 0.16 s (36,000 messages).
+    """
+    at = 0
+    while at < len(data):
+        opcode, length = HEAD.unpack_from(data, at)
+        begin, at = at + HEAD.size, at + HEAD.size + length
+        if at > len(data) or (opcode == Opcode.MESSAGE and length < MESSAGE.size):
+            raise ValueError("a record in a chunk has an impossible length")
+        yield opcode, begin, at
