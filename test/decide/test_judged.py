@@ -27,7 +27,7 @@ def compiled():
 
 def judged(file: Path, folder: Path) -> tuple[str, str, list[dict]]:
     """The expected answer of a file, the sentence of a refusal and the findings."""
-    text = file.read_text(encoding="utf-8")
+    text = file.read_text(encoding="utf-8", errors="replace")
     marks = MARK.findall(text)
     (expected,) = (value for key, value in marks if key == "expect")
     program, cell = folder / file.name, folder / "cell.yaml"
