@@ -48,7 +48,8 @@ BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 OLDER = "older"  #: folder of the programs of earlier runs
-PROGRAMS = ("krl_*", "rsi_*_*_*", "joints_*.csv", "gcode_*", f"{NOT_RELEASED}*")  #: what an operator may take
+#: names of what an operator may take: those of ``write_tool_programs`` and ``write_gcode``
+PROGRAMS = re.compile(rf"(krl|rsi|joints|gcode)_\w.*_\d{{8}}_[0-9a-f]{{8}}(\.\w+)?|{NOT_RELEASED}.*")
 FADE = 0.2  #: [s], from the whole correction to none, as that of the command rsi by default
 
 
@@ -81,14 +82,14 @@ def set_aside(directory) -> list[str]:
     Programs of one name and another cell would lie side by side, and after the decision no they must not be run.
     """
     place = Path(directory)
-    found = sorted({path for pattern in PROGRAMS for path in place.glob(pattern)})
-    for path in found:
+    programs = sorted(path for path in place.iterdir() if PROGRAMS.fullmatch(path.name)) if place.is_dir() else []
+    for path in programs:
         target = place / OLDER / path.name
         target.parent.mkdir(exist_ok=True)
         if target.is_dir() and not target.is_symlink():
             shutil.rmtree(target)
         path.replace(target)
-    return [path.name for path in found]
+    return [path.name for path in programs]
 
 
 def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = (), released: bool = True) -> Path:

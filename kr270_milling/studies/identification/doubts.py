@@ -286,29 +286,30 @@ def _coefficients(edge: LawFit) -> list[Doubt]:
 
 
 def _plausible(fit: LawFit) -> bool:
-    """Whether K_tc and K_rc are positive with a ratio as published."""
+    """Whether K_tc is positive and the 95 % interval of K_rc has a ratio to K_tc as published."""
     ratios = [row.values[2] / row.values[0] for row in materials()]
-    k_tc, k_rc = fit.values[0], fit.values[2]
-    return bool(k_tc > 0.0 and min(ratios) / EDGE < k_rc / k_tc < max(ratios) * EDGE)
+    k_tc, k_rc, width = fit.values[0], fit.values[2], fit.half_widths[2]
+    return bool(
+        k_tc > 0.0 and min(ratios) / EDGE < (k_rc + width) / k_tc and (k_rc - width) / k_tc < max(ratios) * EDGE
+    )
 
 
 def _other_axes(edge: LawFit) -> list[Doubt]:
-    """The readings of F_x and F_y with which the coefficients are as those of a cut, where they are not as read."""
-    if _plausible(edge):
-        return []
-    left = {}
+    """The readings of F_x and F_y with which the coefficients are those of a cut, where they are not as read."""
+    most, left = edge.lateral_rms * (FALLS if _plausible(edge) else 1 / FALLS), {}
     for name, turned in READINGS.items():
         force = edge.cuts.force.copy()
         force[:, :2] = force[:, :2] @ np.array(turned)
         with contextlib.suppress(MillingError):
             other = fit_forces(FIRST, dataclasses.replace(edge.cuts, force=force))
-            if _plausible(other) and other.lateral_rms < max(edge.lateral_rms / FALLS, 1e-9):
+            if _plausible(other) and other.lateral_rms < most:
                 left[name] = other.lateral_rms
     if not left:
         return []
     names = " or ".join(name for name, rms in left.items() if rms < min(left.values()) / FALLS)
-    found = "K_tc is {:.3g}, K_rc {:.3g} N/mm2".format(*(1e-6 * edge.values[[0, 2]]))
-    return [Doubt(f"{found}, as no cut has; the signs and sizes are those of a cut with {names}", True)]
+    values = "K_tc is {:.3g}, K_rc {:.3g} N/mm2".format(*(1e-6 * edge.values[[0, 2]]))
+    fall = f"the residual falls from {edge.lateral_rms:.3g} to {min(left.values()):.3g} N"
+    return [Doubt(f"{values}; with {names} they are those of a cut, and {fall}", True)]
 
 
 def _contradicting_cut(edge: LawFit) -> list[Doubt]:

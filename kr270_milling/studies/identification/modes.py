@@ -46,7 +46,7 @@ CLEAR = 8.0  #: standard deviations; a pole that follows noise reaches about 4
 LEAST = 1e-6  #: share of the energy below which a pole is rounding
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
-QUIET = 0.2  #: share of the largest motion in the band, below which the ring-down has not begun: assumed
+QUIET = 0.2  #: share of the largest motion in the band, below which no ring-down is assumed to run
 PHASE = math.radians(10)  #: of the drive point without a word; the shape is then off by 1 - sqrt(cos PHASE) = 0.8 %
 MOST_PHASE = math.radians(30)  #: of the drive point; the shape is then off by 7 %
 BLOW = 5.0, 5e4  #: [N] of a hammer; from the smallest for tool tips to a sledge hammer: assumed

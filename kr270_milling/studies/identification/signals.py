@@ -65,7 +65,8 @@ def read_signals(path, topic: str = "deflection") -> Signals:
 
     Gaps are bridged by straight lines.
     """
-    suffix, stated, lines = Path(path).suffix.lower(), {}, None
+    suffix, lines = Path(path).suffix.lower(), None
+    stated: dict = {}
     if suffix == ".csv":
         table = read_table(path, COLUMNS, ("time_s",))
         names = tuple(name for name in (*AXES, FORCE) if name in table)

@@ -173,9 +173,9 @@ TABLE = {
     "a test entered twice": (LOAD, doubled, 0, "test 19 = 4 to the digit: entered twice?"),
     "a cut entered twice": (CUT, doubled, 0, "cut 13 = 4 to the digit: entered twice?"),
     "a plate under the part": (CUT, times(FORCES, -1.0), 1, "--sensor-on part"),
-    "fx and fy swapped": (CUT, swapped(*FORCES[:2]), 1, "those of a cut with x and y swapped"),
-    "sign of fx": (CUT, times(FORCES[:1], -1.0), 1, "those of a cut with the sign of x changed"),
-    "sign of fy": (CUT, times(FORCES[1:2], -1.0), 1, "those of a cut with the sign of y changed"),
+    "fx and fy swapped": (CUT, swapped(*FORCES[:2]), 1, "with x and y swapped they are those of a cut"),
+    "sign of fx": (CUT, times(FORCES[:1], -1.0), 1, "with the sign of x changed they are"),
+    "sign of fy": (CUT, times(FORCES[1:2], -1.0), 1, "with the sign of y changed, or the other"),
     "sensor turned": (
         CUT,
         in_turn(swapped(*FORCES[:2]), times(FORCES[:1], -1.0)),

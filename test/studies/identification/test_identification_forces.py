@@ -204,9 +204,9 @@ def test_stamps_that_are_rounded_are_taken_as_even(tmp_path):
     assert find_modes(read, 100.0, 2000.0)[0].frequency == pytest.approx(900.0, rel=3e-4)  # 0.05 ms of 0.2 s
 
 
-@pytest.mark.parametrize("lead", [0.0, 1.0], ids=["quiet", "held away"])
+@pytest.mark.parametrize("lead", [0.0, 1.0], ids=["quiet", "pulled away"])
 def test_what_was_recorded_before_a_ring_down_is_left_out(lead):
-    """One mode stays one mode; before, five were found."""
+    """One mode stays one mode; without the cut five appear."""
     ring = ring_down([(12.0, 0.03, [1.0, 0.5, 0.0])], n=2000)
     before = np.tile(lead * ring.values[:1], (700, 1))
     whole = free_decay(Signals(ring.step, np.concatenate([before, ring.values]), ring.names), 5.0, 60.0)

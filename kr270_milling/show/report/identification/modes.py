@@ -44,7 +44,7 @@ def mode_outcome(
         "doubts": [doubt.text for doubt in doubts],
         "usable": not any(doubt.forbids for doubt in doubts),
     }
-    sentences = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second", *result["doubts"]]
+    sentences = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second", *(doubt.text for doubt in doubts)]
     if faint:
         listed = ", ".join(f"{mode.frequency:.4g} Hz ({100 * mode.share:.2g} %)" for mode in faint)
         sentences.append(f"left out, not above the noise (share of the energy): {listed}")
