@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError
 from kr270_milling.cell.path import check_moves
 from kr270_milling.path.toolpath import Toolpath
 

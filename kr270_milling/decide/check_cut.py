@@ -213,13 +213,15 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
     met = engagement(cell, margin)
     points = _points(run, met)
     table = cell.workpiece.table_z
-    under = _over(met, low, high, radius) | math.isnan(table)
-    results = []
-    for subject, level, most, here in (("the bottom of the stock", low[2], below, under), ("the table", table, 0.0, True)):
-        beneath = np.where(here, level - met.position[:, 2], -np.inf)
-        results += violations(
-            "below the stock", beneath, most, beneath > most + 1e-9, points=points, block=met.block, subject=subject
-        )  # fmt: skip
+    beneath = np.where(math.isnan(table) | _over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
+    under = table - met.position[:, 2]
+    results = violations(
+        "below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block,
+        level="the bottom of the stock",
+    )  # fmt: skip
+    results += violations(
+        "below the stock", under, 0.0, under > 1e-9, points=points, block=met.block, level="the table"
+    )
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         results += violations(
