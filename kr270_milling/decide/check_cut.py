@@ -105,7 +105,7 @@ def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[n
     down, cuts = np.flatnonzero(along & ~leaves), np.flatnonzero(~rapid)
     if down.size and cuts.size:
         places = cKDTree(position[cuts]).query_ball_point(position[down], near, return_sorted=True)
-        again[down] = [bool(found) and cuts[found[0]] < k for found, k in zip(places, down, strict=True)]
+        again[down] = [bool(near_cut) and cuts[near_cut[0]] < k for near_cut, k in zip(places, down, strict=True)]
     return leaves, again
 
 
