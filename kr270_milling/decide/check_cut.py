@@ -77,7 +77,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, core, volume = met = np.zeros((4, len(position)))
     radius = float(cell.tool.radii.max())
-    moved, sideways, lengthwise = position, 0.0, np.zeros(len(position))
+    moved, (sideways, lengthwise) = position, np.zeros((2, len(position)))
     if ran is not None:
         at_ns, passed, moved = 1e9 * time, ran.result, position.copy()
         for k in range(3):
@@ -89,7 +89,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
         lower_along(grid, removal.radius, on_map(removal.programmed if ran is None else removal.actual))
-    narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0) * np.ones(len(position))
+    narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
     _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, CORE * radius), narrow, met)
     return Engagement(position, time, rapid, block, series, depth, inner, core, margin + lengthwise, volume)
 
