@@ -89,8 +89,8 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
         lower_along(grid, removal.radius, on_map(removal.programmed if ran is None else removal.actual))
-    narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
-    _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, CORE * radius), narrow, met)
+    radii = radius, np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0), CORE * radius
+    _meet(grid, np.zeros_like(grid.depth), moved, series, radii, met)
     return Engagement(position, time, rapid, block, series, depth, inner, core, margin + lengthwise, volume)
 
 
@@ -110,13 +110,14 @@ def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[n
 
 
 @njit(cache=True)
-def _meet(grid, ahead, path, series, radii, narrow, met):
+def _meet(grid, ahead, path, series, radii, met):
     """Fill ``met`` with what the tool meets on the way to each place, and lower the map.
 
-    A series of rapid moves runs twice: first with the smaller radius ``narrow`` of each place on the map ``ahead``,
-    against the material before the series.
+    A series of rapid moves runs twice: first with the smaller radius of each place on the map ``ahead``, against the
+    material before the series.
     """
     depth, inner, core, volume = met
+    narrow = radii[1]
     for k in range(path.shape[0]):
         last, count = path[max(k - 1, 0)], path.shape[0]
         if series[k] and (k == 0 or series[k] != series[k - 1]):
@@ -125,7 +126,7 @@ def _meet(grid, ahead, path, series, radii, narrow, met):
                 cleared = n > 0 and (n == k or narrow[n] <= narrow[n - 1])
                 inner[n] = lower(grid, ahead, narrow[n], 0.0, path[max(n - 1, 0)], path[n], cleared)[0]
                 n += 1
-        depth[k], core[k], removed = lower(grid, grid.depth, radii[0], radii[1], last, path[k], k > 0)
+        depth[k], core[k], removed = lower(grid, grid.depth, radii[0], radii[2], last, path[k], k > 0)
         volume[k] = removed if series[k] else 0.0
 
 
@@ -216,9 +217,14 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
     beneath = np.where(math.isnan(table) | _over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
     under = table - met.position[:, 2]
     results = violations(
-        "below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block,
+        "below the stock",
+        beneath,
+        below,
+        beneath > below + 1e-9,
+        points=points,
+        block=met.block,
         level="the bottom of the stock",
-    )  # fmt: skip
+    )
     results += violations(
         "below the stock", under, 0.0, under > 1e-9, points=points, block=met.block, level="the table"
     )
