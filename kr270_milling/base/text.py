@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["read_lines", "short", "unended"]
+__all__ = ["encoding_of", "read_lines", "short", "unended"]
 
 MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
@@ -14,8 +14,7 @@ MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has som
 def read_lines(path) -> list[str]:
     """Return the lines of a text file; the last item is "" if the file ends with a newline.
 
-    A file that is not UTF-8 is Latin-1, as posts write the comment (Müller). Raises InputError with the line of the
-    first character that is not text.
+    Raises InputError with the line of the first character that is not text.
     """
     try:
         if not Path(path).is_file():  # a directory, a pipe, a device
@@ -32,11 +31,17 @@ def read_lines(path) -> list[str]:
     null = data.find(b"\0")
     if null >= 0:
         raise InputError(path, "holds a zero byte, so it is no text file", _line_at(data, null))
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
+    text = data.decode(encoding_of(data)).removeprefix("\ufeff")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def encoding_of(data: bytes) -> str:
+    """Return UTF-8, or Latin-1 for a text that is not UTF-8, as posts write the comment (Müller)."""
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
 
 
 def _line_at(data: bytes, offset: int) -> int:

@@ -18,8 +18,16 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.motion.exchange import Exchange
 
-__all__ = ["MOST_STEPS", "check_duration", "check_effort", "check_feed", "check_moves", "check_path", "check_postures",
-           "sinking"]  # fmt: skip
+__all__ = [
+    "MOST_STEPS",
+    "check_duration",
+    "check_effort",
+    "check_feed",
+    "check_moves",
+    "check_path",
+    "check_postures",
+    "sinking",
+]
 
 MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
 MOST_TOOTH_STEPS = 1e10  #: micro-steps of single teeth in one pass, some 0.1 us each

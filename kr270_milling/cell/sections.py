@@ -36,9 +36,12 @@ class Workpiece(Record):
     )  # fmt: skip
 
     table_z: float = parameter(
-        math.nan, unit="mm", low=-1e5, high=1e5,
+        math.nan,
+        unit="mm",
+        low=-1e5,
+        high=1e5,
         text="height of the table, which the tool must not enter, workpiece frame; not given: the bottom of the stock",
-    )  # fmt: skip
+    )
 
     def check(self) -> None:
         for key, given in (("xyz_mm", 1e3 * self.xyz), ("abc_deg", np.degrees(self.abc))):

@@ -98,7 +98,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, volume, sunk, shank, holder = met = np.zeros((6, len(position)))
     radius = float(cell.tool.radii.max())
-    moved, sideways, lengthwise = position, 0.0, np.zeros(len(position))
+    moved, (sideways, lengthwise) = position, np.zeros((2, len(position)))
     if ran is not None:
         at_ns, passed, moved = 1e9 * time, ran.result, position.copy()
         for k in range(3):
@@ -112,7 +112,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
         lower_along(grid, removal.radius, on_map(removal.programmed if ran is None else removal.actual))
-    narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0) * np.ones(len(position))
+    narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
     lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
     _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, core), narrow, bodies, lost, met)
     return Engagement(
@@ -131,7 +131,7 @@ def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[n
     down, cuts = np.flatnonzero(along & ~leaves), np.flatnonzero(~rapid)
     if down.size and cuts.size:
         places = cKDTree(position[cuts]).query_ball_point(position[down], near, return_sorted=True)
-        again[down] = [bool(found) and cuts[found[0]] < k for found, k in zip(places, down, strict=True)]
+        again[down] = [bool(near_cut) and cuts[near_cut[0]] < k for near_cut, k in zip(places, down, strict=True)]
     return leaves, again
 
 
@@ -155,8 +155,8 @@ def _bodies(cell: Cell, position: np.ndarray) -> np.ndarray:
 def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
     """Fill ``met`` with what the tool meets on the way to each place, and lower the map.
 
-    A series of rapid moves runs twice: first with the smaller radius ``narrow`` of each place on the map ``ahead``,
-    against the material before the series.
+    A series of rapid moves runs twice: first with the smaller radius of each place on the map ``ahead``, against the
+    material before the series.
     """
     depth, inner, volume, sunk = met[:4]
     for k in range(path.shape[0]):
@@ -267,14 +267,20 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
     met = engagement(cell, margin)
     points = _points(run, met)
     table = cell.workpiece.table_z
-    under = _over(met, low, high, radius) | math.isnan(table)
-    results = []
-    floors = ("the bottom of the stock", low[2], below, under), ("the table", table, 0.0, True)
-    for subject, level, most, here in floors:
-        beneath = np.where(here, level - met.position[:, 2], -np.inf)
-        results += violations(
-            "below the stock", beneath, most, beneath > most + 1e-9, points=points, block=met.block, subject=subject
-        )  # fmt: skip
+    beneath = np.where(math.isnan(table) | _over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
+    under = table - met.position[:, 2]
+    results = violations(
+        "below the stock",
+        beneath,
+        below,
+        beneath > below + 1e-9,
+        points=points,
+        block=met.block,
+        level="the bottom of the stock",
+    )
+    results += violations(
+        "below the stock", under, 0.0, under > 1e-9, points=points, block=met.block, level="the table"
+    )
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         results += violations(

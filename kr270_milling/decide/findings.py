@@ -88,7 +88,7 @@ KINDS = {
         "a rapid move goes {length_mm:.4g} mm through material, {value:.4g} mm deep at point {point}, and removes "
         "{volume_mm3:.4g} mm3",
         "Retract above the stock before the rapid move, or feed there (G1)."),
-    "below the stock": Kind("mm", "the tool is {value:.4g} mm below {subject} at point {point}",
+    "below the stock": Kind("mm", "the tool is {value:.4g} mm below {level} at point {point}",
         "Raise the path or lower the stock's bottom; limits.below_stock_mm states a plate under the stock, "
         "workpiece.table_z_mm a lower table."),
     "in the fixture": Kind("mm", "the tool enters {subject} at point {point}, {value:.4g} mm below its top",

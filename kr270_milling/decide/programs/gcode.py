@@ -18,6 +18,7 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
+from kr270_milling.base.text import encoding_of
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.programs.krl import trajectory_hash
@@ -114,8 +115,9 @@ def write_gcode(
         *decision,
     ]
     lines[source.head : source.head] = [source.comment.format(line) for note in notes for line in _comment(note)]
-    newline = "\r\n" if b"\r\n" in file.read_bytes()[:4096] else "\n"
-    write_files({path: ["\n".join(lines)]}, newline=newline)
+    data = file.read_bytes()
+    newline = "\r\n" if b"\r\n" in data[:4096] else "\n"
+    write_files({path: [newline.join(lines).encode(encoding_of(data))]})
     return path, [plan.compared(path) for plan in plans]
 
 

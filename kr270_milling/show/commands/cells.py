@@ -41,6 +41,8 @@ COMMANDS = {
 
 
 def run_init(args) -> Answer:
+    import numpy as np
+
     from kr270_milling.cell.draft import draft_text, straight_text, tools_text
     from kr270_milling.path.cam.readers import read_toolpaths
 
@@ -51,7 +53,8 @@ def run_init(args) -> Answer:
     else:
         paths = read_toolpaths(args.gcode, args.tool)
         file, program = _program_of(args), paths[0].program
-        tools = [path.program.current for path in paths if path.program.current]
+        sideways = [path for path in paths if np.any(~path.rapid & (path.plane_length > 0.0))]  # the rest drills
+        tools = [path.program.current for path in sideways if path.program.current]
         advice = "is not modelled: check stops its program unless tool.type of the cell is flat"
         warnings = [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}" for tool in tools if tool.shape]
         for warning in () if args.json else warnings:

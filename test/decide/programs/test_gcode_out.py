@@ -98,11 +98,12 @@ def test_the_read_program_is_the_corrected_path(tmp_path, program, half_digit, t
 
 
 def test_everything_but_the_feed_moves_stays_in_place_and_order(tmp_path):
-    cell = small_part(tmp_path, PART)
+    cell = small_part(tmp_path, PART.replace("(spindle)", "(Müller)").encode("latin-1"))
     run = swayed(cell.target(), 0.1e-3)
     path, _ = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23", decision=["decision: (yes)"])
-    text = path.read_text()
+    text = path.read_text("latin-1")
     lines = text.splitlines()
+    assert "S8000 M3 (Müller)" in text
     assert lines[:2] == PART.splitlines()[:2] and "(part program: decision: [yes])" in lines
     assert re.findall(r"N\d+", text) == re.findall(r"N\d+", PART)
     assert text.count("/N80") == 1 and text.count("\n/G1") > 0

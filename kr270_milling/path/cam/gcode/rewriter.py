@@ -23,7 +23,7 @@ __all__ = ["GcodeSource", "SourceMove", "read_source"]
 
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PER_MINUTE = "a feed in inverse time (G93) holds for the whole block; post the program with feeds per minute (G94)"
-SIDEWAYS = "{} leaves sideways {:.4g} mm below the top of the stock; retract in Z first, in a block of its own"
+SIDEWAYS = "{} leaves sideways {:.4g} mm below the top of the stock; retract along Z alone first"
 UNPLACED = "the drilling cycle begins at the end of a feed move; write a rapid move to X, Y and Z before it"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
 DEEP = 1e-6  #: [m], below the top of the stock: rounding of a height
