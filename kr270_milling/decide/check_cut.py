@@ -249,9 +249,9 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
         )  # fmt: skip
     if flutes:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
-    for subject, depth in (("shank", met.shank), ("holder", met.holder)):
-        where = {"points": points, "block": met.block, "subject": subject}
-        results += violations("tool body", depth, 0.0, depth > ROUNDING, **where)
+    for body, depth in (("shank", met.shank), ("holder", met.holder)):
+        over = depth > ROUNDING
+        results += violations("tool body", depth, 0.0, over, points=points, block=met.block, subject=body)
     results += _feed(cell, met, points) + _plunges(cell, met, points)
     return rapid_violations(run, met), results
 
@@ -260,19 +260,28 @@ def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
     """Programmed feeds per tooth, where the tool cuts, beyond what its maker or any maker gives."""
     tool, timed, source = cell.tool, cell.timed_path, "by what makers give for aluminium"
     programmed = cell.feed_rate if timed is None else timed.toolpath.feed[met.block]
-    feed = np.where(
-        (met.depth > ROUNDING) & ~met.rapid, programmed * 2.0 * np.pi / tool.spindle_speed / tool.teeth, 0.0
-    )
+    feed = programmed * 2.0 * np.pi / tool.spindle_speed / tool.teeth * ((met.depth > ROUNDING) & ~met.rapid)
     units = timed.toolpath.program.feed_units if timed else ()
+    cause = f"; F is read in {' and '.join(units)}" if units else ""
     limit, usual = min(MOST_FEED * tool.diameter, LARGEST_FEED), min(USUAL_FEED * tool.diameter, LARGEST_USUAL_FEED)
+    over = feed >= limit * (1.0 - ROUNDING)
     if tool.max_feed_per_tooth:
         limit, usual, source = tool.max_feed_per_tooth, math.inf, "by tool.max_feed_per_tooth_mm"
-    words = {"source": source, "cause": f"; F is read in {' and '.join(units)}" if units else ""}
-    over = feed >= limit * (1.0 + ROUNDING if tool.max_feed_per_tooth else 1.0 - ROUNDING)
-    results = violations("feed per tooth", feed, limit, over, points=points, block=met.block, **words)
-    if results:
-        return results
-    return violations("feed per tooth", feed, usual, points=points, block=met.block, severity="warning", **words)
+        over = feed > limit * (1.0 + ROUNDING)
+    severity = "stop"
+    if not over.any():
+        limit, over, severity = usual, feed > usual, "warning"
+    return violations(
+        "feed per tooth",
+        feed,
+        limit,
+        over,
+        points=points,
+        block=met.block,
+        severity=severity,
+        source=source,
+        cause=cause,
+    )
 
 
 def _points(run: Trajectory, met: Engagement) -> np.ndarray:
