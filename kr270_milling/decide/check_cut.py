@@ -32,24 +32,23 @@ NODES_PER_RADIUS = 50  #: of the height map, along its axes
 MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
 MOST_NODES = 2e7  #: of the height map; a small cutter in a large stock takes a coarser map
 SAME_AXIS = 1e-9  #: [m], sideways, of a move along the tool axis
-#: sine of the slope above which a way down is a plunge: no maker allows a steeper ramp without centre cutting, 20 deg
-#: [Kyocera 2021-2022, p. M136: MEAS cutters for aluminium, 20 deg at 25 mm to 6 deg at 50 mm]
-PLUNGE = math.sin(math.radians(20.0))
-SOLID_RAMP = math.tan(math.radians(5.0))  #: 2 to 5 deg for solid end mills [carbide-tooling.com, ramping angle]
+#: sine of the slope above which a way down is a plunge: no maker allows a steeper ramp without centre cutting
+PLUNGE = math.sin(math.radians(20.0))  # [Kyocera2021]: 20 deg at 25 mm, 16, 12.5, 11, 8.5, 6 deg at 28 to 50 mm
+SOLID_RAMP = math.tan(math.radians(5.0))  #: solid end mills take 2 to 5 deg (carbide-tooling.com, ramping angle)
 INSERT_RAMP = math.tan(math.radians(20.0))
-LEAST_INSERTS = 16e-3  #: [m], assumed: a cutter of inserts that is smaller has no room for them
-#: [m]; the same page: a bore of 2 D - 16 mm at least, so that the inserts cut 8 mm of the radius, and 3.5 mm a turn at
-#: most, the depth of the hollow: its angles are those whose ramp sinks 3.5 mm over the width of the core, within 6 %
-INSERT_WIDTH, HOLLOW = 8e-3, 3.5e-3
+LEAST_INSERTS = 16e-3  #: [m], assumed: a smaller cutter has no room for inserts
+#: [m], [Kyocera2021]: a bore of 2 D - 16 mm at least, so that the inserts cut 8 mm of the radius. A ramp at the angles
+#: above sinks 3.3 to 3.7 mm while the core passes a place (3.5 mm a turn are allowed): the depth of the hollow
+INSERT_WIDTH, HOLLOW = 8e-3, 3.7e-3
 #: [m], and share of the radius: the centre hole in the end of a solid mill, DIN 332-1 A (4.25 mm wide at 10 mm)
 CENTRE_HOLE, CENTRE_SHARE = 2e-3, 0.4
-#: share of the diameter, and [m], a tooth. Makers give 0.005 to 0.02 of the diameter for aluminium (Tungaloy 2020-2021,
-#: VEE: 0.03 to 0.17 mm at 5 to 20 mm), at most 0.41 mm for any cutter (Mitsubishi 2020-2021, 0.016 in for up to 125 mm)
+#: share of the diameter, and [m], a tooth. Makers give 0.005 to 0.02 of the diameter for aluminium ([Tungaloy2020]:
+#: 0.03 to 0.17 mm at 5 to 20 mm), and at most 0.41 mm for any cutter ([Mitsubishi2020]: 0.016 in at up to 125 mm)
 USUAL_FEED, LARGEST_USUAL_FEED = 0.03, 0.41e-3
 #: assumed: five times those shares; and 2.3 times that feed, as thin chips allow at a width of 5 % of the diameter
 MOST_FEED, LARGEST_FEED = 0.1, 0.94e-3
-#: [N/m^2]. Cemented carbide: the largest stress of rotating bending tests (Stephenson 1984, Loughborough: 700 to 1400
-#: N/mm2), 70 % of a flexural strength of 2000 N/mm2 at 10^7 cycles (Nakajima 2007). High-speed steel: assumed
+#: [N/m^2]. Cemented carbide: the largest stress of rotating bending tests, 700 to 1400 N/mm2 [Stephenson1984], 70 % of
+#: a flexural strength of 2000 N/mm2, as at 10^7 cycles [Nakajima2007]. High-speed steel: assumed
 CARBIDE_STRENGTH, STEEL_STRENGTH = 1400e6, 1000e6
 CARBIDE_MODULUS = 400e9  #: [N/m^2], above that of any steel
 HOLDER_WALL = 3e-3  #: [m], assumed: around the shank, of a slim shrink-fit chuck; a wider holder meets more
@@ -238,7 +237,7 @@ def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     speed = tool.spindle_speed * tool.radius
     if tool.max_cutting_speed and speed > tool.max_cutting_speed:
         results.append(violation("cutting speed", speed, tool.max_cutting_speed))
-    # in a slot the teeth of a cutter with less than four feel 4 / teeth times the mean force, see _bending
+    # one tooth in a slot feels K f a, K of tangent and radius; the mean of all is K f a teeth / 4
     peak = max(1.0, 4.0 / tool.teeth) if cell.by_engagement else 1.0
     stress = peak * tool.bending_stress * np.linalg.norm(ran.result.wrench[:, :2], axis=1)
     limit = CARBIDE_STRENGTH if tool.modulus > CARBIDE_MODULUS else STEEL_STRENGTH
@@ -288,10 +287,9 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
         )  # fmt: skip
     if flutes:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
-    for subject, depth in (("shank", met.shank), ("holder", met.holder)):
-        results += violations(
-            "tool body", depth, 0.0, depth > ROUNDING, points=points, block=met.block, subject=subject
-        )  # fmt: skip
+    for body, depth in (("shank", met.shank), ("holder", met.holder)):
+        over = depth > ROUNDING
+        results += violations("tool body", depth, 0.0, over, points=points, block=met.block, subject=body)
     results += _feed(cell, met, points) + _plunges(cell, met, points)
     return rapid_violations(run, met), results
 
@@ -300,19 +298,28 @@ def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
     """Programmed feeds per tooth, where the tool cuts, beyond what its maker or any maker gives."""
     tool, timed, source = cell.tool, cell.timed_path, "by what makers give for aluminium"
     programmed = cell.feed_rate if timed is None else timed.toolpath.feed[met.block]
-    feed = np.where(
-        (met.depth > ROUNDING) & ~met.rapid, programmed * 2.0 * np.pi / tool.spindle_speed / tool.teeth, 0.0
-    )
+    feed = programmed * 2.0 * np.pi / tool.spindle_speed / tool.teeth * ((met.depth > ROUNDING) & ~met.rapid)
     units = timed.toolpath.program.feed_units if timed else ()
+    cause = f"; F is read in {' and '.join(units)}" if units else ""
     limit, usual = min(MOST_FEED * tool.diameter, LARGEST_FEED), min(USUAL_FEED * tool.diameter, LARGEST_USUAL_FEED)
+    over = feed >= limit * (1.0 - ROUNDING)
     if tool.max_feed_per_tooth:
         limit, usual, source = tool.max_feed_per_tooth, math.inf, "by tool.max_feed_per_tooth_mm"
-    words = {"source": source, "cause": f"; F is read in {' and '.join(units)}" if units else ""}
-    over = feed >= limit * (1.0 + ROUNDING if tool.max_feed_per_tooth else 1.0 - ROUNDING)
-    results = violations("feed per tooth", feed, limit, over, points=points, block=met.block, **words)
-    if results:
-        return results
-    return violations("feed per tooth", feed, usual, points=points, block=met.block, severity="warning", **words)
+        over = feed > limit * (1.0 + ROUNDING)
+    severity = "stop"
+    if not over.any():
+        limit, over, severity = usual, feed > usual, "warning"
+    return violations(
+        "feed per tooth",
+        feed,
+        limit,
+        over,
+        points=points,
+        block=met.block,
+        severity=severity,
+        source=source,
+        cause=cause,
+    )
 
 
 def _points(run: Trajectory, met: Engagement) -> np.ndarray:

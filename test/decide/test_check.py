@@ -20,7 +20,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decide.check import check
-from kr270_milling.decide.check_cut import engagement, rapid_violations
+from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
 from kr270_milling.decide.findings import violations
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
@@ -218,6 +218,7 @@ INCHES = SLOT.replace("G21", "G20")
 BEYOND = SLOT.replace("X26 F4000", "X26 F4000\nG1 X400 Z1500")
 HELIX = "G21 G90 S8000 M3\nG0 X20 Y0 Z1\nG3 X20 Y0 Z-0.5 I-8 J0 F2000\nG3 X20 Y0 I-8 J0\nG0 Z5\nM30\n"
 FIXTURE, COMPLIANCE = "workpiece.fixtures_mm", "arm.joint_compliance_urad_per_n_m"
+SHORT_FLUTES = "tool.flute_length_mm=0.4"
 NO_PLUNGE, WEIGHTLESS = "tool.centre_cutting=false", "dynamics.gravity=false"
 
 
@@ -271,6 +272,8 @@ CASES = (
     Case("through a fixture", "in the fixture", f"{FIXTURE}=[30,-5,-10,60,5,-0.2]", lines=(4,), value=0.3),
     Case("rapid move into a fixture", "in the fixture", f"{FIXTURE}=[-30,-5,-10,-10,5,1]", lines=(3, 4), value=1.5),
     Case("deeper than the flutes", "depth of cut", "tool.flute_length_mm=0.4", lines=(4,), value=0.5, limit=0.4),
+    Case("a shank in the slot", "tool body", f"{SHORT_FLUTES}; tool.shank_diameter_mm=24", lines=(4,), value=0.1),
+    Case("a holder in the slot", "tool body", "tool.stick_out_mm=0.4", lines=(4,), value=0.1),
     Case("a plunge with a cutter that cannot", "plunge", NO_PLUNGE, DOWN, lines=(3, 4), value=0.5, limit=0.0),
     Case("too much feed per tooth", "feed per tooth", "tool.max_feed_per_tooth_mm=0.1", value=4 / 8 / 4, limit=0.1),
     Case("no speed", "spindle off", "", SLOT.replace(" S8000", ""), lines=(4,)),
@@ -319,6 +322,8 @@ CASES = (
     Case("a published force coefficient", "", law(600.46)),
     Case("below the limit depth of the tool", "", MODE.format(3.7), NARROW),
     Case("inches", program="G20 G90 S8000 M3\nG0 X-0.55 Y0 Z0.08\nG0 Z-0.02\nG1 X1 F157\nG0 Z0.2\nM30\n"),
+    Case("a shank beside the slot", "", "tool.flute_length_mm=0.51; tool.shank_diameter_mm=24"),
+    Case("a holder just above the slot", "", "tool.stick_out_mm=0.51"),
     Case("flutes just long enough", "", "tool.flute_length_mm=0.51"),
     Case("chip and speed just within", "", "tool.max_feed_per_tooth_mm=0.126; tool.max_cutting_speed_m_per_min=503"),
 )  # fmt: skip
@@ -354,6 +359,39 @@ def test_a_dangerous_case_has_its_finding_and_a_sound_case_is_released(tmp_path,
     assert finding.where.line is None or f"(line {finding.where.line})" in finding.text
     assert case.value is None or finding.value == pytest.approx(case.value, rel=1e-3, abs=1e-9)
     assert case.limit is None or finding.limit == pytest.approx(case.limit, rel=1e-6)
+
+
+#: [mm] -> [deg], largest ramping angles of MEAS cutters [Kyocera2021]
+MAKERS_RAMPS = {25: 20, 28: 16, 32: 12.5, 35: 11, 40: 8.5, 50: 6}
+
+
+def sunk(directory, diameter: float, *moves: str) -> float:
+    """The largest depth [mm] that material loses below the core of a cutter [mm]."""
+    program = "\n".join(["G21 G90 S8000 M3", *moves, "G0 Z5", "M30", ""])
+    cell = small_part(
+        directory, program, *COARSE, NO_PLUNGE, f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-14,-30]"
+    )
+    return 1e3 * float(engagement(cell, 0.0).sunk.max())
+
+
+@pytest.mark.parametrize(("diameter", "angle"), MAKERS_RAMPS.items())
+def test_the_core_of_a_ramp_sinks_by_its_width_times_the_slope_and_the_ramps_of_a_maker_are_allowed(diameter, angle):
+    core, slope = core_radius(diameter / 2e3), math.tan(math.radians(angle))
+    assert core == pytest.approx(diameter / 2e3 - 8e-3)  # least bore 2 D - 16 mm: a helix of D - 8 mm less R
+    assert 0.85 * HOLLOW < 2 * core * slope < 1.01 * min(HOLLOW, 2 * core * INSERT_RAMP)
+
+
+def test_material_below_the_core_sinks_as_a_ramp_and_a_helix_say(tmp_path):
+    core = 4.5  # [mm], of 25 mm
+    ramp = sunk(tmp_path, 25, "G0 X5 Y10 Z1", "G1 Z0 F500", "X35 Z-3 F2000")
+    assert ramp == pytest.approx(2 * core / 10, rel=0.03)
+    wide, narrow = (
+        sunk(tmp_path, 25, f"G0 X{20 + r} Y10 Z1", *(f"G3 X{20 + r} Y10 Z{z} I-{r} J0 F2000" for z in (-1, -3)))
+        for r in (9, 3)
+    )
+    # the core is at most for this share of a turn over a place: where the circle about the place touches its border
+    assert wide == pytest.approx(2 * math.asin(core / 9) / math.pi, rel=0.03)
+    assert narrow == pytest.approx(3.0, abs=1e-3)  # the middle of a bore of less than 2 R + 2 core
 
 
 def test_drilling_is_reported_without_a_force_and_without_a_deviation(tmp_path):

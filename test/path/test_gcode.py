@@ -227,6 +227,89 @@ def test_a_tool_is_described_by_its_comment(comment, unit, name, diameter, teeth
     assert tool.diameter == pytest.approx(diameter)
 
 
+#: comments on tools as posts and operators write them, after the kind of the tool; flat: also those without a kind
+KINDS = """
+flat: T1 D=6.35 CR=0 - ZMIN=-12.7 - flat end mill
+flat: T26 D=0.25 CR=0. - face mill
+flat: T1 SHELL MILL 50
+flat: T1 FLY CUTTER
+flat: T2 8MM SLOT DRILL
+flat: T1 ROUGHER 12
+flat: T5 Bohrnutenfraeser D8
+flat: T1 Schaftfräser D10 Z3
+flat: T1 Planfräser 63
+flat: TC: 5mm Endmill
+flat: T1 End Mill {0.25 inch}
+flat: T1 10mm carbide 3 flutes
+flat: T1 6mm flat end mill for the chamfer
+flat: Pocket with 6mm end mill
+flat: 2D Chamfer1
+flat: Drill2
+flat: Drill 5mm holes
+flat: Engrave text
+flat: Thread M6
+flat: Chamfer 0.5 mm
+ball-end mill: 1/2 BALL ENDMILL TOOL - 1 DIA. OFF. - 41 LEN. - 1 DIA. - .5
+ball-end mill: T8 .250 BALL
+ball-end mill: T1 Kugelfräser D10
+ball-end mill: TC: 6mm_Ball_End
+ball-end mill: T1 Tapered Ball Nose 0.25 mm R
+ball-end mill: BALL END MILL
+chamfer mill: T12 D=6.35 CR=0. TAPER=45deg - chamfer mill
+chamfer mill: T8 Chamfering Bit - 1/8 Shank
+chamfer mill: T1 Fase 45
+T-slot cutter: T5 T-SLOT CUTTER D20
+T-slot cutter: T1 D=10. CR=0. - slot mill
+T-slot cutter: T5 T-Nutenfräser D20
+T-slot cutter: T5 KEYCUTTER 16MM
+T-slot cutter: T5 WOODRUFF CUTTER
+T-slot cutter: T1 Scheibenfräser 63x3
+T-slot cutter: T4 SLITTING SAW
+thread mill: T1 D=10. CR=0. - thread mill
+thread mill: T1 Gewindefräser M8
+tapered mill: T1 D=10. CR=0. TAPER=5deg - tapered mill
+tapered mill: T1 Kegelfräser 3 Grad
+engraver: T1 = V-Bit {60.0 deg 0.5 dia}
+engraver: TC: 60degree_Vbit
+engraver: T1 Gravierstichel 60
+engraver: T1 ENGRAVING TOOL
+drill: T3 D=5. CR=0. TAPER=118deg - ZMIN=-7. - drill
+drill: T2 TWIST DRILL 8MM
+drill: T1 Spiralbohrer 8.5
+spot drill: Tool 5: Spot Drill 3 Flutes
+spot drill: T4 90DEG SPOT
+spot drill: T1 NC-Anbohrer 90
+tap: T7 M6X1 TAP
+tap: T1 D=10. CR=0. - right hand tap
+tap: T1 Gewindebohrer M8
+bull-nose mill: T1 Torusfräser D10 R1
+bull-nose mill: T2 BULL 12 R2
+corner-rounding cutter: T1 D=10. - radius mill
+corner-rounding cutter: T19 1/8 CORNER ROUND
+corner-rounding cutter: T1 Radiusfräser R5
+dovetail cutter: T1 D=10. - dovetail mill
+dovetail cutter: T1 Schwalbenschwanzfräser
+lollipop cutter: T1 lollipop mill
+reamer: T21 8H7 REAMER
+reamer: T1 Reibahle 8H7
+countersink: T1 counter sink 90
+countersink: T1 Kegelsenker 90
+boring bar: T18 BORING BAR
+form mill: T1 D=10. - form mill
+form mill: T1 circle segment barrel
+high-feed mill: T1 HIGH FEED MILL D32
+centre drill: T3 CENTERDRILL
+centre drill: T1 Zentrierbohrer
+"""
+
+
+@pytest.mark.parametrize("line", KINDS.strip().splitlines())
+def test_the_kind_of_a_tool_is_read_from_its_comment(line):
+    kind, comment = line.split(": ", 1)
+    tool = described_tool(comment, MM, "T9")
+    assert (tool.kind if tool else "") == kind.removeprefix("flat")
+
+
 @pytest.mark.parametrize(("comment", "name", "announced"), [
     *((name, name, False) for name in ("2D Pocket1", "OUTLINE - 2D CONTOUR 4", "2D Adaptive1 (2)")),
     ("Begin operation: Profile+1", "Profile+1", True), ("Operation 13 of 13 : Drill2", "Drill2", True),

@@ -142,8 +142,8 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     name = f"T{int(number)}" if number else changed
     diameter = _diameter(comment, unit)
     teeth = TEETH.search(comment)
-    found = KIND.search(comment)
-    words = " ".join(found.group().split()).lower().strip("- ") if found else ""
+    phrase = KIND.search(comment)
+    words = " ".join(phrase.group().split()).lower().strip("- ") if phrase else ""
     about_tool = bool(number or beside or ABOUT_TOOL.match(comment))
     kind = kind_of(comment if about_tool else words if words not in OPERATIONS else "")
     if name is None or not (words or kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):

@@ -1,6 +1,6 @@
 (expect: stop tool body)
 (set: cutting.detail=engagement)
-(set: tool.stick_out_mm=14)
+(set: tool.stick_out_mm=5)
 (set: stock.min_mm=[0,-8,-30])
 (set: stock.max_mm=[20,8,0])
 G21 G90 G17
@@ -18,26 +18,6 @@ G1 X26 F1500
 G0 Z5
 G0 X-6 Y-9
 Z-6
-G1 X26 F1500
-G0 Z5
-G0 X-6 Y-9
-Z-8
-G1 X26 F1500
-G0 Z5
-G0 X-6 Y-9
-Z-10
-G1 X26 F1500
-G0 Z5
-G0 X-6 Y-9
-Z-12
-G1 X26 F1500
-G0 Z5
-G0 X-6 Y-9
-Z-14
-G1 X26 F1500
-G0 Z5
-G0 X-6 Y-9
-Z-16
 G1 X26 F1500
 G0 Z5
 M30

@@ -1,6 +1,6 @@
 (expect: stop tool body)
 (set: cutting.detail=engagement)
-(set: tool.stick_out_mm=14)
+(set: tool.stick_out_mm=5)
 G21 G90 G17
 (T1 D=6. CR=0. - FLAT END MILL 3 FLUTES)
 T1 M6
@@ -11,16 +11,6 @@ Z1 F2000
 G1 Z-4 F300
 Z1 F2000
 G1 Z-6 F300
-Z1 F2000
-G1 Z-8 F300
-Z1 F2000
-G1 Z-10 F300
-Z1 F2000
-G1 Z-12 F300
-Z1 F2000
-G1 Z-14 F300
-Z1 F2000
-G1 Z-16 F300
 Z1 F2000
 G0 Z5
 M30

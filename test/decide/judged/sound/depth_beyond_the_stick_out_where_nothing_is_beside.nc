@@ -1,6 +1,6 @@
 (expect: may be run)
 (set: cutting.detail=engagement)
-(set: tool.stick_out_mm=5)
+(set: tool.stick_out_mm=2)
 (set: stock.min_mm=[0,-5,-30])
 (set: stock.max_mm=[8,5,0])
 G21 G90 G17
@@ -21,22 +21,6 @@ G1 X20 F1500
 G0 Z5
 G0 X-12 Y0
 Z-4
-G1 X20 F1500
-G0 Z5
-G0 X-12 Y0
-Z-5
-G1 X20 F1500
-G0 Z5
-G0 X-12 Y0
-Z-6
-G1 X20 F1500
-G0 Z5
-G0 X-12 Y0
-Z-7
-G1 X20 F1500
-G0 Z5
-G0 X-12 Y0
-Z-8
 G1 X20 F1500
 G0 Z5
 M30

@@ -1,6 +1,6 @@
 (expect: may be run)
 (set: cutting.detail=engagement)
-(set: tool.flute_length_mm=8)
+(set: tool.flute_length_mm=3)
 (set: tool.shank_diameter_mm=6)
 (set: tool.stick_out_mm=25)
 (set: exchange.engagement_period_ms=1)
@@ -10,18 +10,10 @@ T1 M6
 S8000 M3
 G0 X0 Y0 Z5
 G1 Z0 F400
-X16 Z-1 F600
+X8 Z-1 F600
 X0 Z-2
-X16 Z-3 F600
+X8 Z-3 F600
 X0 Z-4
-X16 Z-5 F600
-X0 Z-6
-X16 Z-7 F600
-X0 Z-8
-X16 Z-9 F600
-X0 Z-10
-X16 Z-11 F600
-X0 Z-12
-X16
+X8
 G0 Z5
 M30

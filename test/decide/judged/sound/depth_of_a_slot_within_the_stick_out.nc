@@ -1,6 +1,6 @@
 (expect: may be run)
 (set: cutting.detail=engagement)
-(set: tool.stick_out_mm=12.5)
+(set: tool.stick_out_mm=4.2)
 (set: exchange.engagement_period_ms=1)
 G21 G90 G17
 (T1 D=6. CR=0. - FLAT END MILL 3 FLUTES)
@@ -8,18 +8,10 @@ T1 M6
 S8000 M3
 G0 X0 Y0 Z5
 G1 Z0 F400
-X16 Z-1 F600
+X8 Z-1 F600
 X0 Z-2
-X16 Z-3 F600
+X8 Z-3 F600
 X0 Z-4
-X16 Z-5 F600
-X0 Z-6
-X16 Z-7 F600
-X0 Z-8
-X16 Z-9 F600
-X0 Z-10
-X16 Z-11 F600
-X0 Z-12
-X16
+X8
 G0 Z5
 M30
