@@ -1,0 +1,18 @@
+(1.5 mm: the first crossing is at 2.106 mm)
+(expect: may be run)
+(set: stock.min_mm=[0,-10,-30])
+(set: stock.max_mm=[30,10,0])
+(set: cutting.linear_edge.tangential_cutting_n_per_mm2=600)
+(set: cutting.linear_edge.tangential_edge_n_per_mm=0)
+(set: cutting.linear_edge.radial_cutting_n_per_mm2=200)
+(set: cutting.linear_edge.radial_edge_n_per_mm=0)
+(set: tool.teeth=2)
+(set: tool.modes=[{direction: [1, 0, 0], frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}])
+G21 G90 G17
+T1 M6 (flat end mill D10)
+S10000 M3
+G0 X30 Y-10 Z5
+G0 Z-1.5
+G1 X-12 F1000
+G0 Z5
+M30
