@@ -38,7 +38,9 @@ FEWEST_TEETH = 60  #: in one stretch of cutting; fewer say nothing about growth
 #: share of the feed per tooth, median of the thirds of ``FEWEST_TEETH``: measured up to 0.11 in sound cuts of 8 to
 #: 80 um a tooth, mostly noise of the grid in thin chips, and 0.19 to 8 where teeth leave the material in chatter
 CHATTERS = 0.15
-GRID_NOISE = 0.3  #: ``CHATTERS`` per grid step per feed per tooth: larger on a grid coarser than ``init`` writes
+GRID_NOISE = (
+    0.4  #: ``CHATTERS`` per grid step per feed per tooth: larger where the grid is no finer than ``init`` writes
+)
 LASTS = 2.0 / 3.0  #: share of the vibration that a third of ``FEWEST_TEETH`` later is left, less dies out
 GROWS = 1.5  #: ratio of one third of a stretch to the third before
 SURE = 0.2  #: share of the limit below which growth may be noise
@@ -295,7 +297,10 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))
     unequal = tool.teeth if np.ptp(tool.radii) > 0.0 or not has_uniform_pitch(tool) else 0
     worst, grows, seconds = (-1.0, 0.0), False, result.time  # residue, time of its place
-    for first, last in stretches(result.volume > 0.0) if result.every == 1 else ():
+    cuts = result.volume > 0.0
+    if seconds.size > 1:  # between two teeth of a narrow cut nothing is removed
+        cuts = np.convolve(cuts, np.ones(1 + math.ceil(period / (seconds[1] - seconds[0]))))[: cuts.size] > 0.0
+    for first, last in stretches(cuts) if result.every == 1 else ():
         time = seconds[first:last]
         teeth = np.arange(time[0], time[-1], period)
         if teeth.size < FEWEST_TEETH:

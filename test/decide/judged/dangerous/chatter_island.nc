@@ -1,4 +1,4 @@
-(half immersion, down, 10000 rpm: unstable from 2.106 to 2.345 mm, stable just above)
+(half immersion, down, 10000 rpm: an island of the mode of the tool from 2.106 to 2.345 mm)
 (expect: stop chatter)
 (set: stock.min_mm=[0,-10,-30])
 (set: stock.max_mm=[30,10,0])
@@ -12,7 +12,7 @@
 G21 G90 G17
 T1 M6 (flat end mill D10)
 S10000 M3
-G0 X30 Y-10 Z5
+G0 X42 Y-10 Z5
 G0 Z-2.2
 G1 X-12 F1000
 G0 Z5

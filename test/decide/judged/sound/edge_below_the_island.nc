@@ -1,4 +1,4 @@
-(1.5 mm: the first crossing is at 2.106 mm)
+(half immersion, down, 10000 rpm: below the first limit of 1.73 mm of arm and tool)
 (expect: may be run)
 (set: stock.min_mm=[0,-10,-30])
 (set: stock.max_mm=[30,10,0])
@@ -11,7 +11,7 @@
 G21 G90 G17
 T1 M6 (flat end mill D10)
 S10000 M3
-G0 X30 Y-10 Z5
+G0 X42 Y-10 Z5
 G0 Z-1.5
 G1 X-12 F1000
 G0 Z5
