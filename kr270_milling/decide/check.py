@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -162,8 +163,11 @@ def check(
             exchange = exchange_share(cell, ran)
             results += exchange.violations()
         if residue and residue.word == "grows":
-            share = 100 * residue.residue
-            results.append(violation("growing vibration", residue.residue, residue.limit, percent=share))
+            if stability and stability.word_at(cell, residue.time) == "stable":
+                residue = dataclasses.replace(residue, word="remains")
+            point = int(np.clip(np.searchsorted(run.time, residue.time), 0, len(run) - 1)) + 1
+            kind = "growing vibration" if residue.word == "grows" else "remaining vibration"
+            results.append(violation(kind, residue.residue, residue.limit, point, percent=100 * residue.residue))
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(
         gathered(cell, run, results),

@@ -111,8 +111,13 @@ KINDS = {
         "{subject}: a cut {value:.3g} mm deep at point {point} is {words} of {limit:.3g} mm, chatter at {hertz:.4g} Hz",
         "Lower the depth of cut, or move to a stable spindle speed (kr270_milling stability)."),
     "growing vibration": Kind("1",
-        "vibration grows in the simulated pass: {percent:.2g} % of the feed per tooth remain from tooth to tooth",
+        "vibration grows in the simulated pass at point {point}: {percent:.2g} % of the feed per tooth remain from "
+        "tooth to tooth",
         "Lower the depth of cut, or move to a stable spindle speed (kr270_milling stability)."),
+    "remaining vibration": Kind("1",
+        "{percent:.2g} % of the feed per tooth remain from tooth to tooth in the simulated pass at point {point}, "
+        "where the depth of cut is less than 80 % of its stability limit",
+        "Lower stock.grid_step_um: noise of the grid then becomes smaller.", "note"),
     "exchange": Kind("%",
         "the largest correction of a predicted pose is {value:.1f} % of the feed per tooth at point {point}, more than "
         "{limit:g} %: the simulated pass says nothing",

@@ -18,8 +18,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.arcs import Arcs, arcs_along
 from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
-from kr270_milling.physics.motion.monodromy import Modes
-from kr270_milling.physics.motion.stability import DEPTHS, Lobe, StabilityMap, has_uniform_pitch, stability_map
+from kr270_milling.physics.motion.stability import DEEPEST, Lobe, Modes, has_uniform_pitch, stability_limit
 
 __all__ = ["FeatureLimit", "Stability", "chatter_violations", "feature_limits", "modes_of", "stability_statement"]
 
@@ -30,7 +29,6 @@ FEED = 1e-4  #: [m/s], to which feeds are rounded
 FEWEST_TEETH = 10  #: of an engagement; vibration has no time to grow in fewer
 MARGIN = 0.8  #: share of the limit depth above which a cut gets a warning
 POSTURES = 0.025  #: [m], between two places whose postures are modelled; the modes change little in between
-BRACKET = 1.6  #: factor between the depths at which a limit is bracketed
 
 
 @dataclass(frozen=True)
@@ -55,11 +53,13 @@ class FeatureLimit:
 
     @property
     def numbers(self) -> str:
-        """Depth, limit and chatter frequency."""
-        if math.isinf(self.limit.depth_limit):
-            return f"{1e3 * self.depth:.3g} mm, limit above {1e3 * DEPTHS[-1]:.0f} mm"
+        """Depth, limit, chatter frequency, and the angles of a tooth for which they hold."""
         hertz = self.limit.chatter_frequency / (2.0 * math.pi)
-        return f"{1e3 * self.depth:.3g} mm, limit {1e3 * self.limit.depth_limit:.3g} mm, chatter at {hertz:.4g} Hz"
+        limit = f"limit {1e3 * self.limit.depth_limit:.3g} mm, chatter at {hertz:.4g} Hz"
+        if math.isinf(self.limit.depth_limit):
+            limit = f"limit above {1e3 * DEEPEST:.0f} mm"
+        entry, leave = np.degrees([self.entry, self.exit])
+        return f"{1e3 * self.depth:.3g} mm, {limit}, teeth in cut from {entry:.0f} to {leave:.0f} deg"
 
     @property
     def share_of_limit(self) -> float:
@@ -89,6 +89,13 @@ class Stability:
     def word(self) -> str:
         """ "stable", "near the limit", "chatter" or "unknown"."""
         return self.worst.word if self.worst else "unknown"
+
+    def word_at(self, cell: Cell, time: float) -> str:
+        """The word of the feature that is milled at a time [s], of the whole path where that feature has none."""
+        timed, name = cell.timed_path, "straight cut"
+        if timed:
+            name = timed.toolpath.features[timed.toolpath.feature[int(timed.block_at(round(1e9 * time)))]] or "unnamed"
+        return next((one.word for one in self.features if one.name == name), self.word)
 
     @property
     def text(self) -> str:
@@ -202,21 +209,16 @@ def _feature_limit(
 ) -> FeatureLimit:
     """The worst of the engagements of one feature.
 
-    Another engagement is worse where its own depth, times the least ratio of limit to depth so far, is unstable.
+    Another engagement is worse where its limit is below its own depth times the least ratio of limit to depth so far.
     """
     width = arcs.exit - arcs.entry
     deepest_first = sorted((int(rows[0]) for rows in places), key=lambda k: (-arcs.depth[k], -width[k]))
-    worst, limit, ratio = -1, (math.inf, math.nan), math.inf
+    worst, limit, ratio = deepest_first[0], (math.inf, math.nan), math.inf
     for place in deepest_first:
         depth = float(arcs.depth[place])
-        engaged = _map_at(cell, arm, arcs, place, models)
-        if worst >= 0 and all(engaged.stable(depth * ratio * BRACKET**-step) for step in range(3)):
-            continue
-        depths = depth * BRACKET ** np.arange(-6.0, 40.0)
-        candidate = engaged.limit(np.append(depths[depths < DEPTHS[-1]], max(depth, DEPTHS[-1])))
-        if worst < 0 or candidate[0] / depth < ratio:
-            worst, limit = place, candidate
-            ratio = min(candidate[0], DEPTHS[-1]) / depth
+        candidate = _limit_at(cell, arm, arcs, place, models, min(depth * ratio, max(depth, DEEPEST)))
+        if candidate[0] < math.inf:
+            worst, limit, ratio = place, candidate, candidate[0] / depth
     entry, leave = _angles(arcs, worst)
     lobe = Lobe(cell.tool.spindle_speed, *limit)
     name = arcs.features[int(arcs.feature[worst])]
@@ -229,10 +231,11 @@ def _angles(arcs: Arcs, place: int) -> tuple[float, float]:
     return (-0.5 * math.pi if entry < -FULL else entry), (0.5 * math.pi if leave > FULL else leave)
 
 
-def _map_at(
-    cell: Cell, arm: bool, arcs: Arcs, place: int, models: dict[tuple, ModalModel] | None = None
-) -> StabilityMap:
-    """The loop of arm, tool and cut at one place, in axes with x along the feed there.
+def _limit_at(
+    cell: Cell, arm: bool, arcs: Arcs, place: int, models: dict[tuple, ModalModel] | None = None,
+    deepest: float = DEEPEST,
+) -> tuple[float, float]:  # fmt: skip
+    """``stability_limit`` of arm, tool and cut at one place.
 
     models: of the arm, by place in steps of ``POSTURES``; the first place of a step is modelled.
     """
@@ -249,4 +252,5 @@ def _map_at(
     turned = Modes(modes.frequency, modes.damping_ratio, modes.shape @ along)  # rows: Rz(-heading) phi
     tool = cell.tool
     feed_per_tooth = 2.0 * math.pi * float(arcs.feed[place]) / (tool.spindle_speed * tool.teeth)
-    return stability_map(turned, tool, cell.cutting, feed_per_tooth, *_angles(arcs, place), tool.spindle_speed)
+    angles = _angles(arcs, place)
+    return stability_limit(turned, tool, cell.cutting, feed_per_tooth, *angles, tool.spindle_speed, deepest)

@@ -12,6 +12,7 @@ import functools
 import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
+from scipy.sparse.linalg import eigs
 
 OMEGA, ZETA, MASS, TEETH = 2 * np.pi * 922.0, 0.011, 0.03993, 2
 #: the benchmark as settings of a cell
@@ -65,6 +66,29 @@ def multipliers(depth, delay, h, shift=None):
         now = exact[:, :2] @ transition[:2] + ends
         transition = np.vstack([now, transition[:1], transition[2:-1]])
     return np.linalg.eigvals(transition)
+
+
+def modal_radius(modes, depth, delay, matrices):
+    """Largest magnitude of a Floquet multiplier of n modes; matrices: dF / du over an interval, its mean, (k, 3, 2).
+
+    As above, with q'' + 2 zeta w q' + w^2 q = a phi . B (u - u_tau), u = sum phi q along x and y.
+    """
+    k, n = len(matrices), len(modes.frequency)
+    system = np.zeros((k, 2 * n + 4, 2 * n + 4))  # q, q', delayed u, its rate
+    load = depth * modes.shape @ matrices
+    system[:, :n, n : 2 * n] = np.eye(n)
+    system[:, n : 2 * n, :n] = load @ modes.shape[:, :2].T - np.diag(modes.frequency**2)
+    system[:, n : 2 * n, n : 2 * n] = -2 * np.diag(modes.damping_ratio * modes.frequency)
+    system[:, n : 2 * n, 2 * n : -2], system[:, 2 * n : -2, -2:] = -load, np.eye(2)
+    transition = np.eye(2 * n + 2 * k)  # q, q', u one interval ago, two, ...
+    tip = np.hstack([modes.shape[:, :2].T, np.zeros((2, n))])
+    step = delay / k
+    for exact in expm(system * step)[:, : 2 * n]:
+        ends = exact[:, -2:] / step
+        oldest, next_oldest = transition[-2:], transition[-4:-2]
+        now = exact[:, : 2 * n] @ transition[: 2 * n] + (exact[:, 2 * n : -2] - ends) @ oldest + ends @ next_oldest
+        transition = np.vstack([now, tip @ transition[: 2 * n], transition[2 * n : -2]])
+    return np.abs(eigs(transition, 6, v0=np.ones(len(transition)), return_eigenvectors=False)).max()
 
 
 def _ago(transition, age):

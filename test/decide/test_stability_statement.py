@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(sh
 
 def test_without_tool_modes_the_statement_is_about_the_arm_alone_and_a_variable_pitch_is_unknown():
     result = stability_statement(read_cell(find_file("paper.yaml")))
-    assert result.text.startswith("stability: arm: stable (straight cut: 0.547 mm, limit above 100 mm)")
+    assert result.text.startswith("stability: arm: stable (straight cut: 0.547 mm, limit above 100 mm, teeth in cut")
     assert result.text.endswith(UNKNOWN) and not result.with_tool
     result = stability_statement(read_cell(find_file("paper.yaml"), ["tool.pitch_deg=[80,100,80,100]"]))
     assert result.word == "unknown" and "unknown (variable pitch)" in result.text and UNKNOWN in result.text
@@ -116,19 +117,59 @@ def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
     shortest = FEWEST_TEETH * cell.feed_rate / (8000 / 60 * 4)
     groups = stability._groups(arcs, shortest)
     first = [int(rows[0]) for key, rows in groups.items() if arcs.features[key[0]] == "square"]
-    ratios = [stability._map_at(cell, True, arcs, k).limit()[0] / arcs.depth[k] for k in first]
+    ratios = [stability._limit_at(cell, True, arcs, k)[0] / arcs.depth[k] for k in first]
     assert len(ratios) > 10
     assert square.limit.depth_limit / square.depth == pytest.approx(min(ratios), rel=1e-3)
 
 
 # --- the simulated pass, with the modes of the arm alone ---
+def pass_with(cell, across):
+    """A pass whose tool swings by ``across`` (teeth,) [m] at the ends of the tooth periods."""
+    period = 2 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    teeth = np.arange(across.size)
+    time_ns = np.round(1e9 * period * np.arange(0, across.size - 1, 0.125)).astype(np.int64)
+    swing = np.interp(time_ns * 1e-9, teeth * period, across)
+    deflection = np.zeros((time_ns.size, 6))
+    deflection[:, 1] = swing
+    return SimpleNamespace(
+        time_ns=time_ns, time=time_ns * 1e-9, deflection=deflection, volume=np.ones(time_ns.size), every=1
+    )
+
+
+def test_noise_and_a_swing_that_dies_out_are_no_growth_but_what_grows_or_lasts_at_any_place_is():
+    cell = read_cell(find_file("paper.yaml"))
+    feed_per_tooth = cell.feed_rate * 2 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    n = np.arange(600)
+    flip = feed_per_tooth * (-1.0) ** n
+    noise = 0.05 * flip * np.random.default_rng(0).normal(size=600)
+    lasts = np.where((n > 300) & (n < 400), 0.3, 0.02)
+    for swing, word in (
+        (noise, "repeats"),
+        (noise + flip * 0.5 * 0.9 ** (n % 200), "repeats"),  # after each of three corners
+        (noise / 10 + flip * 0.2 * np.exp((n - 600) / 100), "grows"),
+        (noise / 10 + flip * lasts, "grows"),  # in one corner
+    ):
+        residue = residue_of(cell, pass_with(cell, swing))
+        assert residue.word == word, (residue, swing)
+    residue = residue_of(cell, pass_with(cell, flip * lasts))
+    assert 300 < residue.time / feed_per_tooth * cell.feed_rate < 400  # teeth
+    unequal = cell.replace(tool=cell.tool.replace(pitch=np.radians([85, 95, 85, 95])))
+    assert (
+        residue_of(unequal, pass_with(cell, np.resize(0.5 * feed_per_tooth * np.array([1, -1, 0, 1]), 600))).word
+        == "repeats"
+    )
+
+
 def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_a_short_pass_has_no_statement():
     cell = cell_of(1e-3, SOFT)
     (lobe,) = lobes(cell, [cell.tool.spindle_speed])
     for share, word in ((0.5, "repeats"), (2.0, "grows")):
         checked = check(cell_of(share * lobe.depth_limit, SOFT))
         limits = [f.limit for f in checked.findings if (f.what, f.severity) == ("growing vibration", "stop")]
-        assert checked.residue.word == word and limits == [0.02] * (word == "grows")
+        assert checked.residue.word == word and limits == [0.15] * (word == "grows")
+    straight = cell_of(2.0 * lobe.depth_limit, (*SOFT, "tool.pitch_deg=[85,95,85,95]"))
+    checked = check(straight)  # the only statement about a variable pitch
+    assert checked.stability.word == "unknown" and checked.residue.word == "grows" and not checked.may_be_run
     cell = read_cell(find_file("paper.yaml"))
     whole = simulate(cell).result
     assert residue_of(cell, whole).word == "repeats"

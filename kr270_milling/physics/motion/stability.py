@@ -1,25 +1,62 @@
-"""Stability limit of one engagement: the depth of cut above which vibration grows, and the chatter frequency."""
+"""Stability of milling against regenerative chatter: the smallest depth of cut at which vibration does not die out.
+
+Modes q_i'' + 2 zeta_i w_i q_i' + w_i^2 q_i = phi_i . F carry the tool tip, u = sum phi_i q_i. A tooth at the angle psi
+with the unit vectors e (radial) and t (direction of motion) meets the dynamic chip e . (u(t) - u(t - tau)), so that
+
+    F = a f e . (u(t) - u(t - tau)),   f = -(K_r e + K_t t - K_a z)
+
+with a the depth of cut, tau the tooth period and K = dF/dh per depth at the static chip thickness. At a limit the
+vibration repeats itself but for a factor of magnitude 1: u(t + tau) = mu u(t), mu = exp(i w tau). The delay then is the
+factor 1 - 1/mu, and the chip vibration h = e . u of one tooth obeys
+
+    h(s) / a = (1 - 1/mu) integral of e(s) . G(s - r) f(r) h(r) dr over the arc of engagement,
+    G(t) = sum phi_i phi_i^T g_i(t),   g_i(t) = Im_i [exp(p_i t) / (1 - exp(p_i tau) / mu)] / w_di,   0 <= t < tau,
+    g_i(t + tau) = mu g_i(t)
+
+where Im_i is (x - its counterpart with the conjugate pole) / 2i. Gauss-Legendre nodes on the arc make of it a matrix
+whose eigenvalues are 1/a. Those that are real and positive are the limits, at all depths: period doubling at
+mu = -1, Hopf between mu = 1 and -1. Source of the factor: [Budak1998], of mu at period doubling: [Insperger2004].
+"""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from kr270_milling.base.column import column
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.tool import Tool
-from kr270_milling.physics.motion.monodromy import Modes, directional_matrices, multipliers
 
-__all__ = ["Lobe", "StabilityMap", "has_uniform_pitch", "limit_depth", "stability_map"]
+__all__ = ["DEEPEST", "Lobe", "Modes", "has_uniform_pitch", "stability_limit"]
 
-DEPTHS = np.geomspace(1e-6, 0.1, 26)  #: [m], depths at which the limit is bracketed
-NODES = 40, 200  #: least and most nodes of a tooth period
-PER_PERIOD = 32  #: nodes in a period of the fastest mode
-PRECISION = 1e-4  #: share of the limit depth
+DEEPEST = 0.1  #: [m], up to which limits are looked for
+WAVES = 20.0  #: of a mode on the arc of engagement
+NODES = 8  #: on the arc for each wave, and 8 more: 1000 random limits are then within 1 % of another solution
+POLYNOMIALS = 4.5  #: for each wave, pi at least; 4.5 more
+MOST_NUMBERS = 10**6  #: of the matrices of several frequencies at once
+START = 9  #: frequencies from mu = 1 to -1 at which the search starts
+RESONANCE = np.array([-2.5, -0.7, 0.0, 0.7, 2.5])  #: further ones, in half widths of a resonance from its frequency
+PRECISION = 5e-3  #: distance of two eigenvalues that enclose a limit, a share of the larger one; the limit is between
+#: distance from the real axis, as a share of that to the next eigenvalue, that makes a limit possible
+NEAR = 0.35
+SMALL = 0.7  #: share of the least 1/a below which eigenvalues do not matter
+UNDAMPED = 1e-6  #: least damping ratio, with which a resonance is finite
+REAL = 1e-7  #: largest imaginary part of a real eigenvalue, a share of its magnitude
+
+_gauss = functools.cache(np.polynomial.legendre.leggauss)
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """n modes at the tool tip, workpiece axes."""
+
+    frequency: np.ndarray  #: undamped [rad/s], (n,)
+    damping_ratio: np.ndarray  #: (n,)
+    shape: np.ndarray  #: mass-normalised, of the translations [kg^-1/2], (n, 3)
 
 
 @dataclass(frozen=True)
@@ -34,70 +71,134 @@ class Lobe:
     chatter_frequency: float = column("chatter_hz", 0.5 / math.pi, unit="Hz", short="chatter")
 
 
-@dataclass(frozen=True, eq=False)
-class StabilityMap:
-    """The regenerative loop of one engagement at one spindle speed."""
-
-    modes: Modes  #: in axes with x along the feed
-    matrices: np.ndarray  #: B at the nodes of a tooth period [N/m^2], (nodes, 3, 2)
-    delay: float  #: tooth period tau [s]
-
-    def stable(self, depth: float) -> bool:
-        """Whether a cut of this depth [m] is stable."""
-        return self.growth(depth) <= 0.0
-
-    def growth(self, depth: float) -> float:
-        """Magnitude of the largest Floquet multiplier, less 1."""
-        return float(np.abs(multipliers(self.modes, self.matrices, depth, self.delay)).max()) - 1.0
-
-    def limit(self, depths: np.ndarray = DEPTHS) -> tuple[float, float]:
-        """Smallest depth [m] at which a multiplier leaves the unit circle, and the frequency there [rad/s].
-
-        depths: ascending [m]; where a cut of the first of them is stable, so is every shallower cut.
-        """
-        first = next((i for i, depth in enumerate(depths) if not self.stable(depth)), None)
-        if first is None:
-            return math.inf, math.nan
-        low = 0.0 if first == 0 else depths[first - 1]
-        depth = float(brentq(self.growth, low, depths[first], xtol=1e-9, rtol=PRECISION))
-        return depth, _frequency(self.modes, multipliers(self.modes, self.matrices, depth, self.delay), self.delay)
-
-
-def limit_depth(modes: Modes, matrices: np.ndarray, delay: float) -> tuple[float, float]:
-    """Smallest unstable depth [m] between 0 and 100 mm, and the chatter frequency there [rad/s]."""
-    return StabilityMap(modes, matrices, delay).limit()
-
-
 def has_uniform_pitch(tool: Tool) -> bool:
     """Whether all teeth have the same delay, as the limit supposes."""
     return not tool.pitch.size or bool(np.ptp(tool.pitch) < 1e-9)
 
 
-def stability_map(
-    modes: Modes, tool: Tool, cutting: Cutting, feed_per_tooth: float, entry: float, leave: float, speed: float
-) -> StabilityMap:
-    """entry, leave: angles of a tooth [rad] from the feed, in the sense of rotation; speed: of the spindle [rad/s]."""
-    delay = 2.0 * math.pi / (speed * tool.teeth)
-    nodes = int(np.clip(PER_PERIOD * delay * modes.frequency.max() / (2.0 * math.pi), *NODES))
-    angles = entry + 0.5 * math.pi, leave + 0.5 * math.pi
-    gradients = _gradients(cutting, feed_per_tooth)
-    return StabilityMap(modes, directional_matrices(gradients, tool.sense, tool.teeth, *angles, nodes), delay)
+def stability_limit(
+    modes: Modes, tool: Tool, cutting: Cutting, feed_per_tooth: float, entry: float, leave: float, speed: float,
+    deepest: float = DEEPEST,
+) -> tuple[float, float]:  # fmt: skip
+    """Smallest depth [m] up to ``deepest`` at which vibration does not die out, and its frequency [rad/s].
 
-
-def _frequency(modes: Modes, values: np.ndarray, delay: float) -> float:
-    """(arg mu + 2 pi k) / tau of the largest multiplier mu, with the k that gives the frequency nearest to a mode.
-
-    The multiplier is the same for all k; a chatter frequency lies near the mode that the cut excites.
+    Where there is none: infinite, NaN. modes: in axes with x along the feed; entry, leave: angles of a tooth [rad] from
+    the feed, in the sense of rotation; speed: of the spindle [rad/s].
     """
-    angle = abs(float(np.angle(values[np.argmax(np.abs(values))])))
-    turns = np.arange(-1000, 1001)
-    candidates = np.concatenate([angle + 2.0 * np.pi * turns, -angle + 2.0 * np.pi * turns]) / delay
-    candidates = candidates[candidates > 0.0]
-    away = np.abs(candidates[:, None] / modes.frequency - 1.0).min(axis=1)
-    return float(candidates[np.argmin(away)])
+    waves = modes.frequency * (leave - entry) / (2.0 * math.pi * speed)
+    # a mode with more waves keeps its stiffness: its lobes are so dense that its lowest limit counts at every speed
+    slower = WAVES / np.maximum(waves, WAVES)
+    modes = Modes(modes.frequency * slower, modes.damping_ratio, modes.shape * slower[:, None])
+    delay = 2.0 * math.pi / (speed * tool.teeth)
+    nodes = _nodes(entry, leave, speed * delay, math.ceil(NODES * float((waves * slower).max())) + 8)
+    inverse_depths = _inverse_depths(modes, tool, cutting, feed_per_tooth, *nodes, speed)
+    inverse, frequency = _largest_real(inverse_depths, _starts(modes, delay), 1.0 / deepest)
+    if math.isnan(frequency):
+        return math.inf, math.nan
+    # mu is the same for each w + 2 pi k / tau; chatter is near the mode that the cut excites
+    candidates = np.abs(2.0 * np.pi / delay * np.arange(-1000, 1001) + frequency)
+    away = np.abs(candidates[:, None] / modes.frequency - 1.0)
+    k, mode = np.unravel_index(np.argmin(away), away.shape)
+    return 1.0 / inverse, float(candidates[k] / slower[mode])
 
 
-def _gradients(cutting: Cutting, feed_per_tooth: float) -> Callable:
-    """K_t, K_r, K_a [N/m^2] at the chip thickness f_z s: dF/dh per depth of cut."""
-    law = cutting.active
-    return lambda sine: law.slopes(np.maximum(feed_per_tooth * sine, 1e-3 * feed_per_tooth))
+def _inverse_depths(
+    modes: Modes, tool: Tool, cutting: Cutting, feed_per_tooth: float, angle: np.ndarray, weight: np.ndarray,
+    speed: float,
+) -> Callable:  # fmt: skip
+    """Return the function of frequencies [rad/s] (m,) that yields the 1/a there [1/m], (m, k); 0 for small ones."""
+    count, delay = angle.size, 2.0 * math.pi / (speed * tool.teeth)
+    radial = np.stack([np.cos(angle), tool.sense * np.sin(angle)], -1)
+    motion = np.stack([-np.sin(angle), tool.sense * np.cos(angle)], -1)
+    chip = feed_per_tooth * np.maximum(np.cos(angle), 1e-3)
+    k_t, k_r, k_a = cutting.active.slopes(chip)
+    plane = -(k_r[:, None] * radial + k_t[:, None] * motion)
+    force = np.column_stack([plane, -k_a])  # k_a above 0 pulls the tool toward the part, -z
+    step = weight / speed  # [s]
+    w, zeta = modes.frequency, np.maximum(modes.damping_ratio, UNDAMPED)
+    damped = w * np.sqrt(1.0 - zeta * zeta)
+    pole = -zeta * w + 1j * damped
+    time = (angle[:, None] - angle) / speed
+    turns = np.floor(time / delay + 1e-6)
+    within = time - turns * delay
+    gain = (modes.shape[:, :2] @ radial.T)[:, :, None] * (modes.shape @ force.T)[:, None]
+    gain *= np.sqrt(step[:, None] * step)  # symmetric weights: the same eigenvalues, a smaller norm
+    kernel = gain * np.exp(pole[:, None, None] * within) / (2j * damped[:, None, None])
+    kernel, decay = kernel.reshape(len(w), -1), np.exp(pole * delay)
+    # G has a kink at t = 0, where the rate of g jumps by 1: the rule is wrong by the square of the step / 12
+    kink = np.where(within < 1e-6 * delay, gain.sum(0) * step / 12.0, 0.0)
+
+    # the vibrations are smooth: a few polynomials on the arc make a smaller matrix of the same largest eigenvalues
+    span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
+    degree = math.ceil(POLYNOMIALS * count / NODES) + 4
+    basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
+
+    def at(frequency: np.ndarray, least: float) -> np.ndarray:
+        values = np.zeros((frequency.size, basis.shape[1]), complex)
+        for part in np.array_split(np.arange(frequency.size), 1 + frequency.size * count**2 // MOST_NUMBERS):
+            mu = np.exp(1j * frequency[part] * delay)[:, None]
+            both = (1.0 / (1.0 - decay / mu)) @ kernel + (1.0 / (1.0 - decay.conj() / mu)) @ kernel.conj()
+            loop = (both.reshape(-1, count, count) + kink) * mu[..., None] ** turns
+            loop = (1.0 - 1.0 / mu)[..., None] * (basis.T @ loop @ basis)
+            # no eigenvalue is larger than the root of the norm of the square
+            large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (SMALL * least) ** 2
+            values[part[large]] = np.linalg.eigvals(loop[large])
+        return values
+
+    return at
+
+
+def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and weights of some ``count`` nodes, by Gauss' rule between places that a pitch repeats.
+
+    Where a tooth is at a node, the others in cut are at nodes too, and so are the kinks of G.
+    """
+    repeats = np.arange(math.ceil((leave - entry) / pitch)) * pitch
+    ends = np.unique(np.round(np.concatenate([entry + repeats, leave - repeats]), 9))
+    lengths = np.diff(ends)
+    rules = [_gauss(max(2, math.ceil(count * part))) for part in lengths / (leave - entry)]
+    half = 0.5 * lengths
+    angles = [start + size * (1.0 + rule[0]) for start, size, rule in zip(ends[:-1], half, rules, strict=True)]
+    return np.concatenate(angles), np.concatenate([size * rule[1] for size, rule in zip(half, rules, strict=True)])
+
+
+def _starts(modes: Modes, delay: float) -> np.ndarray:
+    """Frequencies [rad/s] from above mu = 1 to mu = -1, ascending: equal steps, and about the resonances."""
+    most = np.pi / delay
+    about = modes.frequency[:, None] * (np.sqrt(1.0 - modes.damping_ratio**2)[:, None]
+                                        + modes.damping_ratio[:, None] * RESONANCE)  # fmt: skip
+    folded = np.abs((about.ravel() + most) % (2.0 * most) - most)
+    return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, START)[1:]))
+
+
+def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float) -> tuple[float, float]:
+    """The largest real 1/a above ``least`` and its frequency, NaN where there is none.
+
+    An interval of frequencies is halved while an eigenvalue on the way from one end to the other, which is the nearest
+    one, may pass the real axis above the largest found so far.
+    """
+    values = inverse_depths(frequency, least)
+    real = values[-1].real[np.abs(values[-1].imag) <= REAL * np.abs(values[-1])]
+    best, at = max([(least, math.nan), *((value, frequency[-1]) for value in real.tolist())])
+    low, high = np.append(0.0, frequency[:-1]), frequency
+    before, after = np.concatenate([np.zeros_like(values[:1]), values[:-1]]), values  # 0 at mu = 1
+    while low.size:
+        apart = np.abs(before[:, :, None] - after[:, None])
+        start = np.concatenate([before, np.take_along_axis(before, apart.argmin(1), 1)], 1)
+        end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
+        way, passes = np.abs(end - start), start.imag * end.imag <= 0.0
+        close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * way)
+        fine = way <= PRECISION * np.maximum(np.abs(start), np.abs(end))
+        share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
+        on_axis = np.where(fine & passes, start.real + share * (end.real - start.real), 0.0)
+        row, k = np.unravel_index(np.argmax(on_axis), on_axis.shape)
+        if on_axis[row, k] > best:
+            best, at = float(on_axis[row, k]), float(low[row] + share[row, k] * (high[row] - low[row]))
+        reach = np.maximum(start.real, end.real) + NEAR * way
+        halved = np.any(close & ~fine & (reach > best), 1) & (high - low > 1e-9 * high)
+        low, high, before, after = low[halved], high[halved], before[halved], after[halved]
+        middle = 0.5 * (low + high)
+        values = inverse_depths(middle, best)
+        low, high = np.append(low, middle), np.append(middle, high)
+        before, after = np.concatenate([before, values]), np.concatenate([values, after])
+    return best, at

@@ -14,6 +14,10 @@ from kr270_milling.show.commands.progress import progress
 
 LOBE_SPEEDS = 60
 SHOWN = 24  #: rows of the printed table
+OTHERS = (
+    "the path itself: check and --along take the engagement, feed direction and posture of each feature, so that their "
+    "limits differ from the lobes"
+)
 
 
 def _rigid(cell) -> str:
@@ -45,13 +49,14 @@ def run_stability(args) -> Answer:
 
     from kr270_milling.decide.stability import FeatureLimit, feature_limits
     from kr270_milling.physics.motion.stability import Lobe
-    from kr270_milling.studies.maps.lobes import lobes
+    from kr270_milling.studies.maps.lobes import engagement_text, lobes
 
     cell = cell_of(args)
     about = {"cell": args.cell, "arm": not args.no_arm}
     if args.along:
         rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
-        title = f"Limit depth along the path at {cell.tool.spindle_speed * 30.0 / math.pi:.0f} rpm{_rigid(cell)}"
+        rpm = cell.tool.spindle_speed * 30.0 / math.pi
+        title = f"Limit depth along the path, as in check, at {rpm:.0f} rpm{_rigid(cell)}"
         columns = ("feature", "feature", 1), *columns_of(FeatureLimit), *columns_of(Lobe)[1:], ("stable", "stable", yes)
         return Answer(about | {"features": rows}, [table_of(title, columns, rows)])
     nominal = cell.tool.spindle_speed * 30.0 / math.pi
@@ -64,7 +69,9 @@ def run_stability(args) -> Answer:
     summary = f"deepest stable cut: {depth_text(best[depth])} mm at {speed_text(best[speed])} rpm{_rigid(cell)}"
     files = _write(args, cell, rows, summary) if args.out else []
     about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
-    return Answer(about, [table_of("Stability lobes", shown, rows[:: max(1, -(-len(rows) // SHOWN))]), summary, *files])
+    title = f"Stability lobes of {engagement_text(cell)} (path.radial_immersion, path.mode) at the start of the path"
+    table = table_of(title, shown, rows[:: max(1, -(-len(rows) // SHOWN))])
+    return Answer(about, [table, summary, OTHERS, *files])
 
 
 def _write(args, cell, rows: list[dict], summary: str) -> list[str]:

@@ -14,6 +14,7 @@ from kr270_milling.decide.arcs import arcs_along
 from kr270_milling.decide.stability import modes_of
 from kr270_milling.show.report.decision_block import cut_text
 from kr270_milling.show.report.study_page import COLOURS, points, write_page
+from kr270_milling.studies.maps.lobes import engagement_text
 
 __all__ = ["write_lobes"]
 
@@ -55,13 +56,11 @@ def write_lobes(
         figure.update_xaxes(range=ends)
     listed = [(owner, fixed(hertz), fixed(ratio, 4)) for owner, of in modes.items() for hertz, ratio in of]
     table = TextTable("Modes", ("of", "frequency [Hz]", "damping ratio"), listed)
-    path = cell.path
-    width = (
-        "a slot"
-        if path.radial_immersion >= 1.0
-        else f"{100.0 * path.radial_immersion:.3g} % of the diameter, {path.mode}"
-    )
-    sentences = [f"{name}: {cell.arm.name} mills {cut_text(cell)}", f"engagement of the lobes: {width}", summary]
+    sentences = [
+        f"{name}: {cell.arm.name} mills {cut_text(cell)}",
+        f"engagement of the lobes: {engagement_text(cell)}",
+        summary,
+    ]
     title = f"Stability lobes of {name}"
     return write_page(Path(folder) / "lobes.html", title, sentences, [table], figures, self_contained=self_contained)
 

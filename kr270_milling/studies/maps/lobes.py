@@ -11,11 +11,10 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.stability import modes_of
-from kr270_milling.physics.motion.monodromy import Modes
-from kr270_milling.physics.motion.stability import Lobe, has_uniform_pitch, stability_map
+from kr270_milling.physics.motion.stability import Lobe, Modes, has_uniform_pitch, stability_limit
 from kr270_milling.studies.identification.cuts import engagement_angles
 
-__all__ = ["lobes"]
+__all__ = ["engagement_text", "lobes"]
 
 THREADS = 2
 
@@ -36,10 +35,18 @@ def lobes(
     return results
 
 
+def engagement_text(cell: Cell) -> str:
+    """The cut of ``lobes`` in words."""
+    path = cell.path
+    if path.radial_immersion >= 1.0:
+        return "a slot"
+    return f"{100.0 * path.radial_immersion:.3g} % of the diameter, {path.mode}"
+
+
 def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
     """The limit depth at one spindle speed [rad/s]; modes: in axes with x along the feed."""
     tool = cell.tool
     mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
     entry, leave = (float(angle) for angle in engagement_angles(mode, cell.path.radial_immersion, 1.0))
     feed_per_tooth = 2.0 * math.pi * cell.feed_rate / (tool.spindle_speed * tool.teeth)
-    return Lobe(speed, *stability_map(modes, tool, cell.cutting, feed_per_tooth, entry, leave, speed).limit())
+    return Lobe(speed, *stability_limit(modes, tool, cell.cutting, feed_per_tooth, entry, leave, speed))

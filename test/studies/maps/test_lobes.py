@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hostile import answered, refused, settings
-from semi_discretisation import BENCHMARK, MASS, OMEGA, TEETH, ZETA, directional, limit
+from scipy.optimize import brentq
+from semi_discretisation import BENCHMARK, MASS, TEETH, directional, limit, modal_radius, radius
 from small_part import small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.decide.stability import feature_limits, modes_of
-from kr270_milling.physics.motion.monodromy import Modes, directional_matrices, multipliers
-from kr270_milling.physics.motion.stability import limit_depth
+from kr270_milling.decide.stability import feature_limits
+from kr270_milling.physics.motion.stability import Modes, stability_limit
 from kr270_milling.studies.maps.lobes import lobes
 
 RPM = np.pi / 30.0
@@ -28,30 +31,64 @@ def benchmark(immersion: float = 1.0, mode: str = "slot"):
 def test_limit_and_frequency_are_those_of_semi_discretisation(immersion, mode, speed):
     delay = 60.0 / speed / TEETH
     depths = np.geomspace(1e-4, 6e-3, 30)
-    expected, multiplier = limit(delay, directional(mode, 40), directional(mode, 100), depths)
+    expected, multiplier = limit(delay, directional(mode, 40), directional(mode, 160), depths)
     (result,) = lobes(benchmark(immersion, mode), [speed * RPM], arm=False)
     assert result.depth_limit == pytest.approx(expected, rel=0.01)
     beat = abs(np.angle(multiplier))
     assert abs(np.angle(np.exp(1j * result.chatter_frequency * delay))) == pytest.approx(beat, abs=0.03)
 
 
-def test_the_limit_converges_with_the_square_of_the_step():
-    cell = benchmark(0.5, "up")
-    modes, delay = modes_of(cell, arm=False), 60.0 / 9000 / TEETH
-    limits = []
-    for nodes in (40, 80, 160, 640):
-        angles = 0.0, 0.5 * np.pi
-        matrices = directional_matrices(lambda s: (6e8 + 0 * s, 2e8 + 0 * s, 0 * s), -1.0, TEETH, *angles, nodes)
-        limits.append(limit_depth(modes, matrices, delay)[0])
-    errors = np.abs(np.array(limits[:3]) / limits[3] - 1.0)
-    assert np.polyfit(np.log([40, 80, 160]), np.log(errors), 1)[0] < -1.6
+def test_an_unstable_island_below_the_lobe_is_the_limit():
+    """Half immersion, down, 10,000 rpm: vibration of twice the tooth period grows from 2.106 to 2.345 mm."""
+    delay, h = 60.0 / 10000 / TEETH, directional("down", 100)
+    first = brentq(lambda depth: radius(depth, delay, h) - 1.0, 2.0e-3, 2.2e-3)
+    (result,) = lobes(benchmark(0.5, "down"), [10000 * RPM], arm=False)
+    assert result.depth_limit == pytest.approx(first, rel=2e-3)
+    assert result.chatter_frequency * delay / np.pi % 2.0 == pytest.approx(1.0, abs=1e-9)
 
 
-def test_without_a_cut_the_multipliers_are_those_of_the_free_modes():
-    free = Modes(np.array([OMEGA, 3 * OMEGA]), np.array([ZETA, 0.05]), np.array([[1.0, 0, 0], [0, 1.0, 0]]))
-    result = multipliers(free, np.zeros((30, 3, 2)), 0.0, 1e-3)
-    expected = np.exp(-free.damping_ratio * free.frequency * 1e-3)
-    assert np.sort(np.abs(result))[-4:] == pytest.approx(np.sort(np.repeat(expected, 2)), rel=1e-9)
+def random_loop(rng):
+    """Tool and arm modes, cut and speed of a random mill, and dF / du over each interval of a tooth period."""
+    of_arm = np.arange(rng.integers(1, 11)) > 3  # four modes of the tool, then of the arm
+    hertz, ratio, mass = (
+        np.exp(rng.uniform(*np.log(np.where(of_arm[:, None], arm, tool)).T))
+        for tool, arm in (((200, 2500), (8, 250)), ((0.005, 0.06), (0.01, 0.06)), ((0.03, 2), (50, 400)))
+    )
+    shape = rng.normal(size=(hertz.size, 3))
+    modes = Modes(2 * np.pi * hertz, ratio, shape / np.linalg.norm(shape, axis=1, keepdims=True) / mass[:, None] ** 0.5)
+    teeth = int(rng.integers(1, 7))
+    delay = rng.uniform(0.3, 3.0) / hertz.max()
+    arc = np.arccos(1.0 - 2.0 * np.exp(rng.uniform(np.log(0.02), 0.0)))
+    entry = (-np.pi / 2, np.pi / 2 - arc, -arc / 2)[rng.integers(3)]
+    k_t = rng.uniform(3e8, 25e8)
+    stiffness = k_t * np.array([1.0, rng.uniform(0.1, 0.6), rng.uniform(-0.3, 0.3)])
+    k = int(max(60, 40 * delay * hertz.max()))
+    fine = (np.arange(200 * k) + 0.5) / k / 200
+    b = np.zeros((k, 3, 2))
+    for tooth in range(teeth):
+        angle = (fine + tooth) * 2 * np.pi / teeth
+        angle = np.mod(angle + np.pi, 2 * np.pi) - np.pi
+        cut = (angle > entry) & (angle < entry + arc)
+        radial = np.stack([np.cos(angle), -np.sin(angle)], -1)
+        motion = np.stack([-np.sin(angle), -np.cos(angle)], -1)
+        force = np.column_stack([stiffness[1] * radial + stiffness[0] * motion, np.full(angle.size, stiffness[2])])
+        b -= (cut[:, None, None] * force[:, :, None] * radial[:, None]).reshape(k, 200, 3, 2).mean(1)
+    tool = SimpleNamespace(teeth=teeth, sense=-1.0)
+    cutting = SimpleNamespace(active=SimpleNamespace(slopes=lambda h: tuple(np.outer(stiffness, 1 + 0 * h))))
+    return modes, tool, cutting, (entry, entry + arc, 2 * np.pi / teeth / delay), b, delay
+
+
+LONG = "KR270_MILLING_LONG_TESTS" in os.environ
+
+
+@pytest.mark.parametrize("seed", range(1000 if LONG else 8))
+def test_below_the_limit_of_random_modes_every_multiplier_is_within_the_unit_circle_and_above_not(seed):
+    modes, tool, cutting, arc, b, delay = random_loop(np.random.default_rng(seed))
+    found, _ = stability_limit(modes, tool, cutting, 1e-4, *arc)
+    deepest = min(found, 0.1)
+    shares = np.append(np.geomspace(0.02, 0.5, 12), np.arange(0.5, 0.98, 0.01 if LONG else 0.04))
+    assert all(modal_radius(modes, share * deepest, delay, b) < 1.0 + 1e-9 for share in shares)
+    assert found > 0.1 or any(modal_radius(modes, share * found, delay, b) > 1.0 for share in (1.01, 1.02))
 
 
 def test_a_feature_is_cut_in_its_own_direction(tmp_path):
