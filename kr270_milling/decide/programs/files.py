@@ -14,7 +14,7 @@ import numpy as np
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.frames import JOINT_NAMES, TOOL0, quaternion_from_rotation
+from kr270_milling.base.frames import JOINT_NAMES, TOOL0, Pose, quaternion_from_rotation
 from kr270_milling.base.units import seconds
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
@@ -65,6 +65,22 @@ def write_programs(
     )  # fmt: skip
     files["manifest"] = [write_manifest(directory, [text], decision, released)]
     return files
+
+
+def kuka_frames(cell: Cell) -> tuple[str, str]:
+    """$TOOL and $BASE that the programs set, as the display of the controller has them."""
+    frames = (("TOOL", cell.program.tool_number, _tool_in_flange(cell)),
+              ("BASE", cell.program.base_number, cell.workpiece.pose))  # fmt: skip
+    tool, base = (
+        f"${name}={{{krl_motion.frame_text(krl_motion.frame_row(frame))}}}, to compare with {name}_DATA{f'[{index}]' if index else ''}"
+        for name, index, frame in frames
+    )
+    return tool, base
+
+
+def _tool_in_flange(cell: Cell) -> Pose:
+    """tcp in KUKA's $FLANGE, whose z points out of the flange."""
+    return TOOL0.inverse() @ cell.mount.pose
 
 
 def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = (), released: bool = True) -> Path:
@@ -120,7 +136,7 @@ def write_tool_programs(
     write_csv(files["trajectory"][0], revised, joints[1])
     text = krl.filled(
         "manifest_tool.txt", stage=cell.stage, programs=programs, name=program.name, files=files,
-        tick_ms=f"{tick_ns / 1e6:g}", findings=findings,
+        tick_ms=f"{tick_ns / 1e6:g}", findings=findings, frames=kuka_frames(cell),
     )  # fmt: skip
     return files, text
 
@@ -141,9 +157,9 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     """$TOOL is the mount, $BASE the workpiece."""
     safe_z = float(cell.stock.max[2]) + cell.program.safe_height
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
-    mount, to_kuka = cell.mount, TOOL0.inverse()
-    centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
-    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre)
+    mount = cell.mount
+    centre = tuple(TOOL0.inverse().apply(mount.mass_centre).tolist())
+    return krl.Setup(_tool_in_flange(cell), cell.workpiece.pose, approaches, safe_z, mount.mass, centre)
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:

@@ -63,7 +63,7 @@ class Cutting(Record):
         0.2,
         low=0.0,
         high=1.0,
-        text="share of the radius over which the end edge of a sinking tool presses on the floor",
+        text="share of the radius over which the end edge of a sinking tool touches the floor",
     )
     moments: bool = parameter(
         True, text="moments of the forces about the tool tip, reaction torque of the spindle; false: forces only, (29)"
