@@ -71,9 +71,9 @@ def kuka_frames(cell: Cell) -> tuple[str, str]:
     """$TOOL and $BASE that the programs set, as the display of the controller has them."""
     frames = (("TOOL", cell.program.tool_number, _tool_in_flange(cell)),
               ("BASE", cell.program.base_number, cell.workpiece.pose))  # fmt: skip
+    rows = [(name, f"[{index}]" if index else "", krl_motion.frame_row(frame)) for name, index, frame in frames]
     tool, base = (
-        f"${name}={{{krl_motion.frame_text(krl_motion.frame_row(frame))}}}, to compare with {name}_DATA{f'[{index}]' if index else ''}"
-        for name, index, frame in frames
+        f"${name}={{{krl_motion.frame_text(row)}}}, to compare with {name}_DATA{index}" for name, index, row in rows
     )
     return tool, base
 

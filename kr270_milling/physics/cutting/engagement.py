@@ -563,7 +563,7 @@ def _column(s, p, i, low, high, level, sinking, along, frame):
 
 @inlined
 def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
-    """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the end edges."""
+    """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the ends."""
     cell = p.spacing * p.spacing * p.level_step
     share = p.teeth / (2.0 * math.pi)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = 0.0
