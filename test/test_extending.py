@@ -49,7 +49,7 @@ KIENZLE = settings(
 )  # fmt: skip
 SHORT = settings("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
 #: of the simulated robots only the force coefficients differ
-SURE = settings("uncertainty.servo_frequency_hz=[]", *(f"uncertainty.{name}=0" for name in (
+SURE = settings("uncertainty.servo_frequency_hz=[]", "uncertainty.end_share=[]", *(f"uncertainty.{name}=0" for name in (
     "joint_compliance", "tool_wear", "base_compliance_urad_per_n_m", "tool_stick_out", "tool_compliance",
     "damping_ratio", "frequency", "reference_inertia", "repeatability_um", "pose_noise_um", "backlash",
     "servo_delay_ms", "joining", "placement_mm",

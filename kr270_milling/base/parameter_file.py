@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import math
 import os
 import sysconfig
 import typing
@@ -12,11 +13,17 @@ from pathlib import Path
 
 from kr270_milling.base.errors import ConfigError
 
-__all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal", "write_include"]
+__all__ = [
+    "AXES", "DISPLAYED", "find_file", "from_display", "merge", "override", "parse", "read_tree", "read_yaml", "refusal",
+    "write_include",
+]  # fmt: skip
 
 MOST_BYTES = 256 * 1024  # the YAML reader needs some seconds for a file of this size
 MOST_INCLUDES = 64  # names in all files together; merging a file of MOST_BYTES takes some milliseconds
 MOST_DEPTH = 8  # length of a chain of includes
+#: group -> key with the numbers of the controller's display, their name there, largest distance [mm]
+DISPLAYED = {"mount": ("tool_kuka", "TOOL_DATA", 5000.0), "workpiece": ("base_kuka", "BASE_DATA", 100000.0)}
+AXES = "XYZABC"
 
 
 def refusal(file, key: str, value, allowed: str) -> ConfigError:
@@ -70,7 +77,57 @@ def _content(path: Path) -> tuple[list[str], dict]:
     includes = tree.pop("includes", [])
     if not isinstance(includes, list) or not all(isinstance(i, str) for i in includes):
         raise refusal(path, "includes", includes, "a list of file names")
-    return includes, _as_lists(tree, path)
+    return includes, from_display(_as_lists(tree, path), path)
+
+
+def from_display(tree: dict, file, prefix: str = "") -> dict:
+    """Return the tree of one file with the frames of the controller's display as ``xyz_mm`` and ``abc_deg``.
+
+    mount.tool_kuka is tcp in $FLANGE, whose z points out of the flange; workpiece.base_kuka is the workpiece frame on
+    $ROBROOT. A file that includes another one replaces its place in either form. Raises ConfigError, also where a file
+    has both forms.
+    """
+    converted = {}
+    for name, group in tree.items():
+        if isinstance(group, dict):
+            group = from_display(group, file, f"{prefix}{name}.")
+            key, source, farthest = DISPLAYED.get(name, ("", "", 0.0))
+            if key in group:
+                group = _placed(group, key, source, farthest, file, f"{prefix}{name}.")
+        converted[name] = group
+    return converted
+
+
+def _placed(group: dict, key: str, source: str, farthest: float, file, prefix: str) -> dict:
+    """Return a group with ``xyz_mm`` and ``abc_deg`` in the place of the frame of the display."""
+    import numpy as np
+
+    from kr270_milling.base.frames import TOOL0, Pose, abc_from_rotation
+
+    frame, form = group[key], f"X, Y, Z [mm] and A, B, C [deg], the numbers of {source} on the controller's display"
+    twice = [name for name in ("xyz_mm", "abc_deg") if name in group]
+    if twice:
+        both = f"is given beside {prefix}{twice[0]}: give either {key} or xyz_mm and abc_deg"
+        raise ConfigError(file, prefix + key, None, both)
+    if not isinstance(frame, dict) or sorted(frame) != sorted(AXES):
+        raise refusal(file, prefix + key, frame, form)
+    values = []
+    for axis in AXES:
+        most = farthest if axis in "XYZ" else 360.0
+        known = isinstance(frame[axis], (int, float, str)) and not isinstance(frame[axis], bool)
+        try:
+            values.append(float(frame[axis]) if known else math.nan)
+        except ValueError:
+            values.append(math.nan)
+        if not abs(values[-1]) <= most:
+            raise refusal(file, f"{prefix}{key}.{axis}", frame[axis], f"a number of {-most:g} to {most:g}")
+    pose = Pose.from_abc(values[:3], np.radians(values[3:]))
+    pose = TOOL0 @ pose if key == "tool_kuka" else pose
+    rows = pose.position, np.degrees(abc_from_rotation(pose.rotation))
+    rest = {name: value for name, value in group.items() if name != key}
+    # the products of rotations add some 1e-13 to round numbers
+    xyz, abc = ([round(value, 9) + 0.0 for value in row.tolist()] for row in rows)
+    return rest | {"xyz_mm": xyz, "abc_deg": [180.0 if value == -180.0 else value for value in abc]}
 
 
 def _as_lists(tree, file, key: str = ""):
@@ -173,7 +230,7 @@ def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, froze
         parsed = parse(value, "--set", key)
         for part in reversed(key.split(".")):
             parsed = {part: parsed}
-        tree = merge(tree, typing.cast(dict, _as_lists(parsed, "--set")))
+        tree = merge(tree, from_display(typing.cast(dict, _as_lists(parsed, "--set")), "--set"))
         keys.add(key)
     return tree, frozenset(keys)
 

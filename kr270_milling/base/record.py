@@ -29,6 +29,8 @@ __all__ = [
 
 #: key of an earlier version -> what its user must know
 MOVED = {
+    "cutting.end_ratio": "is not a known key: since 0.4.0 cutting.end_share, 0 to 1, is the share of the end edge that "
+    "pushes a sinking tool up",
     "limits.backlash_deg": "is not a known key: the backlash is arm.backlash_arcsec since 0.3.0",
     "imperfections.backlash_deg": "is not a known key: its unit is arcsec since 0.3.0, imperfections.backlash_arcsec",
     "uncertainty.backlash_deg": "is not a known key: since 0.3.0 uncertainty.backlash is a multiple of "

@@ -396,7 +396,8 @@ def _with_spindle(cell: Cell, source) -> Cell:
 
 def _placed_by_hand(tree: dict, assigned: frozenset, path) -> dict:
     """A place given on the command line moves a workpiece that the file puts at the start joints."""
-    given = {key for key in ("xyz_mm", "abc_deg") if f"workpiece.{key}" in assigned}
+    displayed = "workpiece.base_kuka" in assigned
+    given = {key for key in ("xyz_mm", "abc_deg") if displayed or f"workpiece.{key}" in assigned}
     place = tree.get("workpiece")
     if not given or not isinstance(place, dict) or place.get("at_start_joints") is not True:
         return tree

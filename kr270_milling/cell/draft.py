@@ -25,6 +25,7 @@ PLACES = 100_000  #: of a path, at most
 LEAST_SHARE = 0.2  #: of the area that the path asks for; a stock that is cut down to less is no guess any more
 NEAR = 0.3  #: [m]; a path within this distance of its zero gets the place of the test piece
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
+ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: 0.0, B: 0.0, C: 0.0}}"
 PERIOD = 0.25e-3  #: [s], exchange period of the test piece
 LONGEST_PERIOD = 2e-3  #: [s]
 STEPS = 2e6  #: exchange periods that a pass should take at most
@@ -50,7 +51,7 @@ STRAIGHT_TOOL = {
     "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours",
 }  # fmt: skip
 STRAIGHT = {
-    "operations": "", "place": f"[{PLACE[0]}, {PLACE[1]}, {PLACE[2]}]", "offset": "of the workpiece",
+    "operations": "", "place": ON_DISPLAY.format(*PLACE), "offset": "of the workpiece",
     "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]",
     "name": "MILLING", "name_note": "yours: of the robot program",
     "high": "[60.0, 20.0, 0.0]", "grid": "20.0", "period": 1e3 * PERIOD, "steps": round(PERIOD * 6.0 * SPEED),
@@ -61,7 +62,7 @@ STRAIGHT = {
       length_mm: 40.0                    # yours
       feed_rate_m_per_min: 2.0           # yours""",
 }  # fmt: skip
-TOOLS = "    tools:  # keys of tool, and sections that differ; yours: mount: {xyz_mm: [...]} for its length\n"
+TOOLS = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
 LONGEST_NAME = 12  #: characters of a robot program, so that the name of the tool has room
 
 
@@ -183,7 +184,7 @@ def _module_name(file: str) -> str:
 def _common(path: Toolpath, stock: Box) -> dict:
     """Values of a cell that do not depend on the tool."""
     return {
-        "place": _list(_place(stock)),
+        "place": ON_DISPLAY.format(*map(_number, _place(stock))),
         "offset": path.program.work_offset or "the work offset",
         "low": _list(1e3 * stock.low),
         "high": _list(1e3 * stock.high),

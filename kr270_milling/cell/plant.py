@@ -133,13 +133,16 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     servo = float(rng.uniform(*assumed.servo_frequency)) if assumed.servo_frequency.size else 0.0
     delay = float(rng.random()) * assumed.servo_delay
     base, tool = _softer(cell, rng, factors(np.full(4, assumed.tool_compliance)))
+    later = np.random.default_rng(seed)  # the draws of earlier versions stay
+    joining = assumed.joining * float(later.random())
+    share = float(later.uniform(*assumed.end_share)) if assumed.end_share.size else cell.cutting.end_share
     return cell.replace(
         arm=cell.arm.replace(
             joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2, base_compliance=base
         ),
         tool=tool,
         mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
-        cutting=cell.cutting.replace(**{cell.cutting.law: law}),
+        cutting=cell.cutting.replace(**{cell.cutting.law: law}, end_share=share),
         dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
         imperfections=cell.imperfections.replace(
             pose_noise=noise,
@@ -147,7 +150,7 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
             backlash=backlash * cell.arm.backlash,
             servo_frequency=servo,
             servo_delay=delay,
-            joining=assumed.joining * float(np.random.default_rng(seed).random()),  # the other draws stay
+            joining=joining,
             seed=seed,
             first_pass=0,
         ),

@@ -234,7 +234,7 @@ class Uncertainty(Record):
     The four published K_tc of aluminium 7075 scatter by 33 % (``materials.csv``). The other defaults are assumed: modal
     damping scatters by a third from mode to mode, frequencies by a tenth; a part is touched off within a few hundredths
     of a millimetre. Repeatability, noise, backlash, wear, the joining of points, and the compliances of a base or a
-    tool that the cell takes as rigid are drawn evenly from 0 to the value here.
+    tool that the cell takes as rigid are drawn evenly from 0 to the value here; ``end_share`` evenly within its range.
     """
 
     joint_compliance: float = parameter(0.15, low=0.0, high=1.0, text="of each joint's compliance")
@@ -261,6 +261,10 @@ class Uncertainty(Record):
     # assumed: a tool longer than 4 diameters has its stick-out in the cell
     tool_stick_out: float = parameter(
         4.0, low=0.0, high=20.0, text="longest stick-out of a plant's tool in diameters, where the cell's tool is rigid"
+    )
+    # nothing is published: from an end that touches nowhere to one that touches over its whole radius
+    end_share: np.ndarray = parameter(
+        [0.0, 1.0], low=0.0, high=1.0, text="lowest and highest cutting.end_share of a plant; empty: that of the cell"
     )
     # assumed: holder and spindle nose, which the beam leaves out, and the section of the flutes
     tool_compliance: float = parameter(0.2, low=0.0, high=1.0, text="of the compliances of base and tool of the cell")
@@ -302,8 +306,9 @@ class Uncertainty(Record):
         if self.joint_compliances.size not in (0, 6):
             raise ParameterError("joint_compliances", self.joint_compliances.tolist(), "empty or one number a joint")
 
-        if self.servo_frequency.size not in (0, 2) or np.any(np.diff(self.servo_frequency) < 0.0):
-            raise ParameterError("servo_frequency_hz", self.servo_frequency.tolist(), "empty, or lowest and highest")
+        for key, span in (("servo_frequency_hz", self.servo_frequency), ("end_share", self.end_share)):
+            if span.size not in (0, 2) or np.any(np.diff(span) < 0.0):
+                raise ParameterError(key, span.tolist(), "empty, or lowest and highest")
 
     def of_compliances(self) -> np.ndarray:
         """Of the six compliances, (6,)."""

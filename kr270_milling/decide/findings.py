@@ -136,6 +136,11 @@ KINDS = {
         "Check arm.link_mass_kg and mount.mass_kg.", "warning"),
     "payload": Kind("kg", "mount.mass_kg is {value:.4g} kg, but the arm carries arm.payload_kg, {limit:.4g} kg",
         "Check mount.mass_kg and its unit, or take a lighter spindle."),
+    "spindle direction": Kind("deg",
+        "the spindle points {value:.4g} deg away from the axis of the flange{words}",
+        "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
+    "tool tip": Kind("mm", "the tip of the tool is {value:.4g} mm behind the flange",
+        "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
     "force coefficient": Kind("N/mm2",
         "K_tc is {value:.4g} N/mm2, but published coefficients, with a margin of three, lie between {low:.4g} and "
         "{high:.4g} N/mm2",

@@ -19,6 +19,9 @@ __all__ = ["input_violations"]
 COMPLIANCE = 1e-8, 1e-4
 #: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
 LINK_MASS = 1.0, 2e3
+#: [rad] assumed: usual angles of a spindle from the axis of the flange, and how far bracket and calibration miss them
+MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)
+BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist is there
 WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its force is noise
 MATERIAL_RANGE = 0.3, 3.0  #: factors of the least and the largest published K_tc; beyond them a unit has slipped
 DIAMETER_ROUNDING = 20e-6  #: [m], of a diameter in a comment: 0.394 in for 10 mm
@@ -37,6 +40,21 @@ def _unlikely_arm(cell: Cell) -> list[Violation]:
     findings = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
     if arm.payload and mass > arm.payload:
         findings.append(violation("payload", mass, arm.payload))
+    return findings + _mounting(cell)
+
+
+def _mounting(cell: Cell) -> list[Violation]:
+    """A spindle that points into the arm or in a direction in which none is mounted, a tip behind the flange."""
+    mount = cell.mount
+    turn = float(np.arccos(np.clip(mount.pose.rotation[0, 2], -1.0, 1.0)))  # of z of tcp from x of flange
+    nearest = min(MOUNTINGS, key=lambda angle: abs(angle - turn))
+    findings = []
+    if abs(turn - nearest) > OFF_MOUNTING:
+        into = turn > max(MOUNTINGS)
+        words = ", back into the arm" if into else "; spindles are mounted at 0, 30, 45, 60 or 90 deg"
+        findings.append(violation("spindle direction", turn, nearest, words=words))
+    if mount.xyz[0] < -BEHIND:
+        findings.append(violation("tool tip", -mount.xyz[0], BEHIND))
     return findings
 
 

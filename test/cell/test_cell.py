@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from small_part import GCODE, small_part
 
 from kr270_milling import read_cell
@@ -11,6 +12,7 @@ from kr270_milling.base.errors import ConfigError, InputError, MillingError, Par
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.jobs import commanded_joints, simulate
 from kr270_milling.cell.path import MOST_VISITS, check_effort, check_postures, sinking
+from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.physics.robot import Mount, equilibrium, pose
 
 FILE = find_file("paper.yaml")
@@ -29,6 +31,61 @@ def test_the_target_is_the_papers_line_from_where_the_start_joints_put_the_tool_
     np.testing.assert_allclose(tool.position, target.position, atol=1e-12)
     np.testing.assert_allclose(tool.rotation[0], np.diag([1.0, -1.0, -1.0]), atol=1e-9)  # tcp in the workpiece
     assert PAPER.steps_of(0.01) == 20 and PAPER.steps_of(0.0101) == 21 and PAPER.steps_of(1e-6) == 1  # of messages
+
+
+ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: {}, B: {}, C: {}}}"
+
+
+def test_the_frames_of_the_display_are_mount_and_workpiece_and_the_programs_set_the_same_frames(tmp_path):
+    """$TOOL is tcp in $FLANGE, z out; R = Rz(A) Ry(B) Rx(C), here by SciPy's intrinsic ZYX."""
+    known = "mount.tool_kuka={X: 300, Y: 0, Z: 140, A: 180, B: -90, C: 0}"
+    shipped, cell = read_cell("test_piece.yaml"), read_cell("test_piece.yaml", known)
+    np.testing.assert_array_equal(cell.mount.xyz, shipped.mount.xyz)
+    np.testing.assert_array_equal(cell.mount.abc, shipped.mount.abc)
+    assert kuka_frames(shipped)[0].startswith(
+        "$TOOL={X 300.0000,Y 0.0000,Z 140.0000,A 180.00000,B -90.00000,C 0.00000}"
+    )
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        tool, base = (np.round([*rng.uniform(-900, 900, 3), *rng.uniform([-180, -89, -180], [180, 89, 180])], 4)
+                      for _ in range(2))  # fmt: skip
+        words = f"mount.tool_kuka={ON_DISPLAY}".format(*tool), f"workpiece.base_kuka={ON_DISPLAY}".format(*base)
+        cell = read_cell("test_piece.yaml", *words)
+        flange = Rotation.from_euler("ZYX", [0.0, 90.0, 0.0], degrees=True)  # $FLANGE in flange: z is x of flange
+        turn = flange * Rotation.from_euler("ZYX", tool[3:], degrees=True)
+        np.testing.assert_allclose(1e3 * cell.mount.xyz, flange.apply(tool[:3]), atol=1e-6)
+        np.testing.assert_allclose(cell.mount.pose.rotation, turn.as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(1e3 * cell.workpiece.xyz, base[:3], atol=1e-6)
+        np.testing.assert_allclose(np.degrees(cell.workpiece.abc), base[3:], atol=1e-6)
+        for line, frame in zip(kuka_frames(cell), (tool, base), strict=True):
+            shown = [float(word.split()[1]) for word in line[line.index("{") + 1 : line.index("}")].split(",")]
+            np.testing.assert_allclose(shown, frame, atol=2e-4)
+
+
+@pytest.mark.parametrize(("group", "words"), [
+    ("mount: {tool_kuka: {X: 1, Y: 2, Z: 3, A: 4, B: 5}}", r"mount\.tool_kuka.*X, Y, Z \[mm\] and A, B, C.*TOOL_DATA"),
+    ("mount: {tool_kuka: [1, 2, 3, 4, 5, 6]}", r"mount\.tool_kuka.*TOOL_DATA"),
+    ("mount: {tool_kuka: {X: 1, Y: 2, Z: 3, A: 4, B: 5, C: .nan}}", r"mount\.tool_kuka\.C.*-360 to 360"),
+    ("mount: {tool_kuka: {X: 1, Y: 6000, Z: 3, A: 4, B: 5, C: 6}}", r"mount\.tool_kuka\.Y.*-5000 to 5000"),
+    ("mount: {abc_deg: [1, 2, 3], tool_kuka: {X: 1, Y: 2, Z: 3, A: 4, B: 5, C: 6}}", r"tool_kuka.*either"),
+    ("workpiece: {xyz_mm: [1, 2, 3], base_kuka: {X: 1, Y: 2, Z: 3, A: 4, B: 5, C: 6}}", r"base_kuka.*either"),
+])  # fmt: skip
+def test_a_frame_of_the_display_that_is_not_whole_or_given_twice_is_refused(tmp_path, group, words):
+    file = tmp_path / "cell.yaml"
+    file.write_text(f"/**:\n  ros__parameters:\n    includes: [test_piece.yaml]\n    {group}\n")
+    with pytest.raises(ConfigError, match=words):
+        read_cell(file)
+
+
+def test_a_file_with_the_frame_of_the_display_replaces_the_place_of_the_file_that_it_includes(tmp_path):
+    file = tmp_path / "cell.yaml"
+    frame = ON_DISPLAY.format(1200, 30, 700, 10, 0, 0)
+    file.write_text(
+        f"/**:\n  ros__parameters:\n    includes: [test_piece.yaml]\n    workpiece: {{base_kuka: {frame}}}\n"
+    )
+    np.testing.assert_allclose(1e3 * read_cell(file).workpiece.xyz, [1200, 30, 700], atol=1e-9)
+    moved = read_cell("paper.yaml", f"workpiece.base_kuka={frame}")  # the paper's part is at the start joints
+    np.testing.assert_allclose(np.degrees(moved.workpiece.abc), [10, 0, 0], atol=1e-9)
 
 
 def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():

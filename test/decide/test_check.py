@@ -219,6 +219,7 @@ BEYOND = SLOT.replace("X26 F4000", "X26 F4000\nG1 X400 Z1500")
 HELIX = "G21 G90 S8000 M3\nG0 X20 Y0 Z1\nG3 X20 Y0 Z-0.5 I-8 J0 F2000\nG3 X20 Y0 I-8 J0\nG0 Z5\nM30\n"
 FIXTURE, COMPLIANCE = "workpiece.fixtures_mm", "arm.joint_compliance_urad_per_n_m"
 SHORT_FLUTES = "tool.flute_length_mm=0.4"
+BACK = "{X: 140, Y: 0, Z: -300, A: 0, B: 0, C: 180}"  # the numbers of mount, typed as those of $TOOL
 NO_PLUNGE, WEIGHTLESS = "tool.centre_cutting=false", "dynamics.gravity=false"
 
 
@@ -254,6 +255,9 @@ def warning(*texts: str, **more) -> Case:
 CASES = (
     Case("a rapid move below a hole", "rapid in material", "", HOLES.replace("G0 Z20", "G0 Z-3.5\nG0 Z20")),
     Case("a spindle of 300 kg", "payload", "mount.mass_kg=300"),
+    warning("a spindle that points into the arm", "spindle direction", f"mount.tool_kuka={BACK}", words="into the arm"),
+    warning("a tip behind the flange", "tool tip", f"mount.tool_kuka={BACK}", value=300.0),
+    warning("a spindle at 15 deg", "spindle direction", "mount.abc_deg=[0, 15, 180]", words="75 deg away"),
     Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),
     Case("a program for a cutter of 1 inch", "tool diameter", "", comment("1 inch end mill")),
     Case("a ball-end mill by its comment", "tool shape", "", comment("D=20 ball end mill"), lines=(3,)),

@@ -193,6 +193,7 @@ SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
 AS_PRINTED = {
     "reference_inertia": 0.0, "repeatability": 0.0, "backlash": 0.0, "tool_wear": 0.0, "base_compliance": 0.0,
     "tool_stick_out": 0.0, "servo_frequency": np.zeros(0), "servo_delay": 0.0, "joining": 0.0,
+    "end_share": np.zeros(0),
 }  # fmt: skip
 CERTAIN = {
     **AS_PRINTED, "joint_compliance": 0.0, "force_coefficient": 0.0, "damping_ratio": 0.0, "frequency": 0.0,
@@ -262,6 +263,7 @@ def test_what_a_cell_does_not_know_is_drawn_evenly_from_none_to_the_stated_limit
             *p.arm.base_compliance[:2] / limit.base_compliance,
             p.tool.lateral_compliance / longest,
             (p.cutting.active.per_depth(1e-4)[0] / law.per_depth(1e-4)[0] - 1.0) / limit.tool_wear,
+            p.cutting.end_share,
             *p.imperfections.backlash / p.arm.backlash / limit.backlash,
             *(getattr(p.imperfections, name) / getattr(limit, name) for name in imperfect),
         ]

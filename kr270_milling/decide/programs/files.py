@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.frames import JOINT_NAMES, TOOL0, quaternion_from_rotation
+from kr270_milling.base.frames import JOINT_NAMES, TOOL0, Pose, quaternion_from_rotation
 from kr270_milling.base.units import seconds
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
@@ -92,6 +92,22 @@ def set_aside(directory) -> list[str]:
     return [path.name for path in programs]
 
 
+def kuka_frames(cell: Cell) -> tuple[str, str]:
+    """$TOOL and $BASE that the programs set, as the display of the controller has them."""
+    frames = (("TOOL", cell.program.tool_number, _tool_in_flange(cell)),
+              ("BASE", cell.program.base_number, cell.workpiece.pose))  # fmt: skip
+    rows = [(name, f"[{index}]" if index else "", krl_motion.frame_row(frame)) for name, index, frame in frames]
+    tool, base = (
+        f"${name}={{{krl_motion.frame_text(row)}}}, to compare with {name}_DATA{index}" for name, index, row in rows
+    )
+    return tool, base
+
+
+def _tool_in_flange(cell: Cell) -> Pose:
+    """tcp in KUKA's $FLANGE, whose z points out of the flange."""
+    return TOOL0.inverse() @ cell.mount.pose
+
+
 def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = (), released: bool = True) -> Path:
     """Write the one manifest of a directory: the decision, and the text of each tool; return its path."""
     path = Path(directory) / "MANIFEST.txt"
@@ -149,6 +165,7 @@ def write_tool_programs(
     text = krl.filled(
         "manifest_tool.txt", stage=cell.stage, programs=programs, name=program.name, files=files,
         tick_ms=f"{tick_ns / 1e6:g}", findings=findings, limits=limits, turning=_turning(program, original),
+        frames=kuka_frames(cell),
     )  # fmt: skip
     return files, text
 
@@ -169,11 +186,12 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     """$TOOL is the mount, $BASE the workpiece."""
     safe_z = float(cell.stock.max[2]) + cell.program.safe_height
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
-    mount, to_kuka = cell.mount, TOOL0.inverse()
-    centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
+    mount = cell.mount
+    centre = tuple(TOOL0.inverse().apply(mount.mass_centre).tolist())
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(cell) else (0.0, 0.0)
     spindle = f"{cell.tool.spindle_speed * 30.0 / np.pi:.6g} rpm, {cell.tool.rotation}"
-    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law)
+    tool = _tool_in_flange(cell)
+    return krl.Setup(tool, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law)
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:

@@ -8,7 +8,7 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType
 from rclpy.parameter import Parameter
 
-from kr270_milling.base.parameter_file import find_file, merge, read_tree
+from kr270_milling.base.parameter_file import AXES, DISPLAYED, find_file, from_display, merge, read_tree
 from kr270_milling.base.record import Record, Spec, build, flatten, specs
 from kr270_milling.cell.cell import Cell, with_program
 from kr270_milling.path.cam.readers import find_tool_path
@@ -39,8 +39,9 @@ def declare(node, record: type[Record], writable: tuple[str, ...] = ()):
     tree: dict = {}
     for name in filter(None, names):
         tree = merge(tree, read_tree(find_file(name)))
-    leaves = dict(_leaves(record))
-    for path in leaves:
+    leaves, own = dict(_leaves(record)), {}
+    displayed = [f"{group}.{key}.{axis}" for group, (key, _, _) in DISPLAYED.items() for axis in AXES]
+    for path in (*leaves, *displayed):
         given = node.declare_parameter(path, None, ANY).value  # the record checks the type: YAML writes 1 for 1.0
         node.undeclare_parameter(path)
         if given is not None:
@@ -48,8 +49,9 @@ def declare(node, record: type[Record], writable: tuple[str, ...] = ()):
             branch: dict = {last: given if isinstance(given, (str, int, float)) else list(given)}
             for group in reversed(groups):
                 branch = {group: branch}
-            tree = merge(tree, branch)
-    built = build(record, tree, f"parameters of {node.get_fully_qualified_name()}")
+            own = merge(own, branch)
+    source = f"parameters of {node.get_fully_qualified_name()}"
+    built = build(record, merge(tree, from_display(own, source)), source)
     values = flatten(built)
     for path, spec in leaves.items():
         value: object = values.get(path, [])

@@ -40,6 +40,7 @@ from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.physics.cutting.laws import Cutting
+from kr270_milling.physics.cutting.load import end_force
 from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES
 from kr270_milling.physics.cutting.tool import Tool
 
@@ -63,6 +64,8 @@ LONGEST = 0.25  # of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 SLIGHT = 0.1  # of the move: what a tool sinks below that, its rim ahead removes with the crescent
 BLOCK = 16  # nodes, a power of two
+MASS = 100.0  # [kg] assumed: of an arm at its tool; in a step the floor stops no more than what comes down
+NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
 # Places in EngagementState.ints
@@ -90,10 +93,13 @@ class EngagementParams(NamedTuple):
     level_step: float
     law: int  # address of the compiled force law, see ``force_law.call_law``
     coefficients: np.ndarray  # of the law [SI], (p,)
-    end_factor: float  # axial force of end cutting over that of the law
+    end_share: float  # of the end edge that presses on the floor
+    slight: float  # layer below which the force of the end edge is in proportion to the layer
+    stop: float  # MASS (N omega / 2 pi)^2 [N/m]: over passes^2, most that the thrust grows in a step by what is sunk
     moments: bool  # whether forces turn the tool about its tip
     front: np.ndarray  # int16, (SINES + 2 BEYOND,): front bin by BEYOND + SINES (1 + sin(phi)) / 2
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
+    inverse: np.ndarray  # float32, same shape: mean of R / r over the nodes of a block, by the middle of the block
     reach: int  # nodes
     shift: np.ndarray  # int64, (64, 64): of a node within its cell across the feed [entries / FINE], by its last bits
     widths: np.ndarray  # (ahead,): of the front bins [rad]
@@ -114,7 +120,7 @@ class EngagementState(NamedTuple):
     saved_ints: np.ndarray  # as they were before the last step
     saved_floats: np.ndarray
     saved_last: np.ndarray
-    load: np.ndarray  # (7,): wrench and torque that act in the last step [N, N m]
+    load: np.ndarray  # (8,): wrench, torque and thrust of the end edges that act in the last step [N, N m]
     saved_load: np.ndarray
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
@@ -122,7 +128,7 @@ class EngagementState(NamedTuple):
     floors: np.ndarray  # (FLOORS, 3): x and y of former tips [m], level to which that footprint is cut; deepest first
     spans: np.ndarray  # int32, (6, columns): scratch: first and last nodes of each column in ``_clear``
     ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
-    sunk: np.ndarray  # (sectors, 2): removed below the former footprint: levels and nodes
+    sunk: np.ndarray  # (sectors, 3): removed below the former footprint: levels, nodes, and nodes times R / r
 
 
 def make_engagement_params(
@@ -151,7 +157,9 @@ def make_engagement_params(
         level_step=stock.level_step,
         law=cutting.active.address(),
         coefficients=cutting.coefficients,
-        end_factor=cutting.end_ratio,
+        end_share=cutting.end_share,
+        slight=stock.floor_tolerance,
+        stop=MASS * (tool.teeth * tool.spindle_speed / (2.0 * math.pi)) ** 2,
         moments=cutting.moments,
         **_tables(radius, stock.grid_step, bins),
     )
@@ -165,6 +173,10 @@ def _tables(radius: float, spacing: float, bins: int) -> dict:
     offset = np.arange(-reach, reach + 1)
     angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
     sectors = np.clip(np.floor((angle + np.pi) * SECTORS / (2.0 * np.pi)), 0, SECTORS - 1)
+    along = np.arange(-reach - BLOCK // 2, reach + BLOCK // 2 + 1)  # half a block beyond both ends
+    far = np.maximum(np.hypot(offset[:, None], along), NEAREST) * spacing / radius
+    window = np.pad(np.ones(BLOCK - 1), 1, constant_values=0.5) / BLOCK  # half of the axis to either side
+    inverse = np.stack([np.convolve(row, window, "valid") for row in 1.0 / far])
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
     last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * spacing / radius)))
     inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
@@ -176,6 +188,7 @@ def _tables(radius: float, spacing: float, bins: int) -> dict:
     return {
         "front": np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16),
         "around": sectors.astype(np.int16),
+        "inverse": inverse.astype(np.float32),
         "reach": reach,
         "shift": np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
         "widths": np.diff(edges),
@@ -202,15 +215,15 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
         saved_last=np.full(3, math.nan),
-        load=np.zeros(7),
-        saved_load=np.zeros(7),
+        load=np.zeros(8),
+        saved_load=np.zeros(8),
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
         floors=np.zeros((FLOORS, 3)),
         spans=np.zeros((6, 2 * params.reach + 3), np.int32),
         ahead=np.zeros((params.widths.size, 2)),
-        sunk=np.zeros((SECTORS, 2)),
+        sunk=np.zeros((SECTORS, 3)),
     )
 
 
@@ -227,7 +240,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         s.saved_floats[j] = s.floats[j]
     for j in range(3):
         s.saved_last[j] = s.last[j]
-    for j in range(7):
+    for j in range(s.load.size):
         s.saved_load[j] = s.load[j]
     s.ints[LOGGED] = 0
     s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
@@ -239,7 +252,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     dx, dy, dz = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], pose_to[2] - pose_from[2]
     parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
     passes = n * p.micro_step * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
-    torque = height = 0.0
+    torque = height = thrust = 0.0
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
         part = _part(
@@ -248,6 +261,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         )  # fmt: skip
         torque += part[0]
         height += part[1]
+        thrust += part[2]
     for j in range(5):
         wrench[j] /= parts
     torque /= parts
@@ -261,19 +275,20 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         s.load[j] += fresh * (wrench[j] - s.load[j])
         wrench[j] = s.load[j]
     s.load[6] += fresh * (torque - s.load[6])
+    s.load[7] = thrust / parts
     return s.load[6]
 
 
 @inlined
 def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    """One straight move of at most a quarter of the radius: first down, then level; returns torque and height.
+    """One straight move of at most a quarter of the radius: first down, then level; returns torque, height, thrust.
 
     A tool that sinks is as low as at the end, a tool that rises as high as in the middle of the move.
     """
     level = _level(p, min(z1, 0.5 * (z0 + z1)))
     if level == 0 or _outside(p, x1, y1):
         _remember(s, x1, y1, level)
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     for k in range(s.ahead.shape[0]):
         s.ahead[k, 0] = s.ahead[k, 1] = 0.0
     dx, dy = x1 - x0, y1 - y0
@@ -282,7 +297,7 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     sinking = level > s.ints[FLOOR_LEVEL]
     if sinking:
         for k in range(SECTORS):
-            s.sunk[k, 0] = s.sunk[k, 1] = 0.0
+            s.sunk[k, 0] = s.sunk[k, 1] = s.sunk[k, 2] = 0.0
         cut_x, cut_y = _cut_before(s, level)
         slight = m > 0.5 * p.spacing and (level - s.ints[FLOOR_LEVEL]) * p.level_step < SLIGHT * m
         to_middle = 0.5 * m if slight else FAR
@@ -291,7 +306,7 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
         _clear(s, p, x0, y0, x1, y1, level, False, -0.5 * m, ahead_x, ahead_y)
     _remember(s, x1, y1, level)
     if passes <= 0.0:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     return _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench)
 
 
@@ -478,6 +493,7 @@ def _lower_blocks(s, p, i, low, high, level, sparse, about_i, about_j):
             k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(middle)])
             sunk[k, 0] += levels
             sunk[k, 1] += lowered
+            sunk[k, 2] += lowered * p.inverse[np.uint64(i - about_i), np.uint64(middle)]
             total += np.int64(levels)
             new += np.int64(untouched)
             j = end
@@ -530,8 +546,10 @@ def _column(s, p, i, low, high, level, sinking, along, frame):
                     new += before == 0
                     if sinking:
                         k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
+                        covered = min(cover / full, 1.0)
                         sunk[k, 0] += lost
-                        sunk[k, 1] += 1.0
+                        sunk[k, 1] += covered
+                        sunk[k, 2] += covered
                     else:
                         sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
                         k = np.uint64(p.front[sine])
@@ -545,7 +563,7 @@ def _column(s, p, i, low, high, level, sinking, along, frame):
 
 @inlined
 def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
-    """Add the mean wrench of the removed bins; returns the mean torque and the mean height above the tip."""
+    """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the ends."""
     cell = p.spacing * p.spacing * p.level_step
     share = p.teeth / (2.0 * math.pi)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = 0.0
@@ -565,30 +583,30 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
             moment_y += middle * x - p.radius * c * z
             torque += f_t * height * p.radius
             total, raised = total + volume, raised + volume * middle
-    dphi = 2.0 * math.pi / SECTORS
+    thrust = end_x = end_y = side_x = side_y = turning = layers = area = 0.0
     for k in range(SECTORS if sinking else 0):
         volume, nodes = s.sunk[k, 0], s.sunk[k, 1]
-        if volume > 0.0:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
-            h = nodes * p.spacing * p.spacing / (p.radius * dphi)
-            height = share * dphi * volume / nodes * p.level_step / passes
-            f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
+        if volume > 0.0:  # each tooth takes a layer with its end edge: N / 2 pi int int dr dphi, and int int r dr dphi
+            f_t, f_r = end_force(p, volume / nodes * p.level_step / passes)
+            length = share * s.sunk[k, 2] * p.spacing * p.spacing / p.radius
+            moment = share * nodes * p.spacing * p.spacing
             c, d = p.turns[k, 0], p.turns[k, 1]
-            z = -f_a * height * p.end_factor
-            wrench[0] += (-f_r * c + p.sense * f_t * d) * height
-            wrench[1] += (-f_r * d - p.sense * f_t * c) * height
-            force_z += z
-            if p.moments:
-                wrench[3] += p.radius * d * z
-                wrench[4] -= p.radius * c * z
-            torque += f_t * height * p.radius
-            total += volume
+            side_x, side_y = side_x + p.sense * f_t * d * length, side_y - p.sense * f_t * c * length
+            thrust, end_x, end_y = thrust + f_r * length, end_x + d * f_r * moment, end_y - c * f_r * moment
+            turning += f_t * moment
+            layers, area = layers + volume, area + nodes
+    if layers > 0.0:
+        sunk = layers / area * p.level_step
+        held = min(1.0, (s.load[7] + p.stop * sunk / (passes * passes)) / max(thrust, 1e-9))
+        thrust, end_x, end_y, total = held * thrust, held * end_x, held * end_y, total + layers
+        wrench[0], wrench[1], torque = wrench[0] + held * side_x, wrench[1] + held * side_y, torque + held * turning
     wrench[0] += ahead_x * local_x - ahead_y * local_y
     wrench[1] += ahead_y * local_x + ahead_x * local_y
-    wrench[2] += force_z
+    wrench[2] += force_z + thrust
     if p.moments:
-        wrench[3] += ahead_x * moment_x - ahead_y * moment_y
-        wrench[4] += ahead_y * moment_x + ahead_x * moment_y
-    return torque, raised / total if total > 0.0 else 0.0
+        wrench[3] += ahead_x * moment_x - ahead_y * moment_y + end_x
+        wrench[4] += ahead_y * moment_x + ahead_x * moment_y + end_y
+    return torque, raised / total if total > 0.0 else 0.0, thrust
 
 
 @inlined
@@ -607,7 +625,7 @@ def undo_engagement(s):
         s.floats[j] = s.saved_floats[j]
     for j in range(3):
         s.last[j] = s.saved_last[j]
-    for j in range(7):
+    for j in range(s.load.size):
         s.load[j] = s.saved_load[j]
     s.ints[TILES] = tiles  # an untouched tile equals none
     s.ints[FLOORS_KNOWN] = floors

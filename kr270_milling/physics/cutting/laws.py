@@ -58,10 +58,13 @@ class Cutting(Record):
         text="model of the cut: the sweep of the teeth, or the mean force of the engagement for long programs; auto: "
         "teeth for a straight cut and for programs of up to 60 s of cutting",
     )
-    end_ratio: float = parameter(
-        1.0, low=0.0, high=20.0,
-        text="axial force of the end teeth of a sinking tool over that of the law; used where detail is engagement",
-    )  # fmt: skip
+    # assumed: the dish of an end mill keeps the inner part of its end off the floor; no measured thrust is published
+    end_share: float = parameter(
+        0.2,
+        low=0.0,
+        high=1.0,
+        text="share of the radius over which the end edge of a sinking tool touches the floor",
+    )
     moments: bool = parameter(
         True, text="moments of the forces about the tool tip, reaction torque of the spindle; false: forces only, (29)"
     )

@@ -1,13 +1,14 @@
-"""Force and moment of a chip on the tool (29), also where a helix makes edges lag; compiled."""
+"""Force and moment of a chip on the tool (29), also where a helix makes edges lag, and of the end edge; compiled."""
 
 from __future__ import annotations
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.force_law import call_law
 
-__all__ = ["load"]
+__all__ = ["end_force", "load"]
 
 SHORT = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its square
+LEAST_SHARE = 1e-3  # of the end edge, in the thickness of its chip
 
 
 @inlined
@@ -30,6 +31,24 @@ def load(s, p, i, step, turn, h, height):
         if share > 0.0:
             place = later + (_hat_moment(length - later) - _hat_moment(-later)) / (length * share)
             _add(s, p, i, turn, step + later, f_t, f_r, f_a, share, height * place / length)
+
+
+@inlined
+def end_force(p, h):
+    """Tangential and upward force on the end edge of a tooth per length of the radius [N/m]; h [m]: axial feed of it.
+
+    The end edge lies across the axis, so the radial force of the law, which is normal to the edge, is the thrust:
+
+        thrust = int s F_r(h) dr,   tangential force = int s F_t(h / s) dr,   torque = int s F_t(h / s) r dr
+
+    r from 0 to R, s = ``cutting.end_share``. The share s of the edge that presses on the floor cuts the whole volume:
+    with F_t = K_tc h the torque times the speed is K_tc dV/dt for any s. The force along the edge is left out.
+    A layer thinner than ``p.slight``, within which the floor is known, has the force of that layer in proportion.
+    """
+    least, share = max(h, p.slight), max(p.end_share, LEAST_SHARE)
+    f_t = call_law(p.law, least / share, p.coefficients)[0]
+    f_r = call_law(p.law, least, p.coefficients)[1]
+    return h / least * share * f_t, h / least * p.end_share * f_r
 
 
 @inlined

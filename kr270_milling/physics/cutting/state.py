@@ -60,6 +60,8 @@ class Params(NamedTuple):
     coefficients: np.ndarray  # of the law [SI], (p,)
     nominal: bool  # whether the angle of a tooth is that of the spindle alone
     moments: bool  # whether forces turn the tool about its tip
+    end_share: float  # of the end edge that presses on the floor
+    slight: float  # layer below which the force of the end edge is in proportion to the layer
     lag: float  # tan(helix) per micro-step of spindle angle: an edge lags lag z / R micro-steps at z above the tip
 
 
@@ -113,6 +115,8 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         coefficients=cutting.coefficients,
         nominal=cutting.chip_angle == "nominal",
         moments=cutting.moments,
+        end_share=cutting.end_share,
+        slight=stock.floor_tolerance,
         lag=math.tan(tool.helix) / micro_step,
     )
 

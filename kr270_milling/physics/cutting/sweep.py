@@ -8,7 +8,7 @@ import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined
 from kr270_milling.physics.cutting.fill import clear_quad, clear_sector, tally_log
-from kr270_milling.physics.cutting.load import load
+from kr270_milling.physics.cutting.load import end_force, load
 from kr270_milling.physics.cutting.state import (
     FLOOR,
     LEVEL_SUM,
@@ -29,6 +29,8 @@ NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each mi
 FAR = 0.1  # of the radius: how far the tool may move in a window for the rim band to be used
 NEAR = 0.8  # of the radius: the rim band goes no deeper
 TURN = 1.26  # a point beyond NEAR seen from a centre that moves by x turns by at most TURN x / radius
+LEAD = 0.02  # [rad]
+END_POINTS = 64  # of the radius, at which the layer below a sinking tool is measured
 JUMP = 0.125  # of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
@@ -176,11 +178,13 @@ def _plan(s, p, step, level):
 @inlined
 def _tooth(s, p, i, step, turn, x0, y0, x1, y1, moved, depth, level, whole, path):
     """Clear the sector of tooth i in one micro-step; thickness and height of its chip [m]."""
-    scale, radius = 1.0 / p.spacing, p.radii[i]
+    scale, radius, layer = 1.0 / p.spacing, p.radii[i], 0.0
     a, b = p.directions[i, turn, 0], p.directions[i, turn, 1]
     c, d = p.directions[i, turn + 1, 0], p.directions[i, turn + 1, 1]
     inner = 0.0
-    if not whole:
+    if whole:
+        layer = _end(s, p, i, step, turn, x1, y1, depth, level)
+    else:
         inner = _inner_radius(s, p, i, step + 1, x1, y1, c, d, moved, path)
         if inner >= radius + 2.0 * moved:
             return 0.0, 0.0
@@ -205,20 +209,64 @@ def _tooth(s, p, i, step, turn, x0, y0, x1, y1, moved, depth, level, whole, path
     tally_log(s.ints, s.log_level, s.tally, level)
     if s.tally[0] == 0:
         return 0.0, 0.0
-    return _chip(s, p, i, turn, x1 - x0, y1 - y0, depth, level)
+    return _chip(s, p, i, turn, x1 - x0, y1 - y0, depth, level, layer)
+
+
+@compiled
+def _end(s, p, i, step, turn, x, y, depth, level):
+    """Add the load of the end edge of tooth i, which lowers the floor below a sinking tool; the volume cut so [m^3].
+
+    The floor is cut at least to FLOOR, and where that is not known to the shallowest level of this run; the side edge
+    cuts what is higher. The floor is measured LEAD ahead of the tooth, where nodes near the axis are not cut yet.
+    """
+    floor = s.ints[RUN_LEVEL] - 1
+    if s.ints[FLOOR] >= 0:
+        floor = min(floor, s.ints[FLOOR])
+    if level <= floor:
+        return 0.0
+    ahead = (turn + 1 + int(LEAD / p.micro_step)) % p.steps
+    c, d = p.directions[i, ahead, 0], p.directions[i, ahead, 1]
+    step_r = p.radii[i] / END_POINTS
+    volume = tangential = thrust = moment = torque = 0.0
+    for n in range(END_POINTS):
+        r = (n + 0.5) * step_r
+        u = int(math.floor((x + r * c - p.origin_x) / p.spacing + 0.5))
+        v = int(math.floor((y + r * d - p.origin_y) / p.spacing + 0.5))
+        if u < 0 or v < 0 or u >= p.nx or v >= p.ny:
+            continue
+        slot = np.int64(s.table[u >> 8, v >> 8])
+        before = np.int64(s.pool[slot << 16 | (u & 255) << 8 | (v & 255)]) if slot >= 0 else np.int64(0)
+        if floor <= before < level:
+            h = depth - before * p.level_step
+            f_t, f_r = end_force(p, h)
+            tangential, torque = tangential + f_t * step_r, torque + f_t * r * step_r
+            thrust, moment = thrust + f_r * step_r, moment + f_r * r * step_r
+            volume += h * r * step_r * p.micro_step
+    if volume > 0.0:
+        c, d = p.middles[i, turn, 0], p.middles[i, turn, 1]
+        now = s.loads[step & (s.loads.shape[0] - 1)]
+        now[0] += p.sense * tangential * d
+        now[1] -= p.sense * tangential * c
+        now[2] += thrust
+        if p.moments:
+            now[3] += d * moment
+            now[4] -= c * moment
+        now[5] += torque
+    return volume
 
 
 @inlined
-def _chip(s, p, i, turn, dx, dy, depth, level):
+def _chip(s, p, i, turn, dx, dy, depth, level, layer):
     """Chip thickness and height of the chip of a tooth, of the nodes in the tally [m]; dx, dy: step of the centre [m].
 
+    layer: volume in the tally that the end edge has cut [m^3].
     h is the volume over the height: A_i / (R dphi_i) if the ground is flat. dphi_i is the tooth's angle as seen from
     the centre before the step: R dphi_i = R dphi + d . t, t the tooth's direction of motion in the middle of the step.
     """
     per_node = p.spacing * p.spacing
     total = s.tally[0] * (depth - level * p.level_step) + s.tally[1] * p.level_step
     height = depth - s.tally[2] * p.level_step
-    h = total * per_node / (height * p.radii[i] * p.micro_step)
+    h = max(total * per_node - layer, 0.0) / (height * p.radii[i] * p.micro_step)
     if not p.nominal:
         c, d = p.middles[i, turn, 0], p.middles[i, turn, 1]
         along = p.sense * (dy * c - dx * d) / (p.radii[i] * p.micro_step)

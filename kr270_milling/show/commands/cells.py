@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from dataclasses import asdict
 from pathlib import Path
 
 from kr270_milling.base.arguments import numbers
 from kr270_milling.base.column import TextTable
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import POSTURE, command, option
@@ -43,7 +44,9 @@ COMMANDS = {
 def run_init(args) -> Answer:
     import numpy as np
 
+    from kr270_milling.cell.cell import read_cells
     from kr270_milling.cell.draft import draft_text, straight_text, tools_text
+    from kr270_milling.decide.programs.files import kuka_frames
     from kr270_milling.path.cam.readers import read_toolpaths
 
     robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
@@ -67,7 +70,10 @@ def run_init(args) -> Answer:
         raise InputError(args.out, "exists already: choose another --out")
     write_files({Path(args.out): (text,)})
     guesses = sum("yours" in line for line in text.splitlines()[1:])
-    return Answer(result, [f"{args.out}: {guesses} lines marked yours are guesses to put right"])
+    lines = [f"{args.out}: {guesses} lines marked yours are guesses to put right"]
+    with contextlib.suppress(MillingError):  # the error of a cell is that of its first use
+        lines += kuka_frames(read_cells(args.out)[0])
+    return Answer(result, lines)
 
 
 def _program_of(args) -> str:

@@ -116,6 +116,7 @@ def run_check(args) -> Answer:
 def _checked(cell, args, whole):
     """The check of one tool, what ``--json`` prints of it, and the output for the terminal."""
     from kr270_milling.decide import check as decision
+    from kr270_milling.decide.programs.files import kuka_frames
     from kr270_milling.decide.tolerance import judge
     from kr270_milling.path.trajectory_csv import read_csv
 
@@ -124,7 +125,7 @@ def _checked(cell, args, whole):
     tolerance = judge(cell, checked.ran) if checked.ran else None
     values = {"cut": cell.cutting.detail, **checked.as_dict(), "tolerance": tolerance and tolerance.as_dict()}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
-    return checked, values, [*words, cell.cut_text, *checked.lines()]
+    return checked, values, [*words, cell.cut_text, *kuka_frames(cell), *checked.lines()]
 
 
 def _refuse_reference(args, cells) -> None:

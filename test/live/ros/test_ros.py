@@ -103,6 +103,9 @@ def test_a_node_takes_whole_numbers_where_floats_are_due_also_of_an_included_fil
     cell = world.add(CuttingProcess, *words).cell
     assert (cell.tool.radius, cell.path.length) == pytest.approx((6e-3, 5e-3))
     np.testing.assert_allclose(np.degrees(cell.mount.abc), [1.0, 89.0, 0.0])
+    displayed = "{X: 300, Y: 0.0, Z: 140.0, A: 180.0, B: -90.0, C: 0}"
+    (tmp_path / "cell.yaml").write_text(form.format("test_piece.yaml") + f"    mount: {{tool_kuka: {displayed}}}\n")
+    np.testing.assert_allclose(1e3 * world.add(CuttingProcess, *words).cell.mount.xyz, [140, 0, -300], atol=1e-9)
     for given, key in (("tool.teeth:=2.5", "teeth"), ("tool.diameter_mm:=-5", "diameter_mm")):
         with pytest.raises(ConfigError, match=key):
             world.add(CuttingProcess, *words, "-p", given)

@@ -370,15 +370,22 @@ def test_a_course_is_swept_as_its_parts_are():
     assert not (wrench[0].any() or torque[0] or volume[0]) and volume[1:].min() > 0.0
 
 
-def test_a_tool_that_sinks_cuts_with_its_whole_end():
-    """Its end sweeps pi R^2 v_z; with F_a = K_ac A / (R dphi) H the axial force is K_ac pi R v_z / omega: it damps."""
+def test_a_tool_that_sinks_cuts_with_its_whole_end_and_is_pushed_up_in_proportion_to_a_thin_layer():
+    """N R s F_r(h) up, h = 2 pi v_z / (N omega); below the tolerance of the floor F_r of that in proportion: it damps.
+
+    Teeth that find nothing on the floor and teeth that take a layer of the tolerance have the same mean.
+    """
     cut = new_cut(law=Cutting(law="linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6)))
     radius, omega, speed, turns = 10e-3, cut.tool.spindle_speed, 1e-3, 10
+    slight, law = cut.stock.floor_tolerance, cut.cutting.linear_edge
     middle = cut.stock.min[:2] + 0.5 * (cut.stock.max - cut.stock.min)[:2]
     end = np.array([*middle, Z - speed * turns * 2 * np.pi / omega])
     cut.sweep([*middle, Z], [*middle, Z], 0, 720)  # a hole as large as the tool
     sinking = cut.sweep([*middle, Z], end, 720, 360 * turns)[2]
-    assert sinking == pytest.approx(-220e6 * np.pi * radius * speed / omega, rel=0.02)
+    share = 2 * np.pi * speed / (4 * omega) / slight
+    assert 0.5 < share < 1.0
+    expected = 4 * radius * cut.cutting.end_share * share * (law.radial_cutting * slight + law.radial_edge)
+    assert sinking == pytest.approx(expected, rel=0.05)
     rising = cut.sweep(end, [*middle, Z], 720 + 360 * turns, 720)[2]
     left = cut.stock.floor_tolerance / (speed * 2 * 2 * np.pi / omega)  # in two turns
     assert abs(rising) < left * abs(sinking) and left < 0.15

@@ -173,6 +173,7 @@ def test_the_plant_moves_by_the_number_of_the_check_and_without_a_reversal_as_if
 
 def test_keys_of_earlier_versions_are_refused_with_their_new_name():
     for old, new in (
+        ("cutting.end_ratio", "cutting.end_share"),
         ("limits.backlash_deg", "arm.backlash_arcsec"),
         ("imperfections.backlash_deg", "imperfections.backlash_arcsec"),
         ("uncertainty.backlash_deg", "uncertainty.backlash is a multiple"),
