@@ -187,7 +187,7 @@ class Machine:
         elif length and feed == 0:
             self.program.refuse("F", "zero feed on a cutting move", derived=True)
         elif length:
-            advice = "give path.feed_rate_m_per_min in the cell"
+            advice = "give path.feed_rate_m_per_min in the cell" if self.no_feed == NO_FEED else ""
             self.program.refuse("F", self.no_feed, advice, derived=True)
 
     def _feed_rate(self, length: float) -> float | None:
@@ -268,6 +268,7 @@ class Machine:
             cycle.peck = abs(peck) * self.unit
         if not 0 <= repeats <= REPEATS or repeats != int(repeats) or (repeats > 1 and not self.incremental):
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
+            axes.clear()
             return
         place = {axis: axes.pop(axis) for axis in "XY" if axis in axes}
         if not repeats:  # the cycle is defined and drills nothing here

@@ -35,7 +35,7 @@ FURTHER = frozenset("ABCUVW")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 OF_DATA = "LPQRXYZIJKHD"  #: letters of G10
-FEED_UNIT = "the feed {} comes before or with {}, and controls take it in either unit"
+FEED_UNIT = "the feed {} comes before or with {}, and controls take it in either unit; write F after it"
 
 
 class Interpreter(Machine):
@@ -150,6 +150,8 @@ class Interpreter(Machine):
         if "refused" in groups:
             axes.clear()
         if groups.get("spindle") == 19:
+            if "S" in axes:
+                self.program.refuse("M19", "M19 with S is a speed or an angle", "write S in the line of M3 or M4")
             self._read_over("M19", axes, SILENT_M[19])
 
     def _offset(self, groups: dict, axes: dict) -> None:
