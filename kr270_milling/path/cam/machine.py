@@ -105,6 +105,10 @@ class Machine:
         if mode is not None:
             self.set_mode(mode)
         self.drilled = False
+        if mode is not None and cycle not in (None, 80):
+            self.program.refuse(f"G{cycle:g}", f"G{cycle:g} contradicts G{mode:g} in the same line", lost=True)
+            axes.clear()
+            return
         if cycle == 80:
             self.cycle = cycle = None
         if cycle is not None or (self.cycle is not None and not axes.keys().isdisjoint("XYZ")):

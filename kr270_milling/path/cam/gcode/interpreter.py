@@ -135,6 +135,8 @@ class Interpreter(Machine):
         if "tool" in groups if self.changes else "T" in groups or "tool" in groups:
             if groups.get("tool") == 61 and "Q" in axes:  # the number of the tool that is in the spindle
                 self.next_tool = named("T", axes.pop("Q"))
+            elif groups.get("tool") == 61:
+                self.program.refuse("M61", "M61 without Q, the number of the tool")
             self.change_tool(self.next_tool)
         if "dwell" in groups:
             self._dwell(groups, axes)
