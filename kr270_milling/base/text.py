@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
 __all__ = ["encoding_of", "read_lines", "short", "unended"]
 
+BLOCK_NUMBER = re.compile(r"\s*N\s*[0-9]+", re.I)
 MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
 
@@ -52,10 +54,12 @@ def _line_at(data: bytes, offset: int) -> int:
 def unended(lines: list[str]) -> str:
     """Return the reason why a file without a final newline is refused; "" for a complete file.
 
-    Such a file may be cut off in the middle of its last number.
+    Such a file may be cut off in the middle of its last number, unless its last line repeats an earlier one.
     """
     reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
-    return reason if lines[-1].strip() else ""
+    last, *earlier = (BLOCK_NUMBER.sub("", line).strip() for line in lines[::-1])
+    longer = {line for line in earlier if line.startswith(last)} if last else {last}
+    return "" if longer == {last} else reason
 
 
 def short(text: str) -> str:

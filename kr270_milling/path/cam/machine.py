@@ -108,6 +108,10 @@ class Machine:
         if mode is not None:
             self.set_mode(mode)
         self.drilled = False
+        if mode is not None and cycle not in (None, 80):
+            self.program.refuse(f"G{cycle:g}", f"G{cycle:g} contradicts G{mode:g} in the same line", lost=True)
+            axes.clear()
+            return
         if cycle == 80:
             self.cycle = cycle = None
         if cycle is not None or (self.cycle is not None and not axes.keys().isdisjoint("XYZ")):
@@ -190,7 +194,7 @@ class Machine:
         elif length and feed == 0:
             self.program.refuse("F", "zero feed on a cutting move", derived=True)
         elif length:
-            advice = "give path.feed_rate_m_per_min in the cell"
+            advice = "give path.feed_rate_m_per_min in the cell" if self.no_feed == NO_FEED else ""
             self.program.refuse("F", self.no_feed, advice, derived=True)
 
     def _feed_rate(self, length: float) -> float | None:
@@ -271,6 +275,7 @@ class Machine:
             cycle.peck = abs(peck) * self.unit
         if not 0 <= repeats <= REPEATS or repeats != int(repeats) or (repeats > 1 and not self.incremental):
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
+            axes.clear()
             return
         place = {axis: axes.pop(axis) for axis in "XY" if axis in axes}
         if not repeats:  # the cycle is defined and drills nothing here

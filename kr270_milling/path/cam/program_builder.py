@@ -173,7 +173,7 @@ class ProgramBuilder(PathBuilder):
         if not refused or len(cutters) < 2:
             refused += _several_speeds(speeds)
             for kind, words in frames.items():
-                refused += _several(kind, [(name or "G54", line) for name, line in words.items()])
+                refused += _several(kind, list({name or "G54": line for name, line in words.items()}.items()))
         names = list(self.features)
         return SourceProgram(
             title=self.title,

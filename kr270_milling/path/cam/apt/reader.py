@@ -39,6 +39,7 @@ __all__ = ["read_apt"]
 
 WORD = re.compile(r"[A-Z][A-Z0-9 _-]*")
 TEXT = re.compile(rf"\s*(?:{'|'.join(TEXTS)})\b", re.I)
+BEGINNING = re.compile(r"\s*([A-Z][A-Z-]*)\s*(?:[/$]|\Z)", re.I)
 ROW = re.compile(r"[-+0-9.,EeDd \t]*\$?\s*")  #: numbers that continue a remark of Creo
 CARD = re.compile(r".{72}\s{0,7}[A-Z]{0,5}([0-9]{1,8})\s*")  #: columns 73 to 80 of a punched card number it
 INSERTED = re.compile(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", re.I)  #: a block of an INSERT that sets or moves
@@ -98,6 +99,9 @@ class _AptReader(Machine):
             if remark and not remark.endswith("$"):
                 self._remark(remark)
                 remark = ""
+            if statement and self._begins(statement) in SILENT and self._begins(line):
+                self._counted(statement)  # the sign in it is text: it would swallow a statement in silence
+                statement = ""
             if not statement and TEXT.match(line):
                 code, comment, note, continued = line, "", "", ""
             else:
@@ -130,6 +134,12 @@ class _AptReader(Machine):
         if self.circle is not None:
             self.program.refuse("CIRCLE", NO_END, line=self.circle[1])
 
+    def _begins(self, line: str) -> str:
+        """Return the known word that a line begins with, "" for none."""
+        match = BEGINNING.match(line)
+        word = match[1].upper() if match else ""
+        return word if word in self.actions or word in SILENT or word in ADVICE or word in TEXTS else ""
+
     def _counted(self, statement: str) -> None:
         """Run a statement and note that it was used, counted or refused."""
         words, refusals, counted = self.program.words, self.program.refusals, self.program.words["counted"]
@@ -148,6 +158,8 @@ class _AptReader(Machine):
             self._text(first, (tail or head.strip()[6:]).strip(), statement.strip()[6:])
         elif word == "TOOL PATH":
             self._tool_path(tail)
+        elif first in ("MODE", "SET", "SETMODE") and "INCR" in values:
+            self.program.refuse(first, f"{first}/INCR makes coordinates lengths", MOVES, lost=True)
         elif first in SILENT or (first in ADVICE and values in (["OFF"], ["NOMORE"])):
             self.program.count(first)
         elif first in ADVICE:

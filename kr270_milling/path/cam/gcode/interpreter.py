@@ -35,7 +35,7 @@ FURTHER = frozenset("ABCUVW")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 OF_DATA = "LPQRXYZIJKHD"  #: letters of G10
-FEED_UNIT = "the feed {} comes before or with {}, and controls take it in either unit"
+FEED_UNIT = "the feed {} comes before or with {}, and controls take it in either unit; write F after it"
 
 
 class Interpreter(Machine):
@@ -135,6 +135,8 @@ class Interpreter(Machine):
         if "tool" in groups if self.changes else "T" in groups or "tool" in groups:
             if groups.get("tool") == 61 and "Q" in axes:  # the number of the tool that is in the spindle
                 self.next_tool = named("T", axes.pop("Q"))
+            elif groups.get("tool") == 61:
+                self.program.refuse("M61", "M61 without Q, the number of the tool")
             self.change_tool(self.next_tool)
         if "dwell" in groups:
             self._dwell(groups, axes)
@@ -150,6 +152,8 @@ class Interpreter(Machine):
         if "refused" in groups:
             axes.clear()
         if groups.get("spindle") == 19:
+            if "S" in axes:
+                self.program.refuse("M19", "M19 with S is a speed or an angle", "write S in the line of M3 or M4")
             self._read_over("M19", axes, SILENT_M[19])
 
     def _offset(self, groups: dict, axes: dict) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
-from kr270_milling.path.cam.gcode.words import ADVICE, MACROS, SILENT, UNKNOWN
+from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
@@ -150,7 +150,10 @@ class GcodeReader:
                 name, bracket, rest = text.partition("(")
                 names.append((name.strip(), bracket + rest))
             elif kind != "blank":
-                self._refuse(kind, text)
+                if stated := [name for name, _ in names if name in ADVICE]:  # IF, GOTO ... with what they compute
+                    self.program.refuse(stated[0], advice=ADVICE[stated[0]], lost=True)
+                else:
+                    self._refuse(kind, text)
                 break
         else:
             if self._known(names, any(letter != "N" for letter, _ in words)):
@@ -181,7 +184,8 @@ class GcodeReader:
         if kind in ("macro", "expression"):
             self.program.refuse(text, advice=MACROS, lost=True)
         elif kind == "bare":
-            self.program.refuse(text, f"the word {text} has no number")
+            advice = HEIDENHAIN if text in ("L", "C") else ""
+            self.program.refuse(text, f"the word {text} has no number", advice)
         elif re.match(r",[0-9]", text):
             reason = f"a number with a decimal comma before {short(text)!r}"
             self.program.refuse(text, reason, "write a decimal point", lost=True)
