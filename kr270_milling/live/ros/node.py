@@ -62,11 +62,11 @@ def guarded(callback):
 
 
 def _read(type_name: str, topic: str, data: bytes):
-    """Return the record of a message; raises MillingError."""
+    """Return the record of a message; raises MessageError."""
     try:
         return from_bytes(type_name, data)
-    except (MessageError, ExchangeError):
-        raise
+    except MillingError as error:
+        raise MessageError(str(error)) from None
     except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
         raise MessageError(f"{topic}: cannot be read as {type_name.rpartition('/')[2]}: {error}") from None
 
@@ -178,10 +178,10 @@ class ReportingNode(Ending, Node):
     def _refuse(self, source: str, sentence: str, message: bool) -> None:
         """Count what cannot be used; message: the reason is the content of the message."""
         self.refused += 1
-        count, before, said = self.unusable.get(source, (0, "", -math.inf))
+        count, before, reported = self.unusable.get(source, (0, "", -math.inf))
         now = time.monotonic()
-        say = not message or (sentence != before and now - said > SAY_AGAIN)
-        self.unusable[source] = count + 1, sentence, now if say else said
+        say = not message or (sentence != before and now - reported > SAY_AGAIN)
+        self.unusable[source] = count + 1, sentence, now if say else reported
         if say:
             self.report(WARN if message else ERROR, sentence)
 
