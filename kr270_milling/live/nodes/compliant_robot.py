@@ -13,7 +13,6 @@ from kr270_milling.base.samples import Text, WrenchSample
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, LOST, OK, WARN, ManagedNode, Silence, guarded
-from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import COMPENSATOR, RECORDER, ROBOT
@@ -32,7 +31,7 @@ class CompliantRobot(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("compliant_robot", **kwargs)
-        self.cell = declare_cell(self)
+        self.cell = self.declared_cell()
         self.protocol = RobotProtocol(self.cell)
         about = "seconds of the pass in a second of the wall clock; 0: as fast as possible"
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]

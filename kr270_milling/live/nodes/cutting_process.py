@@ -9,7 +9,6 @@ from kr270_milling.base.samples import PoseSample
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
-from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import CUT
 
@@ -23,7 +22,7 @@ class CuttingProcess(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
-        self.cell = declare_cell(self)
+        self.cell = self.declared_cell()
         self.protocol = CutProtocol(self.cell)
         self._robots = 0
         self._silence = Silence()

@@ -20,7 +20,6 @@ from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
-from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, poll
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
 from kr270_milling.live.ros.status import Status, status_topic
@@ -54,7 +53,10 @@ class TrajectoryCompensator(ReportingNode):
 
     def __init__(self, **kwargs):
         super().__init__("trajectory_compensator", **kwargs)
-        self.cell = declare_cell(self, writable=(METHOD,))
+        cell = self.declared_cell()
+        about = "how to compensate; a new method starts from the pass along the target"
+        method = self.declared(METHOD, cell.compensation.method, about, read_only=False)
+        self.cell = cell.replace(compensation=cell.compensation.replace(method=method))
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
         plant = self.declared("plant", "", about)
         cuts = read_cell(find_file(plant)) if plant else None

@@ -430,10 +430,8 @@ def test_reset_and_parameters_that_are_refused_are_answered_with_the_sentence(ma
     assert reset(machine).success
     assert node.set_parameters([Parameter("compensation.method", value="spline")])[0].successful
     machine.world.until(lambda: machine.reports.last.get(COMPENSATOR, {}).get("method") == "spline")
-    refused = node.set_parameters([Parameter("tool.diameter_mm", value=10.0)])[0]
+    refused = node.set_parameters([Parameter("cell_file", value="other.yaml")])[0]
     assert not refused.successful and "read-only" in refused.reason
-    described = node.describe_parameter("tool.diameter_mm")
-    assert "mm" in described.description and described.floating_point_range[0].to_value > 20.0
 
 
 def test_pass_without_its_start_and_one_whose_revision_is_refused_are_reported_and_the_next_counts(
