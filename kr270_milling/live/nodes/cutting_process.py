@@ -105,6 +105,7 @@ class CuttingProcess(ManagedNode):
         volume = self.protocol.removed_volume
         return {
             "state": self.state,
+            "active": self.active,  # the robot starts a pass then
             "pass_time_s": f"{max(self.stamp_ns - self.protocol.start_ns, 0) * 1e-9:.6f}",
             "removed_volume_m3": "" if volume is None else repr(volume),
         }
