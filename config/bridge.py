@@ -1,6 +1,6 @@
 """Bridge of a real cell: joint positions of a driver become ``tool_pose``, a force sensor becomes ``wrench``.
 
-python bridge.py --ros-args --params-file CELL.yaml -r joint_states:=/DRIVER/joint_states -r force:=/SENSOR/wrench
+python bridge.py --ros-args -p cell_file:=CELL.yaml -r joint_states:=/DRIVER/joint_states -r force:=/SENSOR/wrench
 
 The stamps are those of the driver and of the sensor. Joint positions do not contain the deflection of the arm: where a
 tracker measures the tool, let the tracker publish ``tool_pose`` and add ``-r tool_pose:=encoder_pose`` here.
@@ -14,7 +14,6 @@ from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import JointSample, PoseSample, WrenchSample
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import OK, ReportingNode
-from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.spin import run_node
 from kr270_milling.physics.robot import pose
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -27,7 +26,7 @@ class Bridge(ReportingNode):
 
     def __init__(self, **kwargs):
         super().__init__("bridge", **kwargs)
-        self.cell = declare_cell(self)
+        self.cell = self.declared_cell()
         self.base_in_workpiece = self.cell.workpiece.pose.inverse()
         self.tool_pose = self.create_publisher(*topics.TOOL_POSE)
         self.wrench = self.create_publisher(*topics.WRENCH)

@@ -15,9 +15,9 @@ until grep -q "recording to" "$recorded"; do # before there is anything that it 
   kill -0 "${nodes[@]}" || { echo "the recorder ended" >&2; exit 1; }
   sleep 0.1
 done
-trajectory_compensator --ros-args --params-file "$cell" 2>"$log" &
+trajectory_compensator --ros-args -p cell_file:="$cell" 2>"$log" &
 nodes+=($!)
-milling_cell --ros-args --params-file "$cell" -p autostart:=true &
+milling_cell --ros-args -p cell_file:="$cell" -p autostart:=true &
 nodes+=($!)
 
 # the compensator revises the reference when a pass is complete

@@ -216,14 +216,14 @@ class World:
         self.caller = None  # the node that calls services
 
     def add(self, kind, *arguments: str, cell=None, directory: Path | None = None, **kwargs):
-        """A node of this package; arguments as behind --ros-args; cell: its parameters."""
+        """A node of this package; arguments as behind --ros-args; cell: its cell_file."""
         from kr270_milling.cell.cell_file import write_cell_file
 
         arguments = list(arguments)
         if cell is not None:
             file = Path(directory, f"cell_{len(self.nodes)}.yaml")
             write_cell_file(cell, file)
-            arguments = ["--params-file", str(file), *arguments]
+            arguments = ["-p", f"cell_file:={file}", *arguments]
         node = kind(context=self.context, use_global_arguments=False, cli_args=["--ros-args", *arguments], **kwargs)
         return self.take(node)
 

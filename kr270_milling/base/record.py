@@ -1,4 +1,4 @@
-"""Parameter records: one dataclass, read from a ROS parameter file offline and declared by a node on line.
+"""Parameter records: one dataclass, read from a parameter file.
 
 A physics module owns its record::
 

@@ -232,7 +232,7 @@ class Graph:
             self.check()
             self.driver.spin()
             if time.monotonic() > end:
-                raise RunError("graph", self._value("waiting_for") or "the compensator does not receive `recording`")
+                raise RunError("graph", self._value("waiting_for") or "the compensator does not know the recording")
 
     def end_recording(self) -> None:
         """Close the file of the recorder, then create the next workpiece."""

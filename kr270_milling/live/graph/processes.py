@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import math
 import os
 import shlex
@@ -148,10 +149,10 @@ def stop(children: Iterable[Child], grace: float = GRACE) -> list[str]:
     return [child.name for child in killed]
 
 
-def ros_arguments(parameters: Path, namespace: str, *more: str) -> list[str]:
-    """Return the arguments of a node with a parameter file in a namespace."""
+def ros_arguments(cell_file: Path, namespace: str, *more: str) -> list[str]:
+    """Return the arguments of a node with a cell in a namespace."""
     space = ["-r", f"__ns:={namespace}"] if namespace != "/" else []
-    return ["--ros-args", "--params-file", str(parameters), *space, *more]
+    return ["--ros-args", "-p", f"cell_file:={json.dumps(str(cell_file))}", *space, *more]
 
 
 def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = None) -> dict:

@@ -12,15 +12,13 @@ from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import Text, WrenchSample
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.node import ERROR, LOST, OK, WARN, ManagedNode, Silence, guarded
-from kr270_milling.live.ros.parameters import declare_cell
+from kr270_milling.live.ros.node import ERROR, LOST, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
-from kr270_milling.recordings.messages.topics import COMPENSATOR, RECORDER, ROBOT
+from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["CompliantRobot"]
 
-RETRY = 0.5  # [s] of the wall clock without a wrench, after which the tool pose is published again
 LOOK = 0.1  # [s] of the wall clock between two checks
 AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
 MOST_EXCHANGES = 8000  # that the pass may be ahead of compensator or recorder, whose queues have 20,000 messages
@@ -32,7 +30,7 @@ class CompliantRobot(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("compliant_robot", **kwargs)
-        self.cell = declare_cell(self)
+        self.cell = self.declared_cell()
         self.protocol = RobotProtocol(self.cell)
         about = "seconds of the pass in a second of the wall clock; 0: as fast as possible"
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
@@ -46,9 +44,11 @@ class CompliantRobot(ManagedNode):
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
         self._planner = self.subscribe(status_topic(COMPENSATOR), self._on_planner)
+        self._cut = self.subscribe(status_topic(CUT), self._on_cut)
         self.subscribe(status_topic(RECORDER), self._on_recorder)
         self._readers: dict[str, tuple[float, int]] = {}  # node: arrival of its status [s], stamp of its last pose [ns]
         self._ready = False  # as the compensator reported last
+        self._cut_active = False  # as the cutting process reported last
         self.create_timer(LOOK, self._watch_answer)
         self.set_values(reference="")
         self.report(OK, "unconfigured")
@@ -79,6 +79,9 @@ class CompliantRobot(ManagedNode):
         self._ready = not status.values.get("waiting_for")
         self._note_reader(COMPENSATOR, status)
 
+    def _on_cut(self, text: Text) -> None:
+        self._cut_active = bool(Status.from_text(text.text).values.get("active"))
+
     def _on_recorder(self, text: Text) -> None:
         self._note_reader(RECORDER, Status.from_text(text.text))
 
@@ -95,26 +98,24 @@ class CompliantRobot(ManagedNode):
 
     @guarded
     def _watch_answer(self) -> None:
-        """Start the pass when the graph is ready; repeat the pose, and give up, when no wrench arrives."""
+        """Start the pass when the graph is ready; give up when no wrench arrives."""
         protocol, silent = self.protocol, self._silence.seconds()
         if not self.active or self._late or (protocol.started and (protocol.done or self._given_up)):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
         if not protocol.started:
             ready = self._ready or not self._planner.get_publisher_count()
-            if cut and ready and protocol.reference is not None and not self.used("reference_trajectory", self._start):
+            active = self._cut_active or not self._cut.get_publisher_count()
+            usable = cut and ready and active and protocol.reference is not None
+            if usable and not self.used("reference_trajectory", self._start):
                 protocol.reference = None  # a pass cannot follow it
             return
-        if not cut and not protocol.time_ns:
-            self.activate()  # the cut left before the pass began
-        elif protocol.time_ns and (not cut or silent > LOST):
+        if not cut or silent > LOST:
             what = "no wrench: its publisher is gone" if not cut else f"no wrench for {LOST:g} s"
             self._given_up = True
             self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
-        elif silent > RETRY:
-            silence = "no wrench from the cutting process: repeating the tool pose"
-            self.report(WARN, silence if protocol.time_ns else "the cutting process is not active yet")
-            self.send(protocol.repeat())
+        elif self._silence.is_due(silent):
+            self.report(WARN, f"no wrench for {SILENT:g} s from the cutting process")
 
     def _start(self) -> bool:
         outputs = self.protocol.start()
@@ -130,9 +131,6 @@ class CompliantRobot(ManagedNode):
         outputs = self.protocol.wrench(sample)
         if not outputs and not self.protocol.done:
             return  # not the awaited wrench
-        if sample.stamp == self.protocol.start_ns:
-            self._started = time.monotonic()  # the cutting process may have started late
-            self.report(OK, "pass running")
         self.stamp_ns = sample.stamp
         self._answer(outputs)
         if self.protocol.done:
@@ -140,7 +138,8 @@ class CompliantRobot(ManagedNode):
 
     def _answer(self, outputs) -> None:
         """Publish the outputs; delay the next tool pose to the wall clock of a pace, or for readers that are late."""
-        self._silence.end()
+        if self._silence.end():
+            self.report(OK, "pass running")
         if not self.protocol.done:
             ahead = LOOK if self._is_too_far_ahead() else 0.0
             if self.pace > 0.0:

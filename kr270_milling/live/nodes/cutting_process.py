@@ -9,7 +9,6 @@ from kr270_milling.base.samples import PoseSample
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
-from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import CUT
 
@@ -23,7 +22,7 @@ class CuttingProcess(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
-        self.cell = declare_cell(self)
+        self.cell = self.declared_cell()
         self.protocol = CutProtocol(self.cell)
         self._robots = 0
         self._silence = Silence()
@@ -106,6 +105,7 @@ class CuttingProcess(ManagedNode):
         volume = self.protocol.removed_volume
         return {
             "state": self.state,
+            "active": self.active,  # the robot starts a pass then
             "pass_time_s": f"{max(self.stamp_ns - self.protocol.start_ns, 0) * 1e-9:.6f}",
             "removed_volume_m3": "" if volume is None else repr(volume),
         }

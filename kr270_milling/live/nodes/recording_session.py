@@ -11,7 +11,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.errors import MessageError, RecordingError
 from kr270_milling.exchange.scene import INPUTS, Derived, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, WARN, ReportingNode
@@ -69,10 +69,9 @@ class RecordingSession:
 
     def _on_scene(self, topic: str, data: bytes, published: int) -> None:
         self.writer.write(topic, data, published)
-        namespace, _, name = topic.rpartition("/")
+        namespace = topic.rpartition("/")[0]
         scene = self._scenes.setdefault(namespace, Scene())
-        derived: list[Derived] = self._node.used(topic, lambda: list(scene.take(name, data))) or []
-        for message in derived:
+        for message in self._node.used(topic, _derived, scene, topic, data) or ():
             name = namespace + message.topic
             if name in self._live or (name not in self._subscriptions and is_recorded(name, self._topics)):
                 self.writer.add_topic(name, message.type, [DERIVED_QOS])
@@ -178,6 +177,14 @@ class RecordingSession:
                 logger.warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
         logger.info(f"{self.writer.count} messages in {self.writer.path}")
         return None
+
+
+def _derived(scene: Scene, topic: str, data: bytes) -> list[Derived]:
+    """Return the messages for viewers that follow from a message; raises MessageError."""
+    try:
+        return list(scene.take(topic.rpartition("/")[2], data))
+    except Exception as error:  # noqa: BLE001 - what cannot be shown is recorded still
+        raise MessageError(f"{topic} cannot be shown: {error}") from None
 
 
 def _matching(publishers) -> QoSProfile:

@@ -59,9 +59,9 @@ def _help(name: str) -> int:
     """Print what a node does and how to start the node."""
     parser = argparse.ArgumentParser(
         prog=name,
-        usage=f"{name} --ros-args --params-file CELL.yaml [-p KEY:=VALUE] [-r NAME:=NAME]",
+        usage=f"{name} --ros-args -p cell_file:=CELL.yaml [-p NAME:=VALUE] [-r NAME:=NAME]",
         description=(_node_class(name).__doc__ or "").split("\n\n")[0],
-        epilog="The command kr270_milling keys lists the parameters of a cell with unit, range and default.",
+        epilog="ros2 param describe lists the parameters of a running node. The cell is read once.",
     )
     parser.print_help()
     return 0

@@ -10,7 +10,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from kr270_milling.base.errors import MessageError
+from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.samples import JointSample, PoseSample, Text, WrenchSample
 from kr270_milling.base.units import SECOND
@@ -20,14 +20,14 @@ from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
-from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, poll
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
+from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.live.ros.topics import RosTopic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.recordings.messages.cdr import stamp_of
-from kr270_milling.recordings.messages.topics import COMPENSATOR
+from kr270_milling.recordings.messages.topics import COMPENSATOR, RECORDER
 from kr270_milling.recordings.messages.viewer import path_bytes
 
 __all__ = ["TrajectoryCompensator"]
@@ -53,7 +53,10 @@ class TrajectoryCompensator(ReportingNode):
 
     def __init__(self, **kwargs):
         super().__init__("trajectory_compensator", **kwargs)
-        self.cell = declare_cell(self, writable=(METHOD,))
+        cell = self.declared_cell()
+        about = "how to compensate; a new method starts from the pass along the target"
+        method = self.declared(METHOD, cell.compensation.method, about, read_only=False)
+        self.cell = cell.replace(compensation=cell.compensation.replace(method=method))
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
         plant = self.declared("plant", "", about)
         cuts = read_cell(find_file(plant)) if plant else None
@@ -68,7 +71,7 @@ class TrajectoryCompensator(ReportingNode):
         own = self.declared("use_cell_path", True, about)
         self.set_values(recording="", reference="")
         self.open_outlets(COMPENSATOR)
-        self.subscribe(topics.RECORDING, self._on_recording)
+        self.subscribe(status_topic(RECORDER), self._on_recorder)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
         self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose, polled=True)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench, polled=True)
@@ -100,14 +103,20 @@ class TrajectoryCompensator(ReportingNode):
         return self.get_clock().now().nanoseconds
 
     def _on_target(self, target: Trajectory) -> None:
-        self._publish(self.protocol.begin(target), TARGET)
+        try:
+            outputs = self.protocol.begin(target)
+        except MillingError as error:  # out of reach; the target before remains
+            raise MessageError(f"target_trajectory: {error}") from None
+        self._publish(outputs, TARGET)
 
-    def _on_recording(self, name: Text) -> None:
-        """Take the name of the file to which the next passes are recorded."""
-        self.protocol.recording = name.text
-        self.set_values(recording=self.protocol.recording)
-        self._readiness.check()
-        self.publish_report()
+    def _on_recorder(self, text: Text) -> None:
+        """Take the name of the file to which the next passes are recorded, DIRECTORY/NAME.mcap; empty: none."""
+        name = str(Status.from_text(text.text).values.get("recording", ""))
+        if name != self.protocol.recording:
+            self.protocol.recording = name
+            self.set_values(recording=name)
+            self._readiness.check()
+            self.publish_report()
 
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
         self.send(outputs)

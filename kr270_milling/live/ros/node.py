@@ -19,8 +19,10 @@ from rclpy.qos import ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from kr270_milling.base.errors import MessageError, MillingError, one_line
+from kr270_milling.base.errors import InputError, MessageError, MillingError, one_line
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.units import SECOND
+from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.polling import is_polled, polled_subscription
@@ -62,11 +64,11 @@ def guarded(callback):
 
 
 def _read(type_name: str, topic: str, data: bytes):
-    """Return the record of a message; raises MillingError."""
+    """Return the record of a message; raises MessageError."""
     try:
         return from_bytes(type_name, data)
-    except (MessageError, ExchangeError):
-        raise
+    except MillingError as error:
+        raise MessageError(str(error)) from None
     except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
         raise MessageError(f"{topic}: cannot be read as {type_name.rpartition('/')[2]}: {error}") from None
 
@@ -142,6 +144,14 @@ class ReportingNode(Ending, Node):
         descriptor = ParameterDescriptor(description=about, read_only=read_only, **fields)
         return self.declare_parameter(name, default, descriptor).value
 
+    def declared_cell(self) -> Cell:
+        """Declare the parameter ``cell_file`` and return the cell of this file. Raises InputError, ConfigError."""
+        name = self.declared("cell_file", "", "parameter file of the cell; a shipped file may go by its name")
+        if not name:
+            where = f"parameters of {self.get_fully_qualified_name()}"
+            raise InputError(where, "cell_file is missing: -p cell_file:=CELL.yaml")
+        return read_cell(find_file(name))
+
     def subscribe(self, topic: topics.RosTopic, use: Callable, read: Callable | None = None, polled: bool = False):
         """Subscribe to a topic; ``use`` receives the record of each message, see ``used``.
 
@@ -178,10 +188,10 @@ class ReportingNode(Ending, Node):
     def _refuse(self, source: str, sentence: str, message: bool) -> None:
         """Count what cannot be used; message: the reason is the content of the message."""
         self.refused += 1
-        count, before, said = self.unusable.get(source, (0, "", -math.inf))
+        count, before, reported = self.unusable.get(source, (0, "", -math.inf))
         now = time.monotonic()
-        say = not message or (sentence != before and now - said > SAY_AGAIN)
-        self.unusable[source] = count + 1, sentence, now if say else said
+        say = not message or (sentence != before and now - reported > SAY_AGAIN)
+        self.unusable[source] = count + 1, sentence, now if say else reported
         if say:
             self.report(WARN if message else ERROR, sentence)
 
@@ -280,7 +290,7 @@ class ReportingNode(Ending, Node):
             values=[KeyValue(key=k, value=str(v)) for k, v in status.values.items()],
         )
         array = DiagnosticArray(status=[diagnostic])
-        array.header.stamp = stamp_from_ns(self.stamp_ns)
+        array.header.stamp = self.get_clock().now().to_msg()
         self._report_publisher.publish(array)
 
 

@@ -6,6 +6,7 @@ import fnmatch
 from collections.abc import Mapping, Sequence
 from functools import partial
 
+from kr270_milling.base.errors import MessageError
 from kr270_milling.base.samples import Text
 from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
@@ -40,8 +41,7 @@ class Readiness:
 
     def check(self) -> None:
         """Decide again, and publish the answer in the status of the node where it has changed."""
-        before, missing = self.waiting_for, self._node.used("~/status", self._missing)
-        self.waiting_for = "a status cannot be used" if missing is None else missing
+        before, self.waiting_for = self.waiting_for, self._missing()
         if self.waiting_for != before:
             self._node.set_values(waiting_for=self.waiting_for)
             self._node.publish_report()
@@ -52,10 +52,18 @@ class Readiness:
         for name in self._needed:
             if name not in present and not self._is_foreign_partner(name):
                 return f"{name} is not in the graph (parameter wait_for)"
-        if problem := unmatched({**self._statuses, self._node.get_name(): self._node.status()}):
+        if problem := self._node.used("~/status", self._unmatched):
             self._confirmed.clear()
             return problem
         return next((f"no status of {name} yet" for name in sorted(present - self._confirmed)), "")
+
+    def _unmatched(self) -> str:
+        try:
+            return unmatched({**self._statuses, self._node.get_name(): self._node.status()})
+        except Exception as error:  # noqa: BLE001 - a stranger may send any values in a status
+            self._statuses.clear()
+            self._confirmed.clear()
+            raise MessageError(f"status: its values cannot be used: {error}") from None
 
     def _is_foreign_partner(self, name: str) -> bool:
         infos = (info for topic in self._inputs for info in self._node.get_publishers_info_by_topic(topic))
@@ -84,7 +92,7 @@ def unmatched(statuses: Mapping[str, Status]) -> str:
             if count < len(wanted):
                 return f"{publisher} has not discovered every subscriber of {topic}"
     for key in ("reference", "recording"):
-        values = {node: status.values[key] for node, status in statuses.items() if key in status.values}
+        values = {node: str(status.values[key]) for node, status in statuses.items() if key in status.values}
         if len(set(values.values())) > 1:
             return f"not every node has the {key}: {values}"
     return ""

@@ -67,7 +67,7 @@ TOPICS = (
           note="for a real controller; on request, service `~/send_joint_trajectory`"),
     Topic("target_path", "nav_msgs/msg/Path", None, COMPENSATOR, latched=True, note="for viewers"),
     Topic("reference_path", "nav_msgs/msg/Path", None, COMPENSATOR, latched=True, note="for viewers"),
-    Topic("recording", "std_msgs/msg/String", Text, RECORDER, (COMPENSATOR,), latched=True,
+    Topic("recording", "std_msgs/msg/String", Text, RECORDER, latched=True,
           note="file that is being written; empty: none"),
     Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "", stamped=True,
           note="of the command `rsi`: displacement and rotation that the controller adds"),

@@ -57,9 +57,14 @@ def run_rsi(args) -> Answer:
         report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
         session = RsiSession(connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist")
         ended: list[int] = []
+
+        def end(number: int, _) -> None:
+            ended.append(number)
+            session.stop.set()  # between two answers
+
         with suppress(ValueError):  # only the main thread may
-            for number in STOPS:  # between two answers
-                signal.signal(number, lambda caught, _: ended.append(caught) or session.stop.set())
+            for number in STOPS:
+                signal.signal(number, end)
         with real_time() as refused:
             if refused:
                 report(refused)

@@ -185,23 +185,22 @@ def test_node_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(
     loop.matches(ran)
 
 
-def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, ran, monkeypatch):
-    monkeypatch.setattr(compliant_robot, "LOST", 0.5)
+def test_robot_waits_for_as_long_as_its_cut_is_not_active(world, loop, ran):
     loop.start(cut=False)
     asked = world.listen(loop.ear, topics.TOOL_POSE)
-    world.until(lambda: len(asked) >= 6)  # longer than a pass under way would be waited for
-    assert {from_msg(msg).stamp for msg in asked} == {loop.robot.protocol.start_ns}
-    assert not loop.reports.reported(ROBOT, "", ERROR)
+    world.step(1.0)
+    assert not asked and not loop.reports.reported(ROBOT, "", ERROR)
     loop.cut.trigger_activate()
     loop.matches(ran)
+    assert len(asked) == ran.time_ns.size
 
 
 def test_silent_cut_is_reported_and_the_pass_is_given_up(world, loop, monkeypatch):
-    monkeypatch.setattr(compliant_robot, "LOST", 1.5)
+    monkeypatch.setattr(compliant_robot, "LOST", 3.5)
     loop.reach(20)
     world.executor.remove_node(loop.cut)
-    loop.reports.until(ROBOT, "no wrench from the cutting process: repeating the tool pose", WARN)
-    loop.reports.until(ROBOT, "no wrench for 1.5 s; the cutting process is gone", ERROR)
+    loop.reports.until(ROBOT, "no wrench for 2.6 s from the cutting process", WARN)
+    loop.reports.until(ROBOT, "no wrench for 3.5 s; the cutting process is gone", ERROR)
     world.executor.add_node(loop.cut)
     count = len(loop.series["deflection"])
     world.step(0.3)
@@ -308,7 +307,7 @@ def test_what_does_not_fit_the_start_message_is_reported(world, short_cell, tmp_
 
 
 def test_a_tracker_by_best_effort_is_taken_by_the_compensator_and_named_by_a_node_that_needs_every_pose(
-    world, node, short_cell, tmp_path, ran
+    world, node, short_cell, tmp_path, ran, patient
 ):
     world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     tracker = world.partner("tracker")
@@ -392,7 +391,7 @@ def test_refused_targets_leave_the_node_waiting_for_another_or_with_the_one_befo
     target = short_cell.target()
     out_of_reach = to_bytes(target.with_position(target.position + [0.0, 0.0, 9.0]))
     publisher.publish(out_of_reach)
-    machine.reports.until(COMPENSATOR, "reach", ERROR)
+    machine.reports.until(COMPENSATOR, "reach", WARN)
     world.step(0.3)
     assert node.failure is None and not machine.references
     longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
@@ -430,10 +429,8 @@ def test_reset_and_parameters_that_are_refused_are_answered_with_the_sentence(ma
     assert reset(machine).success
     assert node.set_parameters([Parameter("compensation.method", value="spline")])[0].successful
     machine.world.until(lambda: machine.reports.last.get(COMPENSATOR, {}).get("method") == "spline")
-    refused = node.set_parameters([Parameter("tool.diameter_mm", value=10.0)])[0]
+    refused = node.set_parameters([Parameter("cell_file", value="other.yaml")])[0]
     assert not refused.successful and "read-only" in refused.reason
-    described = node.describe_parameter("tool.diameter_mm")
-    assert "mm" in described.description and described.floating_point_range[0].to_value > 20.0
 
 
 def test_pass_without_its_start_and_one_whose_revision_is_refused_are_reported_and_the_next_counts(
@@ -462,7 +459,13 @@ SPACE = "/work_cell"
 REMAPPED = ("-r", "joint_states:=driver/joint_states", "-r", "force:=sensor/force", "-r", "tool_pose:=encoder_pose")
 
 
-def test_learning_converges_with_a_robot_and_a_sensor_of_other_makers(world, tmp_path):
+@pytest.fixture
+def patient(monkeypatch):
+    """On a busy machine the poses of a test may come late, where those of a robot would not."""
+    monkeypatch.setattr("kr270_milling.live.nodes.trajectory_compensator.BREAK_NS", 10**12)
+
+
+def test_learning_converges_with_a_robot_and_a_sensor_of_other_makers(world, tmp_path, patient):
     """A driver and a sensor have their own names; before the pass, the robot waits 10 mm away from the start."""
     given = (*PLACED, "compensation.method=learned", "imperfections.pose_noise_um=5")
     cell = read_cell(find_file("paper.yaml"), given)

@@ -28,7 +28,7 @@ from kr270_milling.recordings.bag.reader import Recording
 
 ROOT = Path(__file__).resolve().parents[3]
 PAPER = str(ROOT / "config" / "paper.yaml")
-NODE = [sys.executable, "-m", "kr270_milling.live.nodes", "compliant_robot", "--ros-args", "--params-file", PAPER]
+NODE = [sys.executable, "-m", "kr270_milling.live.nodes", "compliant_robot", "--ros-args", "-p", f"cell_file:={PAPER}"]
 
 
 def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment):
@@ -75,9 +75,11 @@ def ended_here(monkeypatch, program: str, *words: str) -> int:
 
 @pytest.mark.parametrize(("program", "words", "named"), [
     ("compliant_robot", ["--ros-args", "-p", "x"], "x"),
-    ("milling_cell", ["--ros-args", "--params-file", "nowhere.yaml"], "nowhere.yaml"),
+    ("milling_cell", ["--ros-args", "-p", "cell_file:=nowhere.yaml"], "nowhere.yaml"),
+    ("compliant_robot", [], "cell_file is missing"),
+    ("trajectory_compensator", [*NODE[4:], "-p", "compensation.method:=magic"], "linear"),
     ("player", ["--ros-args", "--unknown"], "--unknown"),
-    ("cutting_process", ["--ros-args", "--params-file", PAPER, "-p", "tool.diameter_mm:=-1.0"], "tool.diameter_mm"),
+    ("cutting_process", ["--ros-args", "-p", "cell_file:=[1, 2]"], "cell_file"),
     ("milling_cell", ["spindle"], "spindle"),
     ("milling_cell", ["player"], "player"),
     ("milling_cell", ["recorder", "recorder"], "named once"),

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 
 from ros_domain import is_used
 
-from kr270_milling.base.errors import ConfigError, InputError
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import Record, specs
 from kr270_milling.cell.cell import read_cell
@@ -92,23 +92,6 @@ def statuses(change) -> dict[str, Status]:
 ])  # fmt: skip
 def test_a_pass_may_start_when_every_end_of_every_topic_is_matched(change, sentence):
     assert unmatched(statuses(change)).startswith(sentence) and bool(unmatched(statuses(change))) == bool(sentence)
-
-
-def test_a_node_takes_whole_numbers_where_floats_are_due_also_of_an_included_file(world, tmp_path):
-    form = '/**:\n  ros__parameters:\n    includes: ["{}"]\n'
-    below = form.format("paper.yaml") + "    tool: {diameter_mm: 12}\n    mount: {abc_deg: [1, 89, 0]}\n"
-    (tmp_path / "below.yaml").write_text(below)
-    (tmp_path / "cell.yaml").write_text(form.format(tmp_path / "below.yaml") + "    path: {length_mm: 5}\n")
-    words = ("--params-file", str(tmp_path / "cell.yaml"))
-    cell = world.add(CuttingProcess, *words).cell
-    assert (cell.tool.radius, cell.path.length) == pytest.approx((6e-3, 5e-3))
-    np.testing.assert_allclose(np.degrees(cell.mount.abc), [1.0, 89.0, 0.0])
-    displayed = "{X: 300, Y: 0.0, Z: 140.0, A: 180.0, B: -90.0, C: 0}"
-    (tmp_path / "cell.yaml").write_text(form.format("test_piece.yaml") + f"    mount: {{tool_kuka: {displayed}}}\n")
-    np.testing.assert_allclose(1e3 * world.add(CuttingProcess, *words).cell.mount.xyz, [140, 0, -300], atol=1e-9)
-    for given, key in (("tool.teeth:=2.5", "teeth"), ("tool.diameter_mm:=-5", "diameter_mm")):
-        with pytest.raises(ConfigError, match=key):
-            world.add(CuttingProcess, *words, "-p", given)
 
 
 # --- the environment of node processes: discovery on this host only ---
