@@ -95,11 +95,11 @@ def run_export(args) -> Answer:
                 written = export_files(recording, directory, args.topics, report, kind)
                 files += written.files
                 refused |= written.refused
-        last = recording.last_log_time
+        first, last = recording.first_log_time or 0, recording.last_log_time or 0
     about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
     for sentence in () if args.json else refused.values():
         print("not exported: " + one_line(sentence), file=sys.stderr)
-    cut = [f"{recording.path} was cut off; this is what it holds up to {seconds(last or 0)} s"]
+    cut = [f"{recording.path} was cut off; this is what it holds, {seconds(last - first)} s"]
     return Answer(about, [*(cut if recording.cut_off else ()), *files], code=int(bool(refused)))
 
 
