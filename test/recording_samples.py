@@ -122,7 +122,7 @@ def record(directory, steps: int = 50, topics=tuple(TOPICS), **options) -> list[
         for step in range(steps):
             for topic in topics:
                 data = raw(sample(topic, step))
-                writer.write(topic, data, publish_time=10**18 + step)
+                writer.write(topic, data, 10**18 + step, step * PERIOD)
                 written.append((topic, step * PERIOD, data))
     return written
 

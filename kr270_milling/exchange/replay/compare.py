@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.recordings.bag.stamps import GapCounter, PassCounter
+from kr270_milling.recordings.bag.gaps import GapCounter
+from kr270_milling.recordings.bag.stamps import PassCounter
 from kr270_milling.recordings.messages.codec import deserialise, to_bytes, type_of
 
 __all__ = ["Channel", "Difference", "difference"]

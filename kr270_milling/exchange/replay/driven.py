@@ -60,13 +60,12 @@ def poses_lost(received: ReceivedPass) -> int:
 
 
 def driven_passes(
-    recording: Recording, cell: Cell, topics: Mapping[str, str]
+    recording: Recording, cell: Cell, topics: Mapping[str, str], unused: list[str]
 ) -> Iterator[tuple[Trajectory, ReceivedPass, bool]]:
     """Yield reference, messages and completeness of each pass of a robot with another clock, in the order of the file.
 
-    topics: our names -> recorded ones. A complete pass has no gap and runs to the end of its reference.
-
-    Raises RecordingError where the poses of a pass do not follow its reference.
+    topics: our names -> recorded ones; unused: receives the reason for each pass whose poses do not follow its
+    reference. A complete pass has no gap and runs to the end of its reference.
     """
     names = {topic: name for name, topic in topics.items() if name in TOPICS}
     frames = WrenchFrames(cell)
@@ -89,13 +88,19 @@ def driven_passes(
     for inbox, reference in inboxes:
         if not inbox.started or not inbox.foreign:
             continue
-        try:
-            got = inbox.received()
-        except MillingError as error:
-            raise RecordingError(recording.path, str(error)) from error
-        if got.pose_ns.size > 1:
+        got = _received(inbox, unused)
+        if got is not None and got.pose_ns.size > 1:
             whole = inbox.at_end and int(np.diff(got.pose_ns).max()) <= LONGEST_GAP
             yield reference, got, whole
+
+
+def _received(inbox: PassInbox, unused: list[str]) -> ReceivedPass | None:
+    """Return the messages of a pass; None where the compensator refuses them."""
+    try:
+        return inbox.received()
+    except MillingError as error:
+        unused.append(str(error))
+        return None
 
 
 def rsi_pass(

@@ -13,8 +13,8 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.inbox import PassInbox, ReceivedPass
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.inputs import INPUTS
+from kr270_milling.recordings.bag.gaps import PassStarts
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.stamps import PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 
 __all__ = ["EarlierRecordings", "NotRecorded", "PassCollector"]

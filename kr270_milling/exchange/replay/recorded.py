@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.driven import driven_passes, driven_steps, poses_lost, rsi_pass
-from kr270_milling.exchange.replay.inputs import TYPES
-from kr270_milling.path.trajectory import Trajectory, fingerprint
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import TopicSeries, several
-from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY
+from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
 
-__all__ = ["RecordedFacts", "pass_from_recording", "passes_from_recording", "topic_of"]
+__all__ = ["RecordedFacts", "pass_from_recording", "passes_from_recording"]
 
-DIAGNOSTICS = "/diagnostics"
-STATE = "diagnostic_msgs/msg/DiagnosticStatus"
-SERIES = ("tool_pose", "deflection", "wrench")
+EXCHANGED = ("tool_pose", "deflection", "wrench")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,74 +39,7 @@ class RecordedFacts:
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
     program: str | None = None  #: text of the tool path file, where the recording carries it
     stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Content:
-    """Messages of a recording that all passes need."""
-
-    references: dict[int, Trajectory]  #: by their starts [ns]
-    targets: dict[str, Trajectory]  #: by their fingerprints, in the order of the file
-    stated: dict[str, str]  #: fingerprint of a reference -> fingerprint of its target
-    walls: list[float]  #: reported times of the wall clock [s], one a complete pass
-    series: dict[str, TopicSeries]
-    topics: dict[str, str]  #: our names -> names in the recording
-    rsi: bool  #: an RSI session
-
-    def add_reference(self, data: bytes) -> None:
-        with contextlib.suppress(MillingError):  # the nodes refused it
-            reference = trajectory_from_bytes(data)
-            self.references.setdefault(reference.start_ns, reference)
-
-    def add_target(self, data: bytes) -> None:
-        with contextlib.suppress(MillingError):  # the compensator refused it
-            target = trajectory_from_bytes(data)
-            self.targets[fingerprint(target)] = target
-
-    def add_state(self, data: bytes) -> None:
-        with contextlib.suppress(ValueError):
-            state = from_bytes(STATE, data)
-            self.stated[state.reference] = state.target
-
-    def add_walls(self, walls: Iterable[float]) -> None:
-        self.walls.extend(wall for wall in walls if self.walls[-1:] != [wall])
-
-    def target_of(self, reference: Trajectory, default: Trajectory) -> Trajectory:
-        """Return the target that a reference follows from: as the compensator states it, else the last one recorded."""
-        if (stated := self.stated.get(fingerprint(reference))) is not None:
-            return self.targets.get(stated, default)
-        return list(self.targets.values())[-1] if self.targets else default
-
-
-class Window(NamedTuple):
-    """One pass; the stamps of the series are counted from its start."""
-
-    reference: Trajectory
-    target: Trajectory
-    series: dict[str, TopicSeries]
-
-
-class StepRows(NamedTuple):
-    """A series of one pass by the steps of the exchange, ascending."""
-
-    step: np.ndarray  #: (n,)
-    values: np.ndarray  #: (n, columns)
-
-
-def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
-    """The full name of one of the graph's topics in a recording; raises RecordingError where there is not just one."""
-    if namespace is not None:
-        matches = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
-        matches = [topic for topic in matches if topic in recording.topics()]
-    else:
-        matches = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
-        ours = [topic for topic in matches if recording.topics()[topic].type == TYPES[name]]
-        matches = ours or matches
-    if len(matches) != 1:
-        several = f"exists several times ({', '.join(matches)}): name a namespace" if matches else "is not recorded"
-        several += f" in the namespace {namespace}" if namespace is not None else ""
-        raise RecordingError(recording.path, f"the topic {name} {several}")
-    return matches[0]
+    unused: tuple[str, ...] = ()  #: of each pass of the recording that cannot be used, the reason
 
 
 def pass_from_recording(
@@ -130,59 +57,66 @@ def passes_from_recording(
 ) -> list[tuple[ScoredPass, RecordedFacts]]:
     """Return every pass of a recording and its facts, along reference and target of its time; the file is read once.
 
-    A file that was cut off gives the part that is there. remap: see ``Recording``. Raises RecordingError where there is
-    no pass.
+    A file that was cut off gives the part that is there. remap: see ``Recording``. A pass that cannot be used is left
+    out; the facts of the others name it. Raises RecordingError where no pass can be used.
     """
     with Recording(path, remap=remap) as recording:
         cell = attached_cell(recording)
         cells = cell, attached_plant(recording, cell)
-        content = _read(recording, namespace)
+        graph = read_graph(recording, cell.clock, namespace)
         program = _program(recording, cell)
+        rsi = f"{graph.namespace}/correction" in recording.topics()
+        unused: list[str] = []
         name = name or recording.path.stem
-        passes = [] if content.rsi else list(_exchanged(recording, cells, content, name, program))
-        passes = passes or list(_driven(recording, cells, content, name, program))
+        passes = [] if rsi else list(_exchanged(recording, cells, graph, name, program, unused))
+        passes = passes or list(_driven(recording, cells, graph, rsi, name, program, unused))
     if not passes:
         reason = "poses, wrenches and deflections of at least one period, or a pass of a robot with another clock"
-        raise RecordingError(recording.path, f"holds no pass: {reason}")
+        reason = unused[0] if unused else f"holds no pass: {reason}"
+        raise RecordingError(recording.path, reason)
+    passes = [(ran, dataclasses.replace(facts, unused=tuple(unused))) for ran, facts in passes]
     if len(passes) == 1:
         return passes
-    return [(dataclasses.replace(ran, name=f"{name}_{n}"), recorded) for n, (ran, recorded) in enumerate(passes, 1)]
+    return [(dataclasses.replace(ran, name=f"{name}_{n}"), facts) for n, (ran, facts) in enumerate(passes, 1)]
 
 
 def _exchanged(
-    recording: Recording, cells: tuple[Cell, Cell], content: Content, name: str, program: str | None
-) -> Iterator[tuple[ScoredPass, RecordedFacts]]:
+    recording: Recording, cells: tuple[Cell, Cell], graph: GraphRecord, name: str, program: str | None,
+    unused: list[str],
+) -> Iterator[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
     """Yield the scored passes of the simulated robot."""
-    windows = _windows(recording, cells[0], content)
-    walls = content.walls if len(content.walls) == len(windows) else [float("nan")] * len(windows)
-    for window, wall in zip(windows, walls, strict=True):
-        one = _scored(recording, cells, window, wall, name, program)
-        if one is not None:
-            yield one
+    walls = graph.walls if len(graph.walls) == len(graph.passes) else [float("nan")] * len(graph.passes)
+    for one, wall in zip(graph.passes, walls, strict=True):
+        if one.reason:
+            unused.append(f"does not separate its passes: {one.reason}")
+        elif (scored_pass := _scored(recording, cells, one, wall, name, program)) is not None:
+            yield scored_pass
 
 
 def _driven(
-    recording: Recording, cells: tuple[Cell, Cell], content: Content, name: str, program: str | None
-) -> Iterator[tuple[ScoredPass, RecordedFacts]]:
+    recording: Recording, cells: tuple[Cell, Cell], graph: GraphRecord, rsi: bool, name: str, program: str | None,
+    unused: list[str],
+) -> Iterator[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
     """Yield the scored passes whose poses have the stamps of a driver. Raises RecordingError."""
     cell, plant = cells
     default = cell.target()
-    if content.rsi:
-        ((_, reference),) = content.references.items()
-        programmed = content.target_of(reference, reference)
-        driven = iter([rsi_pass(recording, cell, programmed, reference, content.series["tool_pose"].values[:, :3])])
+    if rsi:
+        (reference,) = graph.references
+        programmed = graph.target_of(reference) or reference
+        place = series(recording, graph.topics["tool_pose"]).values[:, :3]
+        driven = iter([rsi_pass(recording, cell, programmed, reference, place)])
     else:
-        driven = driven_passes(recording, cell, content.topics)
+        driven = driven_passes(recording, cell, graph.topics, unused)
     for reference, received, whole in driven:
         _check_duration(recording, cell, reference)
-        target = default if content.rsi else content.target_of(reference, default)
+        target = default if rsi else graph.target_of(reference) or default
         steps, tool, wrench = driven_steps(cell.clock, reference, received, whole)
         off = tool - reference.sample(cell.clock.stamp(steps))
         rows = {"tool_pose": tool, "deflection": np.hstack([off, np.zeros_like(off)]), "wrench": wrench}
         result = _result(cells, target, reference, steps, rows, float("nan"))
         ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
         lost, complete = poses_lost(received), whole and not recording.cut_off
-        stamps = "place" if content.rsi else "driver's"
+        stamps = "place" if rsi else "driver's"
         yield ran, RecordedFacts(cell, target, lost, lost, complete, program, stamps)
 
 
@@ -194,100 +128,29 @@ def _check_duration(recording: Recording, cell: Cell, reference: Trajectory) -> 
     return last
 
 
-def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]:
-    """Return the passes in the order of their starts: references with a pose between their start and the next one."""
-    windows = []
-    starts = sorted(content.references)
-    for start, end in zip(starts, [*starts[1:], np.iinfo(np.int64).max], strict=True):
-        chosen = {kind: (one.stamp >= start) & (one.stamp < end) for kind, one in content.series.items()}
-        series = {
-            kind: TopicSeries(one.stamp[chosen[kind]] - start, one.values[chosen[kind]])
-            for kind, one in content.series.items()
-        }
-        if not series["tool_pose"].stamp.size:
-            continue
-        passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
-        if passes > 1:
-            raise RecordingError(recording.path, f"does not separate its {passes} passes: they have one start")
-        reference = content.references[start]
-        windows.append(Window(reference, content.target_of(reference, cell.target()), series))
-    return windows
-
-
 def _scored(
-    recording: Recording, cells: tuple[Cell, Cell], window: Window, wall: float, name: str, program: str | None
+    recording: Recording, cells: tuple[Cell, Cell], one: PassSeries, wall: float, name: str, program: str | None
 ) -> tuple[ScoredPass, RecordedFacts] | None:  # fmt: skip
     """Return the scored pass; None where poses, wrenches and deflections of at least one period are missing."""
     cell, plant = cells
-    reference, target, series = window
+    reference, target = one.reference, one.target or cell.target()
     last = _check_duration(recording, cell, reference)
-    recorded = {kind: _by_step(cell, one, last) for kind, one in series.items()}
+    recorded = {kind: one.topic(kind).last() for kind in EXCHANGED}
     course = imperfect_course(plant, reference, 0)
     whole = recorded | {"deflection": _all_deflections(plant, reference, course, recorded)}
     steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in whole.values()))
     if steps.size < 2:
         return None
-    rows = {kind: one.values[np.searchsorted(one.step, steps)] for kind, one in whole.items()}
+    rows = {kind: part.values[np.searchsorted(part.step, steps)] for kind, part in whole.items()}
     ended = int(steps[-1]) == last
-    lost = _lost(cell, recorded, int(steps[-1]))
+    lost, thinned = one.lost(int(steps[-1]), cell.thinned_steps), cell.thinned_steps
     result = _result(cells, target, course, steps, rows, wall)
     ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
     complete = ended and not lost and not recording.cut_off
-    return ran, RecordedFacts(cell, target, lost, _lost(cell, recorded, last), complete, program)
+    return ran, RecordedFacts(cell, target, lost, one.lost(last, thinned), complete, program)
 
 
-def _read(recording: Recording, namespace: str | None) -> Content:
-    """Return what is read for all passes."""
-    names = {topic.rpartition("/")[2] for topic in recording.topics()}  # a driver publishes no deflection
-    topics = {kind: topic_of(recording, kind, namespace) for kind in SERIES if kind == "tool_pose" or kind in names}
-    topic = topic_of(recording, "reference_trajectory", namespace)
-    if recording.topics()[topic].type != TRAJECTORY:
-        raise RecordingError(recording.path, f"{topic} is no trajectory")
-    space = topic.rpartition("/")[0]
-    rsi = f"{space}/correction" in recording.topics()
-    content = Content({}, {}, {}, [], {}, {**topics, "reference_trajectory": topic}, rsi)
-    others: dict[str, Callable[[bytes], object]] = {
-        topic: content.add_reference,
-        f"{space}/target_trajectory": content.add_target,
-        f"{space}/compensator_state": content.add_state,
-    }
-    if DIAGNOSTICS in recording.topics():
-        with contextlib.suppress(RecordingError):  # of another kind; only the wall times are missing then
-            decode = recording.decoder(DIAGNOSTICS)
-            others[DIAGNOSTICS] = lambda data: content.add_walls(_wall_times(decode, data))
-    others = {name: take for name, take in others.items() if name in recording.topics()}
-    series = several(recording, list(topics.values()), others)
-    if not content.references:
-        raise RecordingError(recording.path, f"{topic} has no message that is a path of the tool")
-    none = TopicSeries(np.zeros(0, np.int64), np.zeros((0, 6)))
-    return dataclasses.replace(content, series=dict.fromkeys(SERIES, none) | dict(zip(topics, series, strict=True)))
-
-
-def _wall_times(decode: Callable, data: bytes) -> Iterator[float]:
-    """Return the wall time [s] that the robot reported."""
-    with contextlib.suppress(RecordingError, AttributeError):  # a message of another publisher
-        for pair in (pair for status in decode(data).status for pair in status.values if pair.key == "wall_s"):
-            with contextlib.suppress(ValueError):
-                yield float(pair.value)
-
-
-def _by_step(cell: Cell, series: TopicSeries, last: int) -> StepRows:
-    """Of a repeated stamp the last, which is what counted when an exchange was iterated."""
-    step = np.rint(series.stamp / (cell.clock.period * 1e9)).astype(np.int64)
-    rows = np.flatnonzero((step >= 0) & (step <= last) & (cell.clock.stamp(step) == series.stamp))[::-1]
-    steps, latest = np.unique(step[rows], return_index=True)
-    return StepRows(steps, series.values[rows[latest]])
-
-
-def _lost(cell: Cell, recorded: dict[str, StepRows], last: int) -> int:
-    """Poses, wrenches and deflections that are missing up to a step; of the deflections those that were due."""
-    thinned = cell.thinned_steps
-    due = np.count_nonzero(recorded["deflection"].step % thinned == 0)
-    there = {"tool_pose": len(recorded["tool_pose"].step), "wrench": len(recorded["wrench"].step)}
-    return sum(max(0, last + 1 - count) for count in there.values()) + max(0, last // thinned + 1 - due)
-
-
-def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, recorded: dict[str, StepRows]) -> StepRows:
+def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, recorded: dict[str, Series]) -> Series:
     """Those that were recorded and, as far as these are the same to the bit, those between them: they follow from the
     wrenches, which were all published."""
     wrench, there = recorded["wrench"], recorded["deflection"]
@@ -295,16 +158,14 @@ def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, rec
         return there
     model = imperfect_arm(plant, reference, plant.arm_model(reference))
     whole = plant.clock.steps(course.duration_ns) + 1
-    count = np.flatnonzero(np.append(wrench.step, -1) != np.arange(len(wrench.step) + 1))[0]  # without a hole
     pushes = model.push(course, plant.clock.stamp(np.arange(whole)))
-    computed = follow(model, pushes, wrench.values[: min(count, whole)])
+    computed = follow(model, pushes, wrench.values[: min(wrench.unbroken(), whole)])
     known = there.step < len(computed)
     other = (computed[there.step[known]].view(np.int64) != there.values[known].view(np.int64)).any(axis=1)
     end = int(there.step[known][np.argmax(other)]) if other.any() else len(computed)
     later = there.step >= end
-    return StepRows(
-        np.append(np.arange(end), there.step[later]), np.append(computed[:end], there.values[later], axis=0)
-    )
+    step = np.append(np.arange(end), there.step[later])
+    return Series(step, plant.clock.stamp(step), np.append(computed[:end], there.values[later], axis=0))
 
 
 def _program(recording: Recording, cell: Cell) -> str | None:

@@ -19,6 +19,7 @@ from kr270_milling.exchange.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.exchange.replay.inputs import INPUTS, OUTPUTS, STAMPED, TYPES
 from kr270_milling.exchange.replay.revisions import CompensatorFeed
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import trajectory_from_bytes
@@ -26,6 +27,8 @@ from kr270_milling.recordings.messages.codec import trajectory_from_bytes
 __all__ = ["Robot", "Robots", "Stop"]
 
 EXCHANGE = ("tool_pose", "wrench", "deflection", "joint_states", "clock")  # stamped with the exchanges of a pass
+
+NO_MESSAGE = 13  # [bytes] of the record with the checksum of the data
 
 
 @dataclass(frozen=True)
@@ -187,7 +190,7 @@ class Robots:
         ends: dict[str, dict[int, int]] = {}
         references = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
         longest = end_of(self.cell, self.cell.target())
-        for message in self.recording.messages(set(references), _ignore):
+        for message in self.recording.messages(set(references), _pass_over):
             with contextlib.suppress(MillingError):
                 reference, namespace = trajectory_from_bytes(message.data), references[message.topic]
                 firsts.setdefault(namespace, message.data)
@@ -198,7 +201,7 @@ class Robots:
     def feed(self, progress=None, feed: Callable[[Robot, str, bytes], None] = Robot.feed) -> None:
         """Feed all messages in the order of the file; ``feed`` takes the messages of a robot."""
         count = self.recording.count
-        for done, message in enumerate(self.recording.messages(on_damage=_ignore), 1):
+        for done, message in enumerate(self.recording.messages(on_damage=_pass_over), 1):
             if progress and (done % 1000 == 0 or done == count):
                 progress(done, count)
             if message.topic in self._names:
@@ -223,5 +226,7 @@ class Robots:
             raise RecordingError(self.recording.path, reason) from error
 
 
-def _ignore(*_) -> None:
-    """Pass over a damage, which ``recompute`` reports."""
+def _pass_over(damage: Damage, size: int) -> None:
+    """Pass over a damage that costs no message; ``recompute`` reports it. Raises Damage."""
+    if size > NO_MESSAGE:
+        raise damage

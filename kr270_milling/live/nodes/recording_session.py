@@ -67,15 +67,19 @@ class RecordingSession:
         if self._left - before and not self._stopped:
             self._node.report(WARN, f"no publisher any more: {', '.join(sorted(self._left))}")
 
-    def _on_scene(self, topic: str, data: bytes, published: int) -> None:
-        self.writer.write(topic, data, published)
+    def _on_message(self, topic: str, data: bytes, times: tuple[int, int]) -> None:
+        """Write a message; times: of its publication and of its receipt [ns]."""
+        self.writer.write(topic, data, *times)
+
+    def _on_scene(self, topic: str, data: bytes, times: tuple[int, int]) -> None:
+        self.writer.write(topic, data, *times)
         namespace = topic.rpartition("/")[0]
         scene = self._scenes.setdefault(namespace, Scene())
         for message in self._node.used(topic, _derived, scene, topic, data) or ():
             name = namespace + message.topic
             if name in self._live or (name not in self._subscriptions and is_recorded(name, self._topics)):
                 self.writer.add_topic(name, message.type, [DERIVED_QOS])
-                self.writer.write(name, message.data, published)
+                self.writer.write(name, message.data, *times)
                 self._show(name, message.type, message.data)
 
     def _show(self, name: str, type_name: str, data: bytes) -> None:
@@ -101,7 +105,7 @@ class RecordingSession:
             return None
 
         follow = self._viewers and topic.rpartition("/")[2] in INPUTS
-        write = functools.partial(self._on_scene if follow else self.writer.write, topic)
+        write = functools.partial(self._on_scene if follow else self._on_message, topic)
         return polled_subscription(self._node, kind, topic, write, _matching(publishers))
 
     def poll(self) -> None:
@@ -115,7 +119,8 @@ class RecordingSession:
         ready = self._waiting + [message for message in messages if message.arrival <= begin]
         self._waiting = [message for message in messages if message.arrival > begin]
         for message in in_order(ready):
-            self._node.used("a message", self._write, message.callback, message.data, message.published)
+            times = message.published, message.arrival
+            self._node.used("a message", self._write, message.callback, message.data, times)
 
     def _write(self, call, *args) -> None:
         """Write, count a refused message, and stop at the first error of the file, which stays readable."""
@@ -145,7 +150,7 @@ class RecordingSession:
 
     def stamps(self) -> dict[str, int]:
         """Return the last stamp [ns] of each recorded topic."""
-        return {c.topic: int(c.gaps.latest) for c in self.writer.channels.values() if c.gaps.latest}
+        return {c.topic: int(c.gaps.last) for c in self.writer.channels.values() if c.gaps.last}
 
     def close(self) -> str | None:
         """Write the messages that have arrived, unsubscribe, close the file; return a sentence if that failed."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -25,38 +25,38 @@ class RsiRecording:
     """Writes the topics ``target_trajectory``, ``reference_trajectory``, ``tool_pose``, ``correction``, ``rsi_status``.
 
     The stamps are the counter of the robot since the first telegram. attachments: name -> bytes, the cell and its
-    files. Raises RecordingError.
+    files. now: the time of receipt [ns], which is the log time. Raises RecordingError.
     """
 
     def __init__(
-        self, directory, table: CorrectionTable, metadata: Mapping[str, object], attachments: Mapping[str, bytes | str]
-    ):
+        self, directory, table: CorrectionTable, metadata: Mapping[str, object],
+        attachments: Mapping[str, bytes | str], now: Callable[[], int],
+    ):  # fmt: skip
+        self._now = now
         self._writer = BagWriter(directory, metadata=metadata, attachments=attachments)
-        self._stamp = 0
         time_ns = (table.time * SECOND).round().astype("int64")
         target = Trajectory(time_ns - time_ns[0], table.position, np.array(TOOL_DOWN))
-        self._write("target_trajectory", target, 0)
-        self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]), 0)
+        self._write("target_trajectory", target)
+        self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]))
 
     def add(self, cycle: AnsweredCycle) -> None:
         """Record one cycle."""
-        self._stamp = cycle.stamp
         if cycle.actual is not None:
             turn = quaternion_from_rotation(rotation_from_abc(cycle.actual[3:]))
-            self._write("tool_pose", PoseSample(cycle.stamp, WORKPIECE, cycle.actual[:3], turn), cycle.stamp)
+            self._write("tool_pose", PoseSample(cycle.stamp, WORKPIECE, cycle.actual[:3], turn))
         a, b, c = cycle.correction[3:]
         twist = TwistSample(cycle.stamp, WORKPIECE, np.array([*cycle.correction[:3], c, b, a]))
-        self._write("correction", twist, cycle.stamp)
+        self._write("correction", twist)
         self._writer.tick(time.monotonic())
 
     def report(self, sentence: str) -> None:
         """Record a sentence of the session; where the file cannot be written, ``add`` raises the error."""
         with suppress(RecordingError):
-            self._write("rsi_status", Text(sentence), self._stamp)
+            self._write("rsi_status", Text(sentence))
 
-    def _write(self, topic: str, record, stamp: int) -> None:
+    def _write(self, topic: str, record) -> None:
         self._writer.add_topic(f"/{topic}", type_of(record))
-        self._writer.write(f"/{topic}", to_bytes(record), stamp, stamp)
+        self._writer.write(f"/{topic}", to_bytes(record), self._now())
 
     def __enter__(self) -> RsiRecording:
         return self

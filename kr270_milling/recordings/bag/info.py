@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from kr270_milling.base.errors import one_line
+from kr270_milling.recordings.bag.gaps import SHARED, GapCounter, PassStarts
 from kr270_milling.recordings.bag.playback import is_latched
 from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
-from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, PassCounter, PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import starts_with_stamp
 
@@ -42,36 +42,30 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
 
 
 class _TopicCount:
-    """Size, gaps and duration of the messages of a topic; each pass is counted separately."""
+    """Size, gaps and duration of the messages of a topic."""
 
     def __init__(self, about: RecordedTopic, starts: Sequence[int]):
         self._about = about
         self._stamped = about.schema_encoding == "ros2msg" and about.type not in SHARED
         self._stamped = self._stamped and starts_with_stamp(about.schema)
         self.gaps = GapCounter(starts, is_latched(about))
-        self._passes = PassCounter(starts)
         self._size = 0
-        self._before = self._first = self._last = 0  # [ns], duration of earlier passes, log times of the current pass
-        self._empty = True
+        self._times: tuple[int, int] | None = None  # [ns], first and last log time
 
     def add(self, message: RawMessage) -> None:
-        time = message.log_time
-        if self._passes.begins(time) or self._empty:
-            self._before += self._last - self._first
-            self._first = self._last = time
-            self._empty = False
-        self._first, self._last = min(self._first, time), max(self._last, time)
+        first, last = self._times or (message.log_time, message.log_time)
+        self._times = min(first, message.log_time), max(last, message.log_time)
         self._size += len(message.data)
         if self._stamped and (stamp := stamp_of(message.data)) is not None:
             self.gaps.add(stamp)
 
     def as_dict(self) -> dict:
-        duration, periods = self._before + self._last - self._first, self._about.count - 1 - self._passes.number
+        first, last = self._times or (0, 0)
         return dict(
             type=self._about.type,
             count=self._about.count,
             size_bytes=self._size,
-            rate_hz=periods / (duration / 1e9) if duration else None,
+            rate_hz=(self._about.count - 1) / ((last - first) / 1e9) if last > first else None,
             gaps=self.gaps.finish().as_dict() if self._stamped else None,
         )
 

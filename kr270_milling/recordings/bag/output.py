@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sized
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, cast
@@ -28,14 +27,12 @@ class Output:
 
     There is no buffer here: a written chunk is in the kernel and survives a SIGKILL. The first error of the file system
     ends the file, which stays readable up to its last whole chunk; every later call raises the same RecordingError.
-    waiting: messages that are not in the file yet; an error loses them too.
     """
 
-    def __init__(self, directory: Path, name: str, chunk_size: int, waiting: Sized):
+    def __init__(self, directory: Path, name: str, chunk_size: int):
         self.path = directory / f"{plain_name(directory, name)}.mcap"
         self.error: RecordingError | None = None
         self.count = self.saved = 0  #: messages given to mcap's Writer, and messages in the file
-        self._waiting = waiting
         self._file = self._create()
         # the checksum of the data section also covers the bytes outside of the chunks
         self.mcap = Writer(cast(IO[bytes], self), chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
@@ -72,7 +69,7 @@ class Output:
             while done < len(view):
                 done += self._file.write(view[done:])
         except OSError as error:
-            lost = self.count - self.saved + len(self._waiting)
+            lost = self.count - self.saved
             reason = f"writing ended with an error ({error.strerror or error}); {self.saved} messages are safe, "
             self.error = RecordingError(self.path, f"{reason}the last {lost} are lost")
             self.close()

@@ -1,4 +1,4 @@
-"""Messages of a playback and their times: the passes one after the other, and the clock. No ROS."""
+"""Messages of a playback and their times, and the clock. No ROS."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.recordings.bag.bagmeta import all_latched, read_qos
 from kr270_milling.recordings.bag.play_options import MOST, PlayOptions
 from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
-from kr270_milling.recordings.bag.stamps import SHARED, PassCounter
 
 __all__ = ["PlayClock", "is_latched", "opening", "passage", "span", "timeline"]
 
@@ -16,16 +15,12 @@ __all__ = ["PlayClock", "is_latched", "opening", "passage", "span", "timeline"]
 def timeline(recording: Recording) -> Iterator[RawMessage]:
     """Yield the messages in the order of the file, with the log times [ns] at which they are played.
 
-    These times never decrease. A pass begins with the first topic whose time returns to 0; its times follow those of
-    the pass before. Raises RecordingError.
+    These times never decrease, also where messages of another recorder are not in the order of their log times. Raises
+    RecordingError.
     """
-    counters = {name: PassCounter() for name, about in recording.topics().items() if about.type not in SHARED}
-    latest, shift, passes = 0, 0, 0
+    latest = 0
     for message in recording.messages():
-        counter = counters.get(message.topic)
-        if counter and counter.begins(message.log_time) and counter.number > passes:
-            passes, shift = counter.number, latest + 1
-        latest = max(latest, message.log_time + shift)
+        latest = max(latest, message.log_time)
         yield message._replace(log_time=latest)
 
 
@@ -64,9 +59,6 @@ def span(recording: Recording, options: PlayOptions) -> tuple[int, int]:
     first = next((message.log_time for message in timeline(recording)), 0)
     start = first + _ns("--start-offset", options.start_offset)
     last = recording.last_log_time or 0
-    if recording.first_log_time == 0:  # there may be several passes
-        for message in timeline(recording):
-            last = message.log_time
     if options.playback_duration is not None:
         last = min(last, start + _ns("--playback-duration", options.playback_duration))
     return start, last + 1

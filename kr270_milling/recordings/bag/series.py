@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.mcap_file import OnDamage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import layout_of, unpack_alike, unpack_stamped
 
@@ -41,18 +42,20 @@ def series(recording: Recording, topic: str) -> TopicSeries:
 
 def several(
     recording: Recording, topics: Sequence[str],
-    others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({}),
+    others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({}), frame: str | None = None,
+    on_damage: OnDamage | None = None,
 ) -> list[TopicSeries]:  # fmt: skip
     """Read topics of the FIXED types as arrays in one pass through the file.
 
     others: topic -> a function that receives each message of a further topic. A message that is not of the type of its
-    topic is left out. Raises RecordingError where no message of a topic can be read.
+    topic, or not in ``frame`` if it is given, is left out. on_damage: see ``Recording.messages``. Raises RecordingError
+    where no message of a topic can be read.
     """
-    batches = {topic: _Batch(recording, topic) for topic in topics}
+    batches = {topic: _Batch(recording, topic, frame) for topic in topics}
     receivers = {**{topic: batch.add for topic, batch in batches.items()}, **others}
     known = recording.topics()
     fits = {n: recording.schema_of(c).name == known[c.topic].type for n, c in recording.channels.items()}
-    for message in recording.messages(set(receivers)):
+    for message in recording.messages(set(receivers), on_damage):
         if fits[message.channel]:
             receivers[message.topic](message.data)
     return [batches[topic].series() for topic in topics]
@@ -61,8 +64,9 @@ def several(
 class _Batch:
     """Collects a topic and unpacks consecutive messages of one layout together."""
 
-    def __init__(self, recording: Recording, topic: str):
+    def __init__(self, recording: Recording, topic: str, frame: str | None = None):
         self._recording, self._topic, self._width = recording, topic, _width(recording, topic)
+        self._frame = frame
         self._layout: tuple = ()
         self._refused: ValueError | None = None
         self._waiting: list[bytes] = []
@@ -79,9 +83,11 @@ class _Batch:
             return
         messages, self._waiting = self._waiting, []
         try:
-            stamps, values = unpack_alike(messages, self._width)
+            frame, stamps, values = unpack_alike(messages, self._width)
         except ValueError as error:  # of another publisher
             self._refused = error
+            return
+        if self._frame not in (None, frame):
             return
         self._stamps.append(stamps)
         self._values.append(values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +12,8 @@ from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.version import __version__
 from kr270_milling.recordings.bag import bagmeta
+from kr270_milling.recordings.bag.gaps import SHARED, GapCounter, PassStarts
 from kr270_milling.recordings.bag.output import Output
-from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, LogTimes, PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import definition, starts_with_stamp, type_hash
 
@@ -22,8 +21,6 @@ __all__ = ["BagWriter", "MessageRefused", "WrittenChannel"]
 
 CHUNK_SIZE = 1024 * 1024  # [bytes] before compression
 CHUNK_PERIOD = 0.2  # [s]; a SIGKILL loses the messages of this time
-HOLD_PERIOD = 0.5  # [s] that messages wait for the first stamp
-HOLD_SIZE = 256 * 1024  # [bytes] of waiting messages
 
 
 class MessageRefused(RecordingError):
@@ -57,8 +54,7 @@ class BagWriter:
     attachments: name -> text or bytes, such as {"cell.yaml": ...}; metadata: key -> text, such as seed and command
     line; both are at the begin of the file, with the version of this package. The first error of the file system ends
     the file: its content stays readable, and every later call raises the same RecordingError. A message that cannot be
-    recorded raises MessageRefused and is counted. Messages without a stamp wait for the first stamp, which becomes
-    their log time.
+    recorded raises MessageRefused and is counted.
     """
 
     def __init__(
@@ -71,18 +67,14 @@ class BagWriter:
         chunk_size: int = CHUNK_SIZE,
     ):
         self.directory = Path(os.path.abspath(directory))
-        self._waiting: deque[tuple[WrittenChannel, bytes, int, int | None]] = deque()
         name = self.directory.name if name is None else name
-        self.output = Output(self.directory, name, chunk_size, self._waiting)
+        self.output = Output(self.directory, name, chunk_size)
         self.topics: dict[str, int] = {}
         self.channels: dict[int, WrittenChannel] = {}
         self.start: int | None = None  #: [ns], smallest and largest log time
         self.end = 0
         self._last_chunk: float | None = None  # [s]
-        self._times = LogTimes()
         self._starts = PassStarts()
-        self._waiting_size = 0  # [bytes]
-        self._waiting_since: float | None = None  # [s]
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
         self._schemas: dict[tuple, int] = {}
         self.output.mcap.start("ros2", f"kr270_milling/{__version__}")
@@ -135,85 +127,43 @@ class BagWriter:
         return number
 
     def write(self, topic: str, data: bytes, publish_time: int, log_time: int | None = None) -> None:
-        """Append one serialised message; times in ns. log_time: by default the stamp of the message, or the latest
-        stamp in the recording for a message without one. Raises MessageRefused, RecordingError."""
+        """Append one serialised message; times in ns. log_time: of its receipt, by default the publish time.
+
+        Raises MessageRefused, RecordingError.
+        """
         self.output.check()
         if topic not in self.topics:
             raise MessageRefused(self.path, f"{topic} is written to, but it was not added")
         channel = self.channels[self.topics[topic]]
-        self._check_times(channel, publish_time, publish_time if log_time is None else log_time)
-        stamp = stamp_of(data, channel.stamped)
-        if log_time is None:
-            log_time = self._times.of(channel.type, stamp, publish_time)
-        if log_time is not None:
-            self._release(log_time)
-            self._append(channel, data, publish_time, log_time, channel.count, stamp)
-            return
-        self._waiting.append((channel, data, publish_time, stamp))
-        self._waiting_size += len(data)
-        if self._waiting_size > HOLD_SIZE:  # a limit for a graph without stamps
-            self._release()
-            self.flush()
+        self.write_raw(channel.id, data, publish_time, publish_time if log_time is None else log_time, channel.count)
 
     def write_raw(self, channel_id: int, data: bytes, publish_time: int, log_time: int, sequence: int) -> None:
         """Append a message with given times and sequence. Raises MessageRefused, RecordingError."""
         channel = self.channels[channel_id]
-        self._check_times(channel, publish_time, log_time)
-        self._append(channel, data, publish_time, log_time, sequence, stamp_of(data, channel.stamped))
-
-    def _check_times(self, channel: WrittenChannel, *times: int) -> None:
-        for time in times:
+        for time in (publish_time, log_time):
             if not 0 <= time < 2**63:
                 channel.refused += 1
                 raise MessageRefused(self.path, f"have the time {time} ns, which is not between 1970 and 2262")
 
-    def _release(self, first: int = 0) -> None:
-        """Append the waiting messages in their order. Without a stamp, log times begin at ``first``; without a topic
-        with stamps they are publish times."""
-        if not self._waiting:
-            return
-        by_wall = first == 0 and not any(channel.stamped for channel in self.channels.values())
-        self._times.begin(self._waiting[0][2] if by_wall else first, by_wall)
-        while self._waiting:
-            channel, data, publish_time, stamp = self._waiting.popleft()
-            log_time = self._times.of(channel.type, stamp, publish_time)
-            log_time = first if log_time is None else log_time  # never None after ``begin``
-            self._append(channel, data, publish_time, log_time, channel.count, stamp)
-        self._waiting_size, self._waiting_since = 0, None
-
-    def _append(
-        self, channel: WrittenChannel, data, publish_time: int, log_time: int, sequence: int, stamp: int | None
-    ):
         channel.count += 1
         self.output.add_message(channel.id, log_time, data, publish_time, sequence)
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
-        if stamp is None:
-            return
-        self._starts.take(channel.topic, stamp)
-        if channel.type not in SHARED:
-            before = channel.gaps.passes.number
-            channel.gaps.add(stamp)
-            if channel.gaps.passes.number > before:  # the time returned to 0: the next pass begins
-                self._times.latest = log_time
+        stamp = stamp_of(data, channel.stamped)
+        if stamp is not None:
+            self._starts.take(channel.topic, stamp)
+            if channel.type not in SHARED:
+                channel.gaps.add(stamp)
 
     def tick(self, now: float) -> None:
-        """Close the chunk after CHUNK_PERIOD, and end the wait for a first stamp after HOLD_PERIOD.
-
-        now [s]: any clock that does not go back.
-        """
-        if self._waiting:
-            self._waiting_since = min(now, now if self._waiting_since is None else self._waiting_since)
-            if now - self._waiting_since >= HOLD_PERIOD:
-                self._release()
-                self.flush()
+        """Close the chunk after CHUNK_PERIOD; now [s]: any clock that does not go back."""
         self._last_chunk = min(now, now if self._last_chunk is None else self._last_chunk)
         if now - self._last_chunk >= CHUNK_PERIOD:
             self._last_chunk = now
             self.flush()
 
     def flush(self) -> None:
-        """Write all messages into the file, except those that wait for the first stamp."""
+        """Write all messages into the file."""
         self.output.close_chunk()
 
     def report(self) -> dict:
@@ -224,7 +174,6 @@ class BagWriter:
         """Finish the file and write ``metadata.yaml``; a second call, or a call after an error, does nothing."""
         if not self.output.is_open:
             return
-        self._release()
         for channel in self.channels.values():
             channel.gaps.finish()
         about = bagmeta.bag_information(self.path.name, self.channels.values(), self.start or 0, self.end, self._custom)

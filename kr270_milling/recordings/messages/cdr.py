@@ -69,20 +69,24 @@ def unpack_stamped(data: bytes, count: int, alone: bool = False) -> tuple[int, s
 
 
 def layout_of(data: bytes) -> tuple[int, bytes, bytes]:
-    """Return length, byte order and length of the frame: equal in messages with the same offsets."""
-    return len(data), data[:2], data[12:FRAME_AT]
+    """Return length, byte order and frame with its length: equal in messages with the same offsets and frame."""
+    order = "little" if data[1:2] == b"\1" else "big"
+    return len(data), data[:2], data[12 : FRAME_AT + int.from_bytes(data[12:FRAME_AT], order)]  # type: ignore[arg-type]
 
 
-def unpack_alike(messages: Sequence[bytes], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps [ns], (n,) int64, and doubles, (n, count), of messages with one ``layout_of``; as ``unpack_stamped``."""
-    unpack_stamped(messages[0], count, alone=True)
-    size, begin, frame = layout_of(messages[0])
-    order, first = "<" if begin[1] else ">", _layout(begin, frame, count).size - 8 * count
+def unpack_alike(messages: Sequence[bytes], count: int) -> tuple[str, np.ndarray, np.ndarray]:
+    """Frame, stamps [ns], (n,) int64, and doubles, (n, count), of messages with one ``layout_of``.
+
+    As ``unpack_stamped``.
+    """
+    _, frame, _ = unpack_stamped(messages[0], count, alone=True)
+    size, begin, named = layout_of(messages[0])
+    order, first = "<" if begin[1] else ">", _layout(begin, named[:4], count).size - 8 * count
     formats = [f"{order}i4", f"{order}u4", f"({count},){order}f8"]
     fields = {"names": ["s", "ns", "values"], "formats": formats, "offsets": [4, 8, first], "itemsize": size}
     kind: np.dtype = np.dtype(fields)  # type: ignore[call-overload]
     table = np.frombuffer(b"".join(messages), kind)
-    return table["s"].astype(np.int64) * SECOND + table["ns"], table["values"].astype(float)
+    return frame, table["s"].astype(np.int64) * SECOND + table["ns"], table["values"].astype(float)
 
 
 class Cursor:

@@ -95,11 +95,11 @@ def run_export(args) -> Answer:
                 written = export_files(recording, directory, args.topics, report, kind)
                 files += written.files
                 refused |= written.refused
-        last = recording.last_log_time
+        first, last = recording.first_log_time or 0, recording.last_log_time or 0
     about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
     for sentence in () if args.json else refused.values():
         print("not exported: " + one_line(sentence), file=sys.stderr)
-    cut = [f"{recording.path} was cut off; this is what it holds up to {seconds(last or 0)} s"]
+    cut = [f"{recording.path} was cut off; this is what it holds, {seconds(last - first)} s"]
     return Answer(about, [*(cut if recording.cut_off else ()), *files], code=int(bool(refused)))
 
 
@@ -148,10 +148,12 @@ def _reported(args, whole) -> Answer:
         {**ran.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
         for ran, about in recorded
     ]
-    about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
+    unused = list(dict.fromkeys(reason for _, facts in recorded for reason in facts.unused))
+    about = {"passes": rows, "copies": copies, "unused": unused, "report": str(page), "out": str(directory)}
     return Answer(about, [
         table_of("Path deviation, from the recordings", _columns(), rows),
         *(f"skipped, a copy of another pass: {copy}" for copy in copies),
+        *(f"a pass is not used: {one_line(reason)}" for reason in unused),
         f"report: {page}",
     ])  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def run_rsi(args) -> Answer:
     corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
     directory = fresh_directory(args.out)
     with open_socket(args.host, args.port) as connection, RsiRecording(
-        directory, table, {"command_line": command_line(args)}, _attached(args.cell) if args.cell else {}
+        directory, table, {"command_line": command_line(args)}, _attached(args.cell) if args.cell else {}, time.time_ns,
     ) as recording:  # fmt: skip
 
         def report(sentence: str) -> None:

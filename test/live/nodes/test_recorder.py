@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -58,7 +59,8 @@ def test_every_message_is_in_the_open_file_and_lost_messages_and_publishers_are_
         assert recording.cut_off
         records = series(recording, "/wrench")
         times = [message.log_time for message in recording.messages(["/wrench"])]
-    assert records.stamp.tolist() == times == [i * 500_000 for i in steps]
+    assert records.stamp.tolist() == [i * 500_000 for i in steps]
+    assert times == sorted(times) and 0 <= time.time_ns() - times[0] < 600 * 10**9  # of receipt, not of the pass
     assert np.array_equal(records.values, np.repeat(np.array(steps, float)[:, None], 6, axis=1))
     world.until(lambda: reports.last.get(NAME, {}).get("missing") == "5")
     world.remove(partner)
@@ -120,7 +122,7 @@ def test_latched_description_before_every_stamp_does_not_make_the_recording_last
     world.until(lambda: count("/tool_pose"))
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:
-        assert [m.log_time for m in recording.messages()] == [0, 500_000]
+        assert [m.topic for m in recording.messages()] == ["/robot_description", "/tool_pose"]
 
 
 def test_full_disk_is_reported_and_the_written_part_stays_readable(world, recorder, tmp_path):

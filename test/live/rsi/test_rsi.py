@@ -240,7 +240,7 @@ def test_a_robot_that_falls_silent_ends_the_session(running, monkeypatch):
 
 def test_a_full_disk_is_reported_and_the_answers_continue(running, tmp_path):
     table, session, controller, sentences = running
-    recording = RsiRecording(tmp_path / "rsi", table, {}, {})
+    recording = RsiRecording(tmp_path / "rsi", table, {}, {}, time.time_ns)
     session.record = recording.add
     end = time.monotonic() + LIMIT
     with full_disk(next((tmp_path / "rsi").glob("*.mcap")).stat().st_size + 100):

@@ -22,13 +22,13 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
-from kr270_milling.recordings.bag import writer as module
 from kr270_milling.recordings.bag.bagmeta import DEFAULT_QOS, describe_qos, qos_text, read_qos
+from kr270_milling.recordings.bag.gaps import GapCounter
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.stamps import GapCounter
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
+from kr270_milling.recordings.messages.cdr import stamp_of
 
 
 def test_gaps_are_counted_per_topic_by_the_writer_and_by_a_reader(tmp_path):
@@ -108,7 +108,7 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_and_recov
         messages = list(recording.messages())
         assert recording.cut_off
         assert int(lines[-1]) - messages[-1].publish_time < 10**9  # [ns]
-        assert [m.log_time for m in messages] == [i * 10_000 for i in range(len(messages))]
+        assert [stamp_of(m.data) for m in messages] == [i * 10_000 for i in range(len(messages))]
         assert messages[-1].data == posed(10_000 * (len(messages) - 1))
         assert recording.last_log_time == messages[-1].log_time
         assert info(recording)["missing"] == 0 and "cut off" in info_text(info(recording))
@@ -183,48 +183,16 @@ def log_times(directory) -> list[tuple[str, int]]:
         return [(m.topic, m.log_time) for m in recording.messages()]
 
 
-@pytest.mark.parametrize(("sent", "expected"), [
-    (  # messages before the first stamp take that stamp and stay in their order
-        [("/s", text("description")), ("/t", AT_ONCE), ("/d", report(0)), ("/s", text("again")), ("/p", posed(500))],
-        [("/s", 500), ("/t", 500), ("/d", 0), ("/s", 500), ("/p", 500)],
-    ),
-    (  # stamps of the wall clock; the recorder itself knows no time
-        [("/d", report(0)), ("/t", AT_ONCE), ("/p", posed(WALL + 7)), ("/d", report(0))],
-        [(topic, WALL + 7) for topic in ("/d", "/t", "/p", "/d")],
-    ),
-    (  # a foreign driver with another clock does not make the recording last for decades
-        [("/d", report(WALL)), ("/p", posed(0)), ("/q", posed(WALL + 2)), ("/p", posed(500)), ("/d", report(WALL + 3))],
-        [("/d", 0), ("/p", 0), ("/q", 0), ("/p", 500), ("/d", 500)],
-    ),
-])  # fmt: skip
-def test_a_recording_has_one_clock_that_begins_with_the_first_stamp(tmp_path, sent, expected):
+def test_the_log_time_is_the_time_of_receipt_and_the_header_keeps_the_stamp(tmp_path):
+    sent = [("/s", text("description")), ("/t", AT_ONCE), ("/p", posed(500)), ("/d", report(WALL)), ("/p", posed(0))]
     with opened(tmp_path / "a", *KINDS) as writer:
         for k, (topic, data) in enumerate(sent):
-            writer.write(topic, data, WALL + k)
-        writer.write("/s", text("with a time"), WALL + 99, log_time=expected[-1][1] + 1)
-    assert log_times(tmp_path / "a") == [*expected, ("/s", expected[-1][1] + 1)]
+            writer.write(topic, data, WALL + k, WALL + k + 1000)
+        writer.write("/s", text("without a time of receipt"), WALL + 99)
+    assert log_times(tmp_path / "a") == [*((t, WALL + k + 1000) for k, (t, _) in enumerate(sent)), ("/s", WALL + 99)]
     with Recording(tmp_path / "a") as recording:
-        times = [m.publish_time - WALL for m in recording.messages()]
-    assert times == [*range(len(sent)), 99]
-
-
-def test_a_silent_graph_has_one_clock_and_its_messages_are_on_the_disk_before_the_first_stamp(tmp_path):
-    for name, stamp in (("pass", 0), ("wall", WALL)):
-        writer = opened(tmp_path / name, "/s", "/p")
-        writer.write("/s", text("description"), WALL - 1)
-        writer.tick(10.0)
-        writer.tick(10.0 + module.HOLD_PERIOD)
-        assert writer.count == 1
-        for later in (0, 600):
-            writer.write("/p", posed(stamp + later), WALL)
-        writer.close()
-        assert log_times(tmp_path / name) == [("/s", 0), ("/p", 0), ("/p", 600)]
-    with opened(tmp_path / "none", "/s") as writer:  # without any stamps: by the wall clock
-        for tenth in range(11):
-            writer.write("/s", text(str(tenth)), WALL + tenth)
-            writer.tick(0.1 * tenth)
-        assert len(log_times(tmp_path / "none")) >= 8
-    assert log_times(tmp_path / "none") == [("/s", WALL + tenth) for tenth in range(11)]
+        assert [m.publish_time - WALL for m in recording.messages()] == [*range(len(sent)), 99]
+        assert [stamp_of(m.data) for m in recording.messages(["/p"])] == [500, 0]
 
 
 def count(stamps, period=None) -> GapCounter:
@@ -255,7 +223,6 @@ def test_a_learned_period_counts_the_same_also_for_what_was_missing_while_learni
 
 
 JITTER = [i * 1000 + (i * 7919) % 240 for i in range(200)]
-OWN = [i * 10 for i in range(100) if i not in (60, 61)]
 
 
 @pytest.mark.parametrize(("stamps", "period", "missing", "gaps"), [
@@ -264,8 +231,6 @@ OWN = [i * 10 for i in range(100) if i not in (60, 61)]
     ([i**3 for i in range(100)], None, 0, 0),  # no period
     *[([i * 10 for i in range(number)], None, 0, 0) for number in range(4)],  # too few differences for a period
     ([0, 10, 20, 30, 60], None, 2, 1),
-    # stamps ahead, of another publisher; then the series has a real gap of two
-    ([s for i, one in enumerate(OWN) for s in ([one, 5_000 + 37 * i] if 25 <= i < 80 else [one])], 10, 2, 1),
 ])  # fmt: skip
 def test_only_what_is_left_out_of_an_even_series_is_missing(stamps, period, missing, gaps):
     counter = count(stamps, period)

@@ -1,0 +1,224 @@
+"""The passes of a recording: what was recorded along each reference, found by stamps and never by log time."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.base.frames import WORKPIECE
+from kr270_milling.base.samples import CompensatorState, JointSample, StockMap
+from kr270_milling.path.trajectory import Trajectory, fingerprint
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import TopicSeries, several
+from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes, type_of
+from kr270_milling.recordings.messages.topics import TOPICS
+
+__all__ = ["GraphRecord", "PassSeries", "Series", "read_graph", "topic_of"]
+
+EXCHANGED = ("tool_pose", "wrench", "deflection")
+UNIT_LENGTH = 1e-3  #: allowed difference of a quaternion's length from 1, as the nodes allow it
+TYPES = {topic.name: topic.type for topic in TOPICS}
+
+
+class StepClock(Protocol):
+    """The steps of the exchange; ``physics.motion.exchange.Clock`` is one."""
+
+    @property
+    def period(self) -> float: ...  # [s]
+
+    def stamp(self, step): ...
+
+    def steps(self, duration_ns: int) -> int: ...
+
+
+class Series(NamedTuple):
+    """One topic of a pass, in the order of the file; a stamp comes several times where the exchange is iterated."""
+
+    step: np.ndarray  #: exchange, (n,) int64, not descending
+    stamp_ns: np.ndarray  #: from the start of the pass, (n,) int64
+    values: np.ndarray  #: (n, columns)
+
+    def last(self, before: int = 0) -> Series:
+        """Return one row for each step: its last one; before: the one so many rows before, of steps that have it."""
+        end = np.searchsorted(self.step, np.unique(self.step), side="right") - 1
+        rows = end - before
+        rows = rows[(rows >= 0) & (self.step[rows] == self.step[end])]
+        return Series(*(column[rows] for column in self))
+
+    def unbroken(self) -> int:
+        """Return the number of steps from 0 on without a gap, in a series with one row for each step."""
+        return int(np.argmax(np.append(self.step, -1) != np.arange(self.step.size + 1)))
+
+
+NOTHING = Series(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PassSeries:
+    """One pass, along the reference that states its start."""
+
+    number: int  #: of the reference in the recording, from 0
+    reference: Trajectory
+    target: Trajectory | None  #: as the compensator states it; None: that of the cell
+    series: dict[str, Series]  #: by topic
+    maps: tuple[StockMap, ...] = ()  #: of the workpiece
+    ignored: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that belong to no exchange
+    reason: str = ""  #: why the pass cannot be used; empty: it can
+
+    def topic(self, name: str) -> Series:
+        return self.series.get(name, NOTHING)
+
+    def lost(self, last: int, thinned: int) -> int:
+        """Return how many poses, wrenches and deflections are missing up to a step; thinned: steps to a deflection."""
+        there = [self.topic(name).last().step for name in EXCHANGED]
+        due = np.count_nonzero(there[2] % thinned == 0)
+        count = sum(max(0, last + 1 - np.count_nonzero(step <= last)) for step in there[:2])
+        return int(count + max(0, last // thinned + 1 - due))
+
+
+@dataclasses.dataclass(eq=False)
+class GraphRecord:
+    """What one robot's nodes published."""
+
+    namespace: str
+    topics: dict[str, str] = dataclasses.field(default_factory=dict)  #: our names -> names in the recording
+    references: list[Trajectory] = dataclasses.field(default_factory=list)  #: in the order of the file
+    published: list[Trajectory] = dataclasses.field(default_factory=list)  #: the same, with the bits of the messages
+    targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: by fingerprint, in this order
+    states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: in this order
+    walls: list[float] = dataclasses.field(default_factory=list)  #: reported wall times of complete passes [s]
+    refused: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that cannot be read
+    passes: list[PassSeries] = dataclasses.field(default_factory=list)  #: of the simulated robot, by their starts
+
+    def target_of(self, reference: Trajectory) -> Trajectory | None:
+        """Return the target that a reference follows from: as a state says, else the last one; None: the cell's."""
+        digest = fingerprint(reference)
+        stated = [state.target for state in self.states if state.reference == digest]
+        if stated:
+            return self.targets.get(stated[-1])
+        return list(self.targets.values())[-1] if self.targets else None
+
+
+def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
+    """The full name of one of the graph's topics in a recording; raises RecordingError where there is not just one."""
+    if namespace is not None:
+        matches = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
+        matches = [topic for topic in matches if topic in recording.topics()]
+    else:
+        matches = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
+        ours = [topic for topic in matches if recording.topics()[topic].type == TYPES[name]]
+        matches = ours or matches
+    if len(matches) != 1:
+        several = f"exists several times ({', '.join(matches)}): name a namespace" if matches else "is not recorded"
+        several += f" in the namespace {namespace}" if namespace is not None else ""
+        raise RecordingError(recording.path, f"the topic {name} {several}")
+    return matches[0]
+
+
+def read_graph(
+    recording: Recording, clock: StepClock, namespace: str | None = None, on_damage: Callable | None = None
+) -> GraphRecord:
+    """Read the nodes' topics of one robot once, and cut the series into the passes along its references.
+
+    on_damage: see ``Recording.messages``. Raises RecordingError where poses or references are not recorded.
+    """
+    names = {topic.rpartition("/")[2] for topic in recording.topics()}  # a driver publishes no deflection
+    topics = {kind: topic_of(recording, kind, namespace) for kind in EXCHANGED if kind == "tool_pose" or kind in names}
+    reference = topic_of(recording, "reference_trajectory", namespace)
+    if recording.topics()[reference].type != type_of(Trajectory):
+        raise RecordingError(recording.path, f"{reference} is no trajectory")
+    space = reference.rpartition("/")[0]
+    graph = GraphRecord(space, {**topics, "reference_trajectory": reference})
+    joints: list[JointSample] = []
+    maps: list[StockMap] = []
+
+    def add_reference(data: bytes) -> Trajectory:
+        reference, as_sent = trajectory_from_bytes(data), trajectory_from_bytes(data, as_sent=True)
+        graph.published.append(as_sent)
+        return reference
+
+    def add_target(target: Trajectory) -> None:
+        graph.targets[fingerprint(target)] = target
+
+    take: dict[str, Callable] = {
+        "target_trajectory": add_target, "compensator_state": graph.states.append,
+        "joint_states": joints.append, "workpiece": maps.append,
+    }  # fmt: skip
+    others = {f"{space}/{name}": _reader(graph, name, receive) for name, receive in take.items()}
+    others[reference] = _reader(graph, "reference_trajectory", graph.references.append, add_reference)
+    if "/diagnostics" in recording.topics():
+        with contextlib.suppress(RecordingError):  # of another kind; only the wall times are missing then
+            decode = recording.decoder("/diagnostics")
+            others["/diagnostics"] = lambda data: graph.walls.extend(_wall_times(decode, data, graph.walls))
+    others = {name: take for name, take in others.items() if name in recording.topics()}
+    series = several(recording, list(topics.values()), others, WORKPIECE, on_damage)
+    if not graph.references:
+        raise RecordingError(recording.path, f"{reference} has no message that is a path of the tool")
+    recorded = {kind: one for kind, one in zip(topics, series, strict=True) if kind in topics}
+    if joints:
+        width = len(joints[0].names)
+        own = [one for one in joints if len(one.position) == width]
+        table = np.array([one.position for one in own]).reshape(-1, width)
+        recorded["joint_states"] = TopicSeries(np.array([one.stamp for one in own], np.int64), table)
+    graph.passes = list(_passes(graph, clock, recorded, maps))
+    return graph
+
+
+def _reader(
+    graph: GraphRecord, name: str, take: Callable, read: Callable[[bytes], object] | None = None
+) -> Callable[[bytes], None]:
+    """Return the receiver of a topic's messages; a message that the nodes refuse is counted."""
+    read = read or (lambda data: from_bytes(TYPES[name], data))
+
+    def receive(data: bytes) -> None:
+        try:
+            record = read(data)
+        except (MillingError, ValueError):
+            graph.refused[name] = graph.refused.get(name, 0) + 1
+        else:
+            take(record)
+
+    return receive
+
+
+def _wall_times(decode: Callable, data: bytes, known: list[float]) -> list[float]:
+    """Return the wall time [s] that the robot reported, if it is a new one."""
+    with contextlib.suppress(RecordingError, AttributeError, ValueError):  # a message of another publisher
+        walls = [float(pair.value) for status in decode(data).status for pair in status.values if pair.key == "wall_s"]
+        return [wall for k, wall in enumerate(walls) if wall not in (*known[-1:], *walls[:k])]
+    return []
+
+
+def _passes(graph: GraphRecord, clock: StepClock, recorded: dict[str, TopicSeries], maps: list[StockMap]):
+    """Yield the passes: references with a pose of the exchange between their start and the next one."""
+    starts = {reference.start_ns: (number, reference) for number, reference in reversed([*enumerate(graph.references)])}
+    ordered = sorted(starts)
+    for start, end in zip(ordered, [*ordered[1:], np.iinfo(np.int64).max], strict=True):
+        number, reference = starts[start]
+        last = clock.steps(reference.duration_ns)
+        cut = {name: _cut(clock, one, name, start, end, last) for name, one in recorded.items()}
+        series = {name: part for name, (part, _) in cut.items() if part.step.size}
+        if "tool_pose" not in series:
+            continue
+        ignored = {name: count for name, (_, count) in cut.items() if count}
+        begun = sum(int(np.count_nonzero(one.stamp == start)) for name, one in recorded.items() if name == "deflection")
+        reason = f"{begun} passes have one start" if begun > 1 else ""
+        inside = tuple(one for one in maps if start <= one.stamp < end)
+        yield PassSeries(number, reference, graph.target_of(reference), series, inside, ignored, reason)
+
+
+def _cut(clock: StepClock, one: TopicSeries, name: str, start: int, end: int, last: int) -> tuple[Series, int]:
+    """Return the rows of a topic in one pass, and the number of those that the nodes do not use."""
+    here = (one.stamp >= start) & (one.stamp < end)
+    stamp, values = one.stamp[here] - start, one.values[here]
+    step = np.rint(stamp / (clock.period * 1e9)).astype(np.int64)
+    used = (step <= last) & (clock.stamp(step) == stamp) & np.isfinite(values).all(axis=1)
+    if name == "tool_pose":
+        used &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= UNIT_LENGTH
+    used[used] = np.maximum.accumulate(step[used]) == step[used]  # an older one comes from another publisher
+    return Series(step[used], stamp[used], values[used]), int(np.count_nonzero(~used))
