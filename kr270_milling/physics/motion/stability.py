@@ -35,7 +35,7 @@ __all__ = ["DEEPEST", "Lobe", "Modes", "has_uniform_pitch", "stability_limit"]
 
 DEEPEST = 0.1  #: [m], up to which limits are looked for
 WAVES = 20.0  #: of a mode on the arc of engagement
-NODES = 8  #: on the arc for each wave, and 8 more: 1000 random limits are then within 1 % of another solution
+NODES = 8  #: on the arc for each wave, and 8 more: random limits are then within 1 % of another solution
 POLYNOMIALS = 4.5  #: for each wave, pi at least; 4.5 more
 MOST_NUMBERS = 10**6  #: of the matrices of several frequencies at once
 START = 9  #: frequencies from mu = 1 to -1 at which the search starts
@@ -175,7 +175,7 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
     """The largest real 1/a above ``least`` and its frequency, NaN where there is none.
 
     An interval of frequencies is halved while an eigenvalue on the way from one end to the other, which is the nearest
-    one, may pass the real axis above the largest found so far.
+    one, may pass the real axis above the largest crossing so far.
     """
     values = inverse_depths(frequency, least)
     real = values[-1].real[np.abs(values[-1].imag) <= REAL * np.abs(values[-1])]
