@@ -257,7 +257,7 @@ CASES = (
     Case("a spindle of 300 kg", "payload", "mount.mass_kg=300"),
     warning("a spindle that points into the arm", "spindle direction", f"mount.tool_kuka={BACK}", words="into the arm"),
     warning("a tip behind the flange", "tool tip", f"mount.tool_kuka={BACK}", value=300.0),
-    warning("a spindle at 15 deg", "spindle direction", "mount.abc_deg=[0, 15, 180]", words="75 deg away"),
+    warning("a spindle at 15 deg", "spindle direction", "mount.abc_deg=[0, -15, 180]", words="75 deg away"),
     Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),
     Case("a program for a cutter of 1 inch", "tool diameter", "", comment("1 inch end mill")),
     Case("a ball-end mill by its comment", "tool shape", "", comment("D=20 ball end mill"), lines=(3,)),
