@@ -188,7 +188,7 @@ class _AptReader(Machine):
 
     def _text(self, word: str, text: str, block: str) -> None:
         if word == "INSERT" and INSERTED.search(block):
-            self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} is a block of its own", MOVES, lost=True)
+            self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} sets or moves", MOVES, lost=True)
             return
         self.program.count(word)
         if word == "PPRINT":
@@ -365,7 +365,7 @@ class _AptReader(Machine):
         self.units_given = True
 
     def _compensation(self, values: list[str]) -> None:
-        """Only that of the tool's length, and its end, leave the path as it is."""
+        """Count the compensation of the tool's length and the end of each; refuse all others."""
         side = {"LEFT", "RIGHT"} & set(values) or not {"OFF", "ADJUST", "LENGTH"} & set(values)
         if values and side:
             self.program.refuse("CUTCOM", advice=CENTRE, lost=True)
