@@ -76,7 +76,8 @@ class _AptReader(Machine):
         self.units_given = False
         self.announced = False  #: a comment announced an operation by word
         self.retracted = 0  #: line of a RETRCT/ that the tool has not come back from
-        self.actions: dict[str, Callable[[list[str]], None]] = {"GOTO": self._goto, "FROM": self._from, "GODLTA": self._delta, "CIRCLE": self._circle,
+        self.actions: dict[str, Callable[[list[str]], None]]
+        self.actions = {"GOTO": self._goto, "FROM": self._from, "GODLTA": self._delta, "CIRCLE": self._circle,
                         "RAPID": self._rapid, "FEDRAT": self._feed, "FEED": self._feed, "SPINDL": self._spindle,
                         "UNITS": self._units, "FINI": self._end_program, "END": self._end_program,
                         "GOHOME": self._home, "LOADTL": self._load, "LOAD": self._load, "TOOLNO": self._load,
