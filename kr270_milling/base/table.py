@@ -111,8 +111,8 @@ def _cells(lines: list[str], path) -> list[tuple[int, tuple[str, ...]]]:
     A spreadsheet may separate columns by semicolons or tabs, write 1,5 for 1.5, and begin with sep=;.
     """
     header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    if said := SEPARATOR.fullmatch(header):
-        separator, lines = said[1], [line if line is not header else "" for line in lines]
+    if stated := SEPARATOR.fullmatch(header):
+        separator, lines = stated[1], [line if line is not header else "" for line in lines]
     else:
         separator = "," if "," in header else next((sign for sign in ";\t" if sign in header), ",")
     reader = csv.reader(lines, delimiter=separator)

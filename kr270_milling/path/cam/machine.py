@@ -159,7 +159,7 @@ class Machine:
 
     def _cut(self, start, end, arc: dict, axes: dict) -> None:
         straight = self.mode == 1
-        if straight:
+        if straight and arc:
             self._surplus(arc)
         known = not any(map(math.isnan, start))
         if not known and straight and self._approach(start, end):

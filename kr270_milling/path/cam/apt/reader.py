@@ -11,6 +11,7 @@ import functools
 import itertools
 import math
 import re
+from collections.abc import Callable
 
 from scipy.spatial.transform import Rotation
 
@@ -75,6 +76,7 @@ class _AptReader(Machine):
         self.units_given = False
         self.announced = False  #: a comment announced an operation by word
         self.retracted = 0  #: line of a RETRCT/ that the tool has not come back from
+        self.actions: dict[str, Callable[[list[str]], None]]
         self.actions = {"GOTO": self._goto, "FROM": self._from, "GODLTA": self._delta, "CIRCLE": self._circle,
                         "RAPID": self._rapid, "FEDRAT": self._feed, "FEED": self._feed, "SPINDL": self._spindle,
                         "UNITS": self._units, "FINI": self._end_program, "END": self._end_program,
@@ -188,7 +190,7 @@ class _AptReader(Machine):
 
     def _text(self, word: str, text: str, block: str) -> None:
         if word == "INSERT" and INSERTED.search(block):
-            self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} is a block of its own", MOVES, lost=True)
+            self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} sets or moves", MOVES, lost=True)
             return
         self.program.count(word)
         if word == "PPRINT":
@@ -375,7 +377,7 @@ class _AptReader(Machine):
         self.units_given = True
 
     def _compensation(self, values: list[str]) -> None:
-        """Only that of the tool's length, and its end, leave the path as it is."""
+        """Count the compensation of the tool's length and the end of each; refuse all others."""
         side = {"LEFT", "RIGHT"} & set(values) or not {"OFF", "ADJUST", "LENGTH"} & set(values)
         if values and side:
             self.program.refuse("CUTCOM", advice=CENTRE, lost=True)

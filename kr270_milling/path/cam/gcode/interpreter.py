@@ -23,7 +23,7 @@ from kr270_milling.path.cam.gcode.words import (
     SILENT_M,
     UNKNOWN,
     UNKNOWN_M,
-    named,
+    word_of,
 )
 from kr270_milling.path.cam.machine import AXES, OF_ARCS, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -61,7 +61,7 @@ class Interpreter(Machine):
             elif letter in axes or (letter == "T" and "T" in groups):
                 program.refuse(letter, f"the word {letter} occurs twice in its line")
             elif letter == "T":
-                self.next_tool = named("T", value) if isinstance(value, float) else value
+                self.next_tool = word_of("T", value) if isinstance(value, float) else value
                 groups["T"] = 0
             elif letter != "N" and (letter != "O" or axes or groups):
                 axes[letter] = value
@@ -72,7 +72,7 @@ class Interpreter(Machine):
         if "S" in axes or "spindle" in groups:
             self._turn(groups, axes)
         if "unclear" in groups:
-            words_of_both = named("F", self.feed_word or 0.0), named("G", groups["unit"])
+            words_of_both = word_of("F", self.feed_word or 0.0), word_of("G", groups["unit"])
             self.feed, self.no_feed = None, FEED_UNIT.format(*words_of_both)
         if axes or groups:
             self.move(axes, groups.get("motion"), groups.get("cycle"))
@@ -90,12 +90,12 @@ class Interpreter(Machine):
         group = (G_GROUPS if letter == "G" else M_GROUPS).get(value)
         if group is not None:
             if groups.setdefault(group, value) != value and group not in ("home", "end"):
-                word = named(letter, value)
+                word = word_of(letter, value)
                 self.program.refuse(word, f"{word} contradicts another word of its kind in the same line")
             if letter == "G" and value in CLAIMS:
                 groups["claim"] = value
         else:
-            word = named(letter, value)
+            word = word_of(letter, value)
             moves = letter == "M" or not (41 <= value < 43 or value in (96, 22, 23))
             advice = ADVICE.get(word, UNKNOWN if letter == "G" else UNKNOWN_M)
             self.program.refuse(word, advice=advice, lost=moves)
@@ -105,14 +105,14 @@ class Interpreter(Machine):
     def _left(self, letter: str, value: float) -> None:
         """Count or refuse a word that no other word of its line took."""
         if letter in TOOL_DATA:
-            self.program.set_frame(TOOL_DATA[letter], named(letter, value))
+            self.program.set_frame(TOOL_DATA[letter], word_of(letter, value))
             self.program.count(letter)
         elif not value and (letter in FURTHER or letter in OF_ARCS):
             self.program.count(f"{letter}0")
         elif letter == "P" and self.cycle is not None and self.drilled:
             self.program.count("P")
         else:
-            word = named(letter, value)
+            word = word_of(letter, value)
             reason = "" if letter in FURTHER else f"the word {word} belongs to no other word of its line"
             self.program.refuse(word, reason, LEFT.get(letter, BELONGS), derived=letter in OF_ARCS)
 
@@ -134,7 +134,7 @@ class Interpreter(Machine):
             self._claimed(groups, axes)
         if "tool" in groups if self.changes else "T" in groups or "tool" in groups:
             if groups.get("tool") == 61 and "Q" in axes:  # the number of the tool that is in the spindle
-                self.next_tool = named("T", axes.pop("Q"))
+                self.next_tool = word_of("T", axes.pop("Q"))
             elif groups.get("tool") == 61:
                 self.program.refuse("M61", "M61 without Q, the number of the tool")
             self.change_tool(self.next_tool)
@@ -160,10 +160,10 @@ class Interpreter(Machine):
         """G54 to G59.3 and others; G54.1 P, G154 P, and G15 H of Okuma."""
         names = []
         if "G15" in groups and "H" in axes:
-            names.append(f"G15 {named('H', axes.pop('H'))}")
+            names.append(f"G15 {word_of('H', axes.pop('H'))}")
         if "offset" in groups:
             value = groups["offset"]
-            names.append(OFFSETS.get(value) or f"{named('G', value)} {named('P', axes.pop('P', 1))}")
+            names.append(OFFSETS.get(value) or f"{word_of('G', value)} {word_of('P', axes.pop('P', 1))}")
         for name in names:
             self.program.set_frame("work offsets", name)
         if len(names) > 1:
@@ -174,7 +174,7 @@ class Interpreter(Machine):
         letters, meaning = CLAIMS[groups["claim"]]
         letter = next((letter for letter in letters if letter in axes), "")
         if letter and "motion" not in groups:
-            word = named("G", groups["claim"])
+            word = word_of("G", groups["claim"])
             reason = f"{word} with {letter} {meaning}"
             self.program.refuse(word, reason, "write G0 to G3 or post without it", lost=True)
             groups["refused"] = groups["claim"]
@@ -203,7 +203,7 @@ class Interpreter(Machine):
         elif word == "G54.4" and axes.get("P"):
             self.program.refuse(word, advice=DATUM, lost=True)
         else:
-            number = f" {named('H', axes['H'])}" if word == "G43" and "H" in axes else ""
+            number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
             if word == "G43":
                 self.program.length_offsets.add(self.program.tool)
             if word in ("G43", "G49"):  # without H it is that of the tool
@@ -213,7 +213,7 @@ class Interpreter(Machine):
 
     def _home(self, groups: dict, axes: dict) -> None:
         """G28, G30, G53: the named axes leave the workpiece; without a name, and not for G53, all of them."""
-        word, mode = named("G", groups["home"]), groups.pop("motion", None)
+        word, mode = word_of("G", groups["home"]), groups.pop("motion", None)
         axes_home = [axis for axis in AXES if axis in axes]
         if mode is not None and mode > 1:
             self.program.refuse(word, f"{word} occurs with an arc in one line")

@@ -25,7 +25,7 @@ __all__ = [
     "SILENT_M",
     "UNKNOWN",
     "UNKNOWN_M",
-    "named",
+    "word_of",
 ]
 
 #: what a machine keeps -> the G words that set it, and to what
@@ -109,7 +109,7 @@ JUMPS = "a jump or a call; " + MACROS
 HEIDENHAIN = "a program of a Heidenhain control; post it as ISO (DIN) G-code"
 
 
-def named(letter: str, value: float) -> str:
+def word_of(letter: str, value: float) -> str:
     """Return a word as the program writes it: its number may be a name, and a name keeps all digits."""
     return letter + repr(float(value)).removesuffix(".0")
 
