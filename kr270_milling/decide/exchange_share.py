@@ -13,11 +13,15 @@ from kr270_milling.decide.findings import Violation, violation
 __all__ = ["ExchangeShare", "exchange_share"]
 
 
+WINDOW = 0.1  #: [s], over which the corrections of the mean force count: one period corrects the next
+
+
 @dataclass(frozen=True)
 class ExchangeShare:
     """The largest correction of a predicted pose, by which the chip geometry of one period was wrong."""
 
-    share: float  #: of the feed per tooth
+    share: float  #: of the scale
+    scale: str  #: name of the length that the corrections are compared with
     warn: float  #: share above which it is reported
     stop: float  #: share above which the pass has no meaning
     point: int  #: number of the next point of the path, from 1
@@ -28,19 +32,31 @@ class ExchangeShare:
         """One line."""
         above = f": above {100 * self.warn:g} %, use a shorter {self.period}" if self.share > self.warn else ""
         return (
-            f"exchange: largest correction of a predicted pose is {100 * self.share:.1f} % of the feed per tooth{above}"
+            f"exchange: largest correction of a predicted pose is {100 * self.share:.1f} % of the {self.scale}{above}"
         )
 
     def violations(self) -> list[Violation]:
         """A stop where the share is above its limit."""
-        return [violation("exchange", self.share, self.stop, self.point)] if self.share > self.stop else []
+        if self.share <= self.stop:
+            return []
+        return [violation("exchange", self.share, self.stop, self.point, scale=self.scale)]
 
 
 def exchange_share(cell: Cell, ran: ScoredPass) -> ExchangeShare:
-    """The largest correction of the poses that the arm predicted in a pass, as a share of the feed per tooth."""
-    per_tooth = cell.feed_rate * 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
-    k = int(np.argmax(ran.result.correction))
-    point = int(np.searchsorted(ran.reference.time_ns, ran.result.time_ns[k])) + 1
-    share = float(ran.result.correction[k]) / per_tooth
-    period = "exchange.engagement_period_ms" if cell.by_engagement else "exchange.period_ms"
-    return ExchangeShare(share, cell.exchange.warn_correction, cell.exchange.stop_correction, point, period)
+    """Return the largest correction of the poses that the arm predicted in a pass, as a share of the chip's length.
+
+    The sweep of the teeth compares each correction with the feed per tooth. The mean force compares the root mean
+    square over WINDOW with the feed of a period, or with that of a tooth where this is longer: material that one period
+    missed is removed in the next, so that a single step of the force, as at an entry, changes one period alone.
+    """
+    scale = cell.feed_rate * 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    correction, name, period = ran.result.correction, "feed per tooth", "exchange.period_ms"
+    if cell.by_engagement:
+        periods = max(1, round(WINDOW / cell.exchange.period))
+        correction = np.sqrt(np.convolve(correction**2, np.full(periods, 1.0 / periods), mode="same"))
+        name, period = "feed per tooth or period, over 0.1 s", "exchange.engagement_period_ms"
+        scale = max(scale, cell.feed_rate * cell.exchange.period)
+    k = int(np.argmax(correction))
+    point = int(np.searchsorted(ran.reference.time_ns, ran.result.time_ns[min(k, len(ran.result.time_ns) - 1)])) + 1
+    share = float(correction[k]) / scale
+    return ExchangeShare(share, name, cell.exchange.warn_correction, cell.exchange.stop_correction, point, period)

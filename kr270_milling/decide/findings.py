@@ -119,7 +119,7 @@ KINDS = {
         "where the depth of cut is less than 80 % of its stability limit",
         "Lower stock.grid_step_um: noise of the grid then becomes smaller.", "note"),
     "exchange": Kind("%",
-        "the largest correction of a predicted pose is {value:.1f} % of the feed per tooth at point {point}, more than "
+        "the largest correction of a predicted pose is {value:.1f} % of the {scale} at point {point}, more than "
         "{limit:g} %: the simulated pass says nothing",
         "Use a shorter exchange period or more exchange.iterations."),
     "deflection": Kind("mm", "{said}", "Check force law, feed per tooth, compliances and masses."),
