@@ -208,11 +208,11 @@ class Graph:
         """Run one pass on a fresh workpiece and record it to ``out/name``."""
         until = self.driver.until
         self.begin_recording(name)
-        revision = self._value("revision")
+        revision, passes = self._value("revision"), self._value("passes", ROBOT)
         self.driver.transition("activate", CUT, deadline=UP)
         self.driver.transition("activate", ROBOT, deadline=UP)
         self._in_pass = True
-        until(lambda: self.driver.statuses[ROBOT].message.startswith("pass complete"), "the pass", float("inf"), ROBOT)
+        until(lambda: self._value("passes", ROBOT) != passes, "the pass", float("inf"), ROBOT)
         self._in_pass = False
         until(lambda: self._value("revision") != revision, "revising", UP, COMPENSATOR)
         wall = float(self._value("wall_s", ROBOT))
