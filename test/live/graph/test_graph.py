@@ -383,7 +383,7 @@ def test_a_recorder_that_lacks_messages_of_a_pass_is_reported(tmp_path, monkeypa
     graph, sentences, calls = Graph(None, tmp_path), [], []
     stamps = {"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}
     graph.driver = SimpleNamespace(
-        statuses={name: SimpleNamespace(stamps_ns=sent) for name, sent in zip(NODES, stamps, strict=True)},
+        statuses={name: SimpleNamespace(stamps_ns=sent, sources={}) for name, sent in zip(NODES, stamps, strict=True)},
         value=lambda node, key: missing,
         until=lambda condition, *_: wait_until(condition, "the end"),
         set_parameters=lambda *words: calls.append(words[:2]),
