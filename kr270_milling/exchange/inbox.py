@@ -203,7 +203,9 @@ class PassInbox:
         if time - last > BREAK_NS:
             self._break_off(f"no tool_pose for {(time - last) * 1e-9:.1f} s", sample)
         elif time - self._near_ns > BREAK_NS:
-            self._break_off("the tool stands still, is slow or has left the reference (is the override 100 %?)", sample)
+            self._break_off(
+                "the tool does not move, is slow or has left the reference (is the override 100 %?)", sample
+            )
         else:
             self._check_gap("tool_pose", time, last)
             self._poses[time] = sample.position, sample.quaternion

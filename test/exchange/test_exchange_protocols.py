@@ -360,7 +360,7 @@ def test_a_pass_that_does_not_follow_the_reference_is_refused(announced, ran):
     assert not announced.under_way and announced.passes == 0
 
 
-@pytest.mark.parametrize("ends", ["no tool_pose for 6", "the tool stands still"])
+@pytest.mark.parametrize("ends", ["no tool_pose for 6", "the tool does not move"])
 def test_a_robot_that_stops_in_mid_pass_ends_the_pass_and_its_next_start_counts(short_cell, ends):
     """A pass of 10 s at a slow feed; stamps on the grid of the exchange."""
     cell = short_cell.replace(path=short_cell.path.replace(length=40e-3, feed_rate=4e-3))

@@ -28,7 +28,10 @@ def placed(cell, joints) -> dict[str, np.ndarray]:
     scene = Scene()
     description = Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose))
     result = list(scene.take("robot_description", to_bytes(description)))
-    result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_{i}" for i in range(1, 7)), joints)))
+    names, gripper = [f"joint_{i}" for i in range(1, 7)], JointSample(0, ("finger",), np.array([0.1]))
+    assert not list(scene.take("joint_states", to_bytes(gripper)))
+    turned = JointSample(0, ("finger", *names[::-1]), np.array([0.1, *joints[::-1]]))  # in another order
+    result += scene.take("joint_states", to_bytes(turned))
     frames = {"base_link": np.eye(4)}
     waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
     while waiting:

@@ -208,11 +208,11 @@ class Graph:
         """Run one pass on a fresh workpiece and record it to ``out/name``."""
         until = self.driver.until
         self.begin_recording(name)
-        revision = self._value("revision")
+        revision, passes = self._value("revision"), self._value("passes", ROBOT)
         self.driver.transition("activate", CUT, deadline=UP)
         self.driver.transition("activate", ROBOT, deadline=UP)
         self._in_pass = True
-        until(lambda: self.driver.statuses[ROBOT].message.startswith("pass complete"), "the pass", float("inf"), ROBOT)
+        until(lambda: self._value("passes", ROBOT) != passes, "the pass", float("inf"), ROBOT)
         self._in_pass = False
         until(lambda: self._value("revision") != revision, "revising", UP, COMPENSATOR)
         wall = float(self._value("wall_s", ROBOT))
@@ -252,10 +252,11 @@ class Graph:
         self.driver.transition("configure", CUT, deadline=UP)
 
     def _all_recorded(self) -> bool:
-        """Return whether the recorder has the last message of robot and cut on each of their topics."""
-        robot, cut, recorder = (self.driver.statuses[node].stamps_ns for node in (ROBOT, CUT, RECORDER))
-        sent, there = {**robot, **cut}, recorder
-        return bool(sent) and all(there.get(topic, -1) >= stamp for topic, stamp in sent.items())
+        """Return whether the recorder has the last message of robot and cut on each topic without another publisher."""
+        robot, cut, recorder = (self.driver.statuses[node] for node in (ROBOT, CUT, RECORDER))
+        sent, there = {**robot.stamps_ns, **cut.stamps_ns}, recorder.stamps_ns
+        own = {topic: stamp for topic, stamp in sent.items() if recorder.sources.get(topic, 1) < 2}
+        return bool(own) and all(there.get(topic, -1) >= stamp for topic, stamp in own.items())
 
     def stop(self) -> None:
         """Stop every node, the recorder last, so that it receives the last messages of the others."""

@@ -168,4 +168,8 @@ class CompliantRobot(ManagedNode):
             self.report(OK, "pass complete", **values)
 
     def watch(self) -> dict:
-        return {"state": self.state, "pass_time_s": f"{self.protocol.time_ns * 1e-9:.6f}"}
+        return {
+            "state": self.state,
+            "passes": self.protocol.passes,
+            "pass_time_s": f"{self.protocol.time_ns * 1e-9:.6f}",
+        }

@@ -192,8 +192,12 @@ class ReportingNode(Ending, Node):
         now = time.monotonic()
         say = not message or (sentence != before and now - reported > SAY_AGAIN)
         self.unusable[source] = count + 1, sentence, now if say else reported
-        if say:
-            self.report(WARN if message else ERROR, sentence)
+        if not message:
+            self.report(ERROR, sentence)
+        elif say:  # once; the state of the node remains
+            state = self._level, self.message
+            self.report(WARN, sentence)
+            self._level, self.message = state
 
     def open_outlets(self, node: str) -> None:
         """Create the publishers that the table of topics has for a node, by the names of the topics."""

@@ -31,12 +31,13 @@ from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, Silence
 from kr270_milling.live.ros.status import Status
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.codec import deserialise, to_bytes
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
 MANY = ["path.length_mm=12", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
 NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
 CLI = [sys.executable, "-m", "kr270_milling.cli"]
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 LIMIT = 300.0  # [s] for what does not happen
 
 
@@ -50,7 +51,7 @@ def nodes_of(out: Path) -> dict[str, int]:
     by_name = {}
     for process in psutil.process_iter(["cmdline", "status"]):
         words = process.info["cmdline"] or []
-        ours = "kr270_milling.live.nodes" in words and any(word.startswith(str(out)) for word in words)
+        ours = "kr270_milling.live.nodes" in words and any(str(out) in word for word in words)
         if ours and process.info["status"] != psutil.STATUS_ZOMBIE:
             by_name |= dict.fromkeys(set(NODES) & set(words), process.pid)
     return by_name
@@ -69,10 +70,37 @@ def same(recorded, plain) -> None:
         assert np.array_equal(getattr(recorded, field), getattr(plain, field)), field
 
 
-def test_run_gives_the_plain_loop_bit_for_bit(ros_environment, tmp_path, capsys, short_cell):
-    """A repeated method is run once."""
+STRANGER = """
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from kr270_milling.live.ros.environment import keep_to_this_host
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+keep_to_this_host()
+rclpy.init()
+node = rclpy.create_node("gripper")
+sent = [(node.create_publisher(JointState, "joint_states", 10), JointState(name=["finger"], position=[0.1])),
+        (node.create_publisher(WrenchStamped, "wrench", 10), WrenchStamped())]
+for name in ("compliant_robot", "cutting_process", "trajectory_compensator", "recorder"):
+    status = node.create_publisher(String, name + "/status", QoSProfile(depth=1, durability=1))
+    usual = '{"pid": 1, "level": 0, "message": "", "values": []}'
+    sent += [(status, String(data=text)) for text in (usual, "[" * 9999)]
+def publish():
+    for publisher, message in sent:
+        publisher.publish(message)
+node.create_timer(0.02, publish)
+rclpy.spin(node)
+"""
+
+
+def test_run_gives_the_plain_loop_bit_for_bit_while_a_stranger_publishes_what_cannot_be_used(
+    ros_environment, tmp_path, capsys, short_cell
+):
+    """A gripper on joint_states, no statuses, wrenches of no frame. A repeated method is run once."""
     methods = ("--method", "linear", "--method", "spline", "--method", "linear")
-    assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
+    with running([sys.executable, "-c", STRANGER], ros_environment):
+        assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
     assert not nodes_of(tmp_path)
     printed = capsys.readouterr()
     assert "not complete" not in printed.err
@@ -90,6 +118,12 @@ def test_run_gives_the_plain_loop_bit_for_bit(ros_environment, tmp_path, capsys,
         assert row["static_deviation_um"] == expected.scores.static_deviation * 1e6
         assert row["real_time_factor"] == pytest.approx(row["duration_s"] / row["wall_s"])
     assert 0 < result["graph_up_s"] < LIMIT
+    with Recording(tmp_path / "o" / "spline") as recording:
+        reports = [deserialise(DIAGNOSTICS, m.data).status[0] for m in recording.messages(["/diagnostics"])]
+    counted = {(one.name.strip("/"), pair.key) for one in reports for pair in one.values}
+    named = {"compliant_robot": "wrench", "trajectory_compensator": "joint_states"}
+    assert {(node, f"refused {topic}") for node, topic in named.items()} <= counted
+    assert {(node, "refused cutting_process/status") for node in named} <= counted
     with Recording(tmp_path / "o" / "original") as recording:
         recorded_topics = recording.topics()
         assert "/tf_static" in recorded_topics
@@ -349,7 +383,7 @@ def test_a_recorder_that_lacks_messages_of_a_pass_is_reported(tmp_path, monkeypa
     graph, sentences, calls = Graph(None, tmp_path), [], []
     stamps = {"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}
     graph.driver = SimpleNamespace(
-        statuses={name: SimpleNamespace(stamps_ns=sent) for name, sent in zip(NODES, stamps, strict=True)},
+        statuses={name: SimpleNamespace(stamps_ns=sent, sources={}) for name, sent in zip(NODES, stamps, strict=True)},
         value=lambda node, key: missing,
         until=lambda condition, *_: wait_until(condition, "the end"),
         set_parameters=lambda *words: calls.append(words[:2]),
