@@ -165,7 +165,7 @@ class McapFile:
         start, _, crc = struct.unpack_from("<QQI", self._read(footer, FOOTER_SIZE), len(FOOTER))
         begin = start or footer
         if not len(MAGIC) <= begin <= footer:
-            raise ValueError("is said to be at an impossible place")
+            raise ValueError("has an impossible place")
         if crc and zlib.crc32(self._read(begin, footer + len(FOOTER) + 16 - begin)) != crc:
             raise ValueError("does not fit its checksum")
         self._stream.seek(0)
@@ -288,8 +288,8 @@ class McapFile:
     def _records(self, on_damage: OnDamage | None) -> Iterator[Placed]:
         """Yield the records of the data section. Raises Damage.
 
-        Behind a damaged record, reading continues at its end or, where its length is damaged, at the next chunk that
-        the summary lists.
+        After a damaged record, reading continues with the next record or, if the length is damaged too, with the next
+        chunk that the summary lists.
         """
         begin = 0
         while begin < self._end:

@@ -14,7 +14,7 @@ from kr270_milling.show.commands.command import Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
-COUNTS = ("compared", "differing", "missing", "repeated", "given", "not_compared")
+COUNTS = ("compared", "differing", "missing", "not_compared")
 COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
 PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
                    None: "not to be compared with a recorded one"}  # fmt: skip
@@ -65,11 +65,11 @@ def _recompute(args) -> Answer:
     with progress("recomputing") as report:
         result = recompute(args.file, report, remapping(args.remap))
     about = result.as_dict()
-    rows = ({"topic": _shown(topic), **count.as_dict()} for topic, count in sorted(result.channels.items()))
+    rows = ({"topic": _shown(topic), **vars(count)} for topic, count in sorted(result.channels.items()))
     shown: list = [table_of(result.file, COLUMNS, rows)]
     if result.cut_off:
         shown.append("The recording was cut off; the recorded part was compared.")
-    shown += [*map(_shown, result.stops), *("damage: " + _shown(sentence) for sentence in result.damage)]
+    shown += [*map(_shown, result.sentences), *("damage: " + _shown(sentence) for sentence in result.damage)]
     if result.first:
         shown.append(f"first difference: {_shown(result.first)}")
     shown.append(f"{result.verdict}: {result.compared} messages compared bit for bit")
