@@ -11,7 +11,7 @@ import numpy as np
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
+from kr270_milling.exchange.replay.attached import recorded_cells
 from kr270_milling.exchange.replay.recompute import pass_over, record_difference, robots_of, usable
 from kr270_milling.exchange.replay.revisions import Revisions
 from kr270_milling.path.trajectory import Trajectory
@@ -50,16 +50,18 @@ class Revised:
 
 
 def compensate_recording(
-    path, method: str | None = None, progress=None, remap: Mapping[str, str] = MappingProxyType({})
+    path, method: str | None = None, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None
 ) -> list[Revised]:
-    """Return one revision per robot; ``method`` takes the place of the recorded one. remap: see ``Recording``.
+    """Return one revision per robot; ``method`` takes the place of the recorded one.
+
+    remap: see ``Recording``; cell_file: see ``recorded_cells``.
 
     Raises RecordingError where no pass is complete, or where the pass cannot be revised.
     """
     revised = []
     with Recording(path, remap=remap) as recording:
-        cell = attached_cell(recording)
-        cells = cell, attached_plant(recording, cell)
+        cells = recorded_cells(recording, cell_file)
+        cell, _ = cells
         namespaces = robots_of(recording)
         for number, namespace in enumerate(namespaces, 1):
             graph = read_graph(recording, cell.clock, namespace, on_damage=pass_over)

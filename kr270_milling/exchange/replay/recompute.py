@@ -20,7 +20,7 @@ from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.cut import CutProtocol
-from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
+from kr270_milling.exchange.replay.attached import recorded_cells
 from kr270_milling.exchange.replay.revisions import NotRecorded, Revisions
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import CompliantArm, silent_periods
@@ -132,8 +132,8 @@ class Recomputed:
         )
 
 
-def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({})) -> Recomputed:
-    """Recompute a recording; progress(passes done, of all); remap: see ``Recording``.
+def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None) -> Recomputed:
+    """Recompute a recording; progress(passes done, of all); remap: see ``Recording``; cell_file: see ``recorded_cells``.
 
     Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
     """
@@ -142,8 +142,7 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
         if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
             version = recording.library.partition("/")[2]
             raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
-        cell = attached_cell(recording)
-        cells = cell, attached_plant(recording, cell)
+        cells = recorded_cells(recording, cell_file)
         with usable(recording):
             robots = [_Robot(recording, cells, namespace, progress) for namespace in robots_of(recording)]
         channels = {topic: count for robot in robots for topic, count in robot.counts.items()}

@@ -10,7 +10,7 @@ from kr270_milling.base.errors import one_line
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.show.commands.command import Group, command, option
+from kr270_milling.show.commands.command import CELL_BESIDE, Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
@@ -33,6 +33,7 @@ COMMANDS = {
             ),
             option("--compensate", "no playback: the revised trajectory from the recorded pass", bool),
         )),
+        CELL_BESIDE,
         option("--method", "with --compensate: in place of the recorded method", choices=METHODS),
         option("--out DIR", "with --compensate: write reference_trajectory.csv there"),
         Group("playback (names as in ros2 bag play)", PLAY),
@@ -63,7 +64,7 @@ def _recompute(args) -> Answer:
     from kr270_milling.recordings.bag.remap import remapping
 
     with progress("recomputing") as report:
-        result = recompute(args.file, report, remapping(args.remap))
+        result = recompute(args.file, report, remapping(args.remap), args.cell)
     about = result.as_dict()
     rows = ({"topic": _shown(topic), **vars(count)} for topic, count in sorted(result.channels.items()))
     shown: list = [table_of(result.file, COLUMNS, rows)]
@@ -87,7 +88,7 @@ def _compensate(args) -> Answer:
     from kr270_milling.recordings.bag.remap import remapping
 
     with progress("compensating") as report:
-        revisions = compensate_recording(args.file, args.method, report, remapping(args.remap))
+        revisions = compensate_recording(args.file, args.method, report, remapping(args.remap), args.cell)
     files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
     robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
     shown = []
