@@ -133,8 +133,9 @@ class Recomputed:
 
 
 def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None) -> Recomputed:
-    """Recompute a recording; progress(passes done, of all); remap: see ``Recording``; cell_file: see ``recorded_cells``.
+    """Recompute a recording; progress(passes done, of all).
 
+    remap: see ``Recording``; cell_file: see ``recorded_cells``.
     Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
     """
     with Recording(path, remap=remap) as recording:

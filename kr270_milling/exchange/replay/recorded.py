@@ -58,8 +58,9 @@ def passes_from_recording(
 ) -> list[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
     """Return every pass of a recording and its facts, along reference and target of its time; the file is read once.
 
-    A file that was cut off gives the part that is there. remap: see ``Recording``; cell_file: see ``recorded_cells``. A pass
-    that cannot be used is left out; the facts of the others name it. Raises RecordingError where no pass can be used.
+    A file that was cut off gives the part that is there. A pass that cannot be used is left out; the facts of the
+    others name it. remap: see ``Recording``; cell_file: see ``recorded_cells``. Raises RecordingError where no pass
+    can be used.
     """
     with Recording(path, remap=remap) as recording:
         cells = recorded_cells(recording, cell_file)
