@@ -127,6 +127,10 @@ class CutProtocol:
 
     def workpiece(self) -> list[Output]:
         """Return the map of the part after the last answer; raises NoWorkpiece."""
+        return [("workpiece", self.map_of_part())]
+
+    def map_of_part(self) -> StockMap:
+        """Return the thinned map of the part; raises NoWorkpiece."""
         if self.cut is None:
             raise NoWorkpiece
         stock = self.cell.stock
@@ -135,4 +139,4 @@ class CutProtocol:
         removed = (stock.max[2] - surface) / (stock.max[2] - stock.min[2])
         left = np.rint(100 * (1 - removed)).astype(np.int8)
         resolution = float(np.float32(thinning * stock.grid_step))  # the message has 32 bits for it
-        return [("workpiece", StockMap(self.stamp_ns, WORKPIECE, resolution, stock.min, left))]
+        return StockMap(self.stamp_ns, WORKPIECE, resolution, stock.min, left)

@@ -1,10 +1,10 @@
-"""The passes of a recording: what was recorded along each reference, found by stamps and never by log time."""
+"""Passes of a recording: the messages along each reference, selected by stamps and never by log time."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -67,7 +67,6 @@ class PassSeries:
     target: Trajectory | None  #: as the compensator states it; None: that of the cell
     series: dict[str, Series]  #: by topic
     maps: tuple[StockMap, ...] = ()  #: of the workpiece
-    ignored: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that belong to no exchange
     reason: str = ""  #: why the pass cannot be used; empty: it can
 
     def topic(self, name: str) -> Series:
@@ -93,6 +92,7 @@ class GraphRecord:
     states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: in this order
     walls: list[float] = dataclasses.field(default_factory=list)  #: reported wall times of complete passes [s]
     refused: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that cannot be read
+    outside: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages of no exchange of a pass
     passes: list[PassSeries] = dataclasses.field(default_factory=list)  #: of the simulated robot, by their starts
 
     def target_of(self, reference: Trajectory) -> Trajectory | None:
@@ -121,11 +121,13 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
 
 
 def read_graph(
-    recording: Recording, clock: StepClock, namespace: str | None = None, on_damage: Callable | None = None
-) -> GraphRecord:
+    recording: Recording, clock: StepClock, namespace: str | None = None, joint_names: Sequence[str] = (),
+    on_damage: Callable | None = None,
+) -> GraphRecord:  # fmt: skip
     """Read the nodes' topics of one robot once, and cut the series into the passes along its references.
 
-    on_damage: see ``Recording.messages``. Raises RecordingError where poses or references are not recorded.
+    joint_names: of the robot, to read its joint states and the maps of the part; on_damage: see
+    ``Recording.messages``. Raises RecordingError where poses or references are not recorded.
     """
     names = {topic.rpartition("/")[2] for topic in recording.topics()}  # a driver publishes no deflection
     topics = {kind: topic_of(recording, kind, namespace) for kind in EXCHANGED if kind == "tool_pose" or kind in names}
@@ -147,7 +149,7 @@ def read_graph(
 
     take: dict[str, Callable] = {
         "target_trajectory": add_target, "compensator_state": graph.states.append,
-        "joint_states": joints.append, "workpiece": maps.append,
+        **({"joint_states": joints.append, "workpiece": maps.append} if joint_names else {}),
     }  # fmt: skip
     others = {f"{space}/{name}": _reader(graph, name, receive) for name, receive in take.items()}
     others[reference] = _reader(graph, "reference_trajectory", graph.references.append, add_reference)
@@ -160,12 +162,13 @@ def read_graph(
     if not graph.references:
         raise RecordingError(recording.path, f"{reference} has no message that is a path of the tool")
     recorded = {kind: one for kind, one in zip(topics, series, strict=True) if kind in topics}
-    if joints:
-        width = len(joints[0].names)
-        own = [one for one in joints if len(one.position) == width]
-        table = np.array([one.position for one in own]).reshape(-1, width)
+    own = [one for one in joints if set(joint_names) <= set(one.names) and len(one.names) == len(one.position)]
+    if own:  # by name: a gripper may publish on the same topic
+        table = np.array([[one.position[one.names.index(name)] for name in joint_names] for one in own])
         recorded["joint_states"] = TopicSeries(np.array([one.stamp for one in own], np.int64), table)
     graph.passes = list(_passes(graph, clock, recorded, maps))
+    for name, one in recorded.items():
+        graph.outside[name] = one.stamp.size - sum(part.topic(name).step.size for part in graph.passes)
     return graph
 
 
@@ -196,29 +199,31 @@ def _wall_times(decode: Callable, data: bytes, known: list[float]) -> list[float
 
 def _passes(graph: GraphRecord, clock: StepClock, recorded: dict[str, TopicSeries], maps: list[StockMap]):
     """Yield the passes: references with a pose of the exchange between their start and the next one."""
-    starts = {reference.start_ns: (number, reference) for number, reference in reversed([*enumerate(graph.references)])}
+    # of two references with one start, the later one replaced the other before the pass
+    starts = {reference.start_ns: (number, reference) for number, reference in enumerate(graph.references)}
     ordered = sorted(starts)
     for start, end in zip(ordered, [*ordered[1:], np.iinfo(np.int64).max], strict=True):
         number, reference = starts[start]
         last = clock.steps(reference.duration_ns)
         cut = {name: _cut(clock, one, name, start, end, last) for name, one in recorded.items()}
-        series = {name: part for name, (part, _) in cut.items() if part.step.size}
+        series = {name: part for name, part in cut.items() if part.step.size}
         if "tool_pose" not in series:
             continue
-        ignored = {name: count for name, (_, count) in cut.items() if count}
-        begun = sum(int(np.count_nonzero(one.stamp == start)) for name, one in recorded.items() if name == "deflection")
-        reason = f"{begun} passes have one start" if begun > 1 else ""
+        published = recorded.get("deflection")  # once an exchange
+        starting = 0 if published is None else int(np.count_nonzero(published.stamp == start))
+        reason = f"{starting} passes have one start" if starting > 1 else ""
         inside = tuple(one for one in maps if start <= one.stamp < end)
-        yield PassSeries(number, reference, graph.target_of(reference), series, inside, ignored, reason)
+        yield PassSeries(number, reference, graph.target_of(reference), series, inside, reason)
 
 
-def _cut(clock: StepClock, one: TopicSeries, name: str, start: int, end: int, last: int) -> tuple[Series, int]:
-    """Return the rows of a topic in one pass, and the number of those that the nodes do not use."""
+def _cut(clock: StepClock, one: TopicSeries, name: str, start: int, end: int, last: int) -> Series:
+    """Return the rows of a topic that the nodes use in one pass."""
     here = (one.stamp >= start) & (one.stamp < end)
     stamp, values = one.stamp[here] - start, one.values[here]
     step = np.rint(stamp / (clock.period * 1e9)).astype(np.int64)
     used = (step <= last) & (clock.stamp(step) == stamp) & np.isfinite(values).all(axis=1)
     if name == "tool_pose":
-        used &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= UNIT_LENGTH
+        with np.errstate(over="ignore", invalid="ignore"):
+            used &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= UNIT_LENGTH
     used[used] = np.maximum.accumulate(step[used]) == step[used]  # an older one comes from another publisher
-    return Series(step[used], stamp[used], values[used]), int(np.count_nonzero(~used))
+    return Series(step[used], stamp[used], values[used])

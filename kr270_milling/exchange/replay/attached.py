@@ -8,11 +8,11 @@ from pathlib import Path
 import yaml
 
 from kr270_milling.base.errors import ConfigError, RecordingError, one_line
-from kr270_milling.base.parameter_file import read_yaml
+from kr270_milling.base.parameter_file import find_file, read_yaml
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.recordings.bag.reader import Recording
 
-__all__ = ["attached_cell", "attached_plant"]
+__all__ = ["attached_cell", "recorded_cells"]
 
 CELL, PLANT = "cell.yaml", "plant.yaml"
 LONGEST_NAME = 200  # [bytes], of an attached file
@@ -29,15 +29,21 @@ def attached_cell(recording: Recording) -> Cell:
     parameter_files = [n for n in names if n.endswith((".yaml", ".yml")) and n != PLANT]
     if CELL not in names and len(parameter_files) != 1:
         what = f"has {', '.join(sorted(parameter_files))}" if parameter_files else "has no parameter file"
-        raise RecordingError(recording.path, f"{what} attached, but {CELL} is needed to recompute it")
+        raise RecordingError(
+            recording.path, f"{what} attached, but {CELL} is needed to recompute it; give it by --cell"
+        )
     if sum(a.size for a in recording.attachments) > MOST_ATTACHED:
         raise RecordingError(recording.path, "holds more attachments than a cell needs")
     return _read(recording, CELL if CELL in names else parameter_files[0])
 
 
-def attached_plant(recording: Recording, cell: Cell) -> Cell:
-    """Return the cell that cut in the pass: the attached ``plant.yaml``, else the cell itself."""
-    return _read(recording, PLANT) if PLANT in _names(recording) else cell
+def recorded_cells(recording: Recording, file=None) -> tuple[Cell, Cell]:
+    """Return the cell that planned a pass and the one that cut in it, the attached ``plant.yaml`` if there is one.
+
+    file: of the cell, for a recording without it, as of ``ros2 bag record``. Raises RecordingError, ConfigError.
+    """
+    cell = attached_cell(recording) if file is None else read_cell(find_file(file))
+    return cell, _read(recording, PLANT) if PLANT in _names(recording) else cell
 
 
 def _names(recording: Recording) -> set[str]:

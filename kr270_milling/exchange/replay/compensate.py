@@ -8,14 +8,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.exchange.replay.compare import difference
-from kr270_milling.exchange.replay.revisions import Revision
-from kr270_milling.exchange.replay.robots import Robot, Robots
+from kr270_milling.exchange.replay.attached import recorded_cells
+from kr270_milling.exchange.replay.recompute import pass_over, record_difference, robots_of, usable
+from kr270_milling.exchange.replay.revisions import Revisions
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.cdr import stamp_of
+from kr270_milling.recordings.passes import read_graph
 
 __all__ = ["Revised", "compensate_recording"]
 
@@ -48,40 +50,42 @@ class Revised:
 
 
 def compensate_recording(
-    path, method: str | None = None, progress=None, remap: Mapping[str, str] = MappingProxyType({})
+    path, method: str | None = None, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None
 ) -> list[Revised]:
-    """Return one revision per robot; ``method`` takes the place of the recorded one. remap: see ``Recording``.
+    """Return one revision per robot; ``method`` takes the place of the recorded one.
+
+    remap: see ``Recording``; cell_file: see ``recorded_cells``.
 
     Raises RecordingError where no pass is complete, or where the pass cannot be revised.
     """
+    revised = []
     with Recording(path, remap=remap) as recording:
-        robots = Robots(recording)
-        robots.feed(progress, Robot.feed_compensator)
-        with robots.usable("/wrench"):
-            try:
-                made = [(robot, robot.compensator.revise(method)) for robot in robots.robots.values()]
-                revised = [_revised(robot, revision) for robot, revision in made if revision is not None]
-            except MillingError as error:
-                raise RecordingError(recording.path, str(error)) from error
+        cells = recorded_cells(recording, cell_file)
+        cell, _ = cells
+        namespaces = robots_of(recording)
+        for number, namespace in enumerate(namespaces, 1):
+            graph = read_graph(recording, cell.clock, namespace, on_damage=pass_over)
+            with usable(recording):
+                made = Revisions(recording, cells, graph).revise(method)
+            if made is not None:
+                revised.append(_revised(cell, namespace, *made))
+            if progress:
+                progress(number, len(namespaces))
         if not revised:
             raise RecordingError(recording.path, "holds no complete pass along a recorded reference trajectory")
     return revised
 
 
-def _same_bits(reference: Trajectory, published: bytes) -> bool:
-    """Whether a message has the bits of a reference; only the recording knows the start of the next pass."""
-    return difference(reference.starting_at(stamp_of(published) or 0), published) is None
-
-
-def _revised(robot: Robot, revision: Revision) -> Revised:
-    made = revision.compensator
-    shift = made.reference.position - revision.target.sample(made.reference.time_ns)
+def _revised(
+    cell: Cell, namespace: str, made: Compensator, target: Trajectory, published: Trajectory | None
+) -> Revised:
+    shift = made.reference.position - target.sample(made.reference.time_ns)
     return Revised(
-        robot.namespace,
+        namespace,
         made.method,
         made.reference,
-        commanded_joints(robot.cell, made.reference),
+        commanded_joints(cell, made.reference),
         made.errors[-1],
         float(np.linalg.norm(shift, axis=1).max()),
-        None if revision.published is None else _same_bits(made.reference, revision.published),
+        None if published is None else record_difference(published, made.reference) is None,
     )

@@ -7,7 +7,7 @@ time, because override and stops change the feed.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +16,12 @@ from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.compensator import end_of
 from kr270_milling.exchange.inbox import PassInbox, ReceivedPass, interpolated
-from kr270_milling.exchange.inputs import WrenchFrames, checked_wrench
-from kr270_milling.exchange.replay.inputs import INPUTS
+from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.codec import wrench_from_bytes
+from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 
 __all__ = ["driven_passes", "driven_steps", "poses_lost", "rsi_pass"]
 
@@ -69,7 +68,11 @@ def driven_passes(
     """
     names = {topic: name for name, topic in topics.items() if name in TOPICS}
     frames = WrenchFrames(cell)
-    read = INPUTS | {"wrench": lambda data: checked_wrench(wrench_from_bytes(data), frames.names)}
+    read: dict[str, Callable] = {  # as the compensator reads and checks them
+        "reference_trajectory": trajectory_from_bytes,
+        "tool_pose": lambda data: checked_pose(pose_from_bytes(data)),
+        "wrench": lambda data: checked_wrench(wrench_from_bytes(data), frames.names),
+    }
     inboxes: list[tuple[PassInbox, Trajectory]] = []
     last = b""
     for message in recording.messages(set(names)):

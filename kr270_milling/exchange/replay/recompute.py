@@ -1,49 +1,107 @@
-"""Recompute a recording: feed its inputs to the protocols of the nodes and compare the outputs bit for bit.
+"""Recompute a recording: the models along what was recorded, and every output compared bit for bit.
 
-There is no ROS graph and no clock: the messages come in the order of the file. Robots in several namespaces are
-recomputed together, with the cell of the recording.
+Robot: simulated along the recorded wrenches. Cut: along the recorded poses. Compensator: revised from the recorded
+passes. There is no ROS graph and no clock. Robots in several namespaces are recomputed one after the other.
 """
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from kr270_milling.base.errors import RecordingError
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.version import __version__
-from kr270_milling.exchange.replay.compare import Channel, Difference
-from kr270_milling.exchange.replay.robots import Robot, Robots, Stop
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.plant import imperfect_arm, imperfect_course
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.replay.attached import recorded_cells
+from kr270_milling.exchange.replay.revisions import NotRecorded, Revisions
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.milling_pass import CompliantArm, silent_periods
+from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.recordings.messages.topics import TOPICS
+from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
 
-__all__ = ["Recomputed", "recompute"]
+__all__ = [
+    "Difference",
+    "Recomputed",
+    "TopicCount",
+    "pass_over",
+    "recompute",
+    "record_difference",
+    "robots_of",
+    "usable",
+]
 
-EXCHANGE = ("tool_pose", "wrench")
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
+CHECKSUM = 13  # [bytes] of the record with the checksum of the data, whose damage costs no message
 LIBRARY = re.compile(r"kr270_milling/(\d+\.\d+)\.")
+TRAJECTORY = ("time_ns", "position", "quaternion", "velocity")  # fields with the bits of a message
+RANK = {topic.name: place for place, topic in enumerate(TOPICS)}  # in the order of causes
+AXES = {  # fields of the columns of a topic
+    "tool_pose": [f"pose.position.{a}" for a in "xyz"] + [f"pose.orientation.{a}" for a in "xyzw"],
+    "wrench": [f"wrench.force.{a}" for a in "xyz"] + [f"wrench.torque.{a}" for a in "xyz"],
+    "deflection": [f"twist.linear.{a}" for a in "xyz"] + [f"twist.angular.{a}" for a in "xyz"],
+    "joint_states": [f"position[{k}]" for k in range(6)],
+}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first message that is not what the models give."""
+
+    topic: str
+    index: int  #: of the message among those of its topic that belong to a pass, from 0
+    stamp_ns: int
+    field: str
+    recorded: object
+    recomputed: object
+    order: tuple = ()  #: sorts the differences of several topics by pass, time and cause
+
+    def __str__(self) -> str:
+        return (
+            f"{self.topic}, message {self.index} at {self.stamp_ns * 1e-9:.6f} s: {self.field} is {self.recorded!r} "
+            f"in the recording and {self.recomputed!r} recomputed"
+        )
+
+
+@dataclass
+class TopicCount:
+    """Messages of one topic."""
+
+    compared: int = 0
+    differing: int = 0
+    missing: int = 0  #: recomputed, but not in the recording
+    not_compared: int = 0  #: recorded, but their cause is not in the recording
 
 
 @dataclass(frozen=True)
 class Recomputed:
     """The verdict of a recompute.
 
-    "different": one message at least has other bits; "damaged": a checksum or an index of the file does not fit;
+    "different": one message at least has other bits; "damaged": a checksum or a count of the file does not fit;
     "incomplete": a model could not continue, or messages were not compared; else "identical".
     """
 
     file: str
     cut_off: bool
-    channels: dict[str, Channel]
+    channels: dict[str, TopicCount]  #: by full names of topics
     first: Difference | None
-    stops: tuple[Stop, ...]
+    stops: tuple[tuple[str, int | None, str], ...]  #: namespace, stamp [ns] if a time belongs to the reason, reason
     version: str  #: of the package that wrote the recording
-    damage: tuple[str, ...] = ()  #: checksums and indices that do not fit
+    damage: tuple[str, ...] = ()
 
     @property
     def compared(self) -> int:
-        return sum(c.compared for c in self.channels.values())
+        return sum(count.compared for count in self.channels.values())
 
     @property
     def verdict(self) -> str:
@@ -53,82 +111,284 @@ class Recomputed:
             return "damaged"
         return "incomplete" if self.stops else "identical"
 
+    @property
+    def sentences(self) -> list[str]:
+        """Return a sentence for each reason why the recompute is not complete."""
+        at = "cannot continue at {:.6f} s: "
+        return [f"{ns or '/'}: {'' if t is None else at.format(t * 1e-9)}{reason}" for ns, t, reason in self.stops]
+
     def as_dict(self) -> dict:
         return dict(
             file=self.file,
             verdict=self.verdict,
             cut_off=self.cut_off,
             compared=self.compared,
-            channels={topic: c.as_dict() for topic, c in self.channels.items()},
+            channels={topic: vars(count) for topic, count in self.channels.items()},
             first_difference=self.first and {k: v for k, v in vars(self.first).items() if k != "order"},
             damage=list(self.damage),
-            stopped=[vars(stop) | {"robot": stop.robot or "/"} for stop in self.stops],
+            stopped=[dict(robot=ns or "/", stamp_ns=stamp, reason=reason) for ns, stamp, reason in self.stops],
             recorded_version=self.version,
             version=__version__,
         )
 
 
-def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({})) -> Recomputed:
-    """Recompute a recording; progress(messages done, of all); remap: see ``Recording``.
+def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None) -> Recomputed:
+    """Recompute a recording; progress(passes done, of all).
 
+    remap: see ``Recording``; cell_file: see ``recorded_cells``.
     Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
     """
     with Recording(path, remap=remap) as recording:
-        _expect_this_version(recording)
-        recomputed = Robots(recording)
-        recomputed.feed(progress)
-        recomputed.finish()
-        _expect_exchange(recording, recomputed)
-        robots, cut_off = recomputed.robots.values(), recording.cut_off
-        channels = {channel.topic: channel for robot in robots for channel in robot.channels.values()}
-        firsts = [channel.first for channel in channels.values() if channel.first]
+        recorded = LIBRARY.match(recording.library)
+        if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
+            version = recording.library.partition("/")[2]
+            raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
+        cells = recorded_cells(recording, cell_file)
+        with usable(recording):
+            robots = [_Robot(recording, cells, namespace, progress) for namespace in robots_of(recording)]
+        channels = {topic: count for robot in robots for topic, count in robot.counts.items()}
+        firsts = [robot.first for robot in robots if robot.first]
         first = min(firsts, key=lambda difference: difference.order, default=None)
-        stops = [stop for robot in robots for stop in robot.stops]
-        stops += [stop for robot in robots if not robot.stops for stop in _incomplete(robot, cut_off)]
+        stops = tuple(stop for robot in robots for stop in robot.stops)
         version = recording.metadata().get("kr270_milling", {}).get("kr270_milling_version", "")
-        damage = () if cut_off else tuple(findings(recording))
-        return Recomputed(str(recording.path), cut_off, channels, first, tuple(stops), version, damage)
+        damage = () if recording.cut_off else tuple(findings(recording))
+        return Recomputed(str(recording.path), recording.cut_off, channels, first, stops, version, damage)
 
 
-def _expect_this_version(recording: Recording) -> None:
-    """Raise RecordingError where another minor version of this package wrote the recording."""
-    recorded = LIBRARY.match(recording.library)
-    if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
-        version = recording.library.partition("/")[2]
-        raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
+def robots_of(recording: Recording) -> list[str]:
+    """Return the namespaces of the robots in a recording. Raises RecordingError where there is none."""
+    names = ("tool_pose", "wrench", "reference_trajectory")
+    places = {t.rpartition("/")[0] for t, a in recording.topics().items() if t.rpartition("/")[2] in names and a.count}
+    if not places:
+        raise RecordingError(recording.path, f"holds no {', '.join(names[:2])} or {names[2]} to recompute")
+    return sorted(places)
 
 
-def _expect_exchange(recording: Recording, recomputed: Robots) -> None:
-    """Raise RecordingError where the poses are those of a driver: nothing of the package computed these poses."""
-    poses = [robot.channels["tool_pose"] for robot in recomputed.robots.values() if "tool_pose" in robot.channels]
-    if poses and all(channel.refused == channel.count > 0 for channel in poses):
-        reason = (
-            "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report scores them"
-        )
-        raise RecordingError(recording.path, reason)
+@contextlib.contextmanager
+def usable(recording: Recording) -> Iterator[None]:
+    """Raise RecordingError for messages whose values are too large for a simulation, or that a model refuses."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a force of 1e300 N is a valid input
+            yield
+    except RecordingError:
+        raise
+    except (MillingError, ValueError, OverflowError) as error:
+        raise RecordingError(recording.path, " ".join(str(error).split())) from error
 
 
-def _incomplete(robot: Robot, cut_off: bool) -> Iterator[Stop]:
-    """Return why the recompute of a robot is not complete, although its models did not stop.
+def pass_over(damage: Damage, size: int) -> None:
+    """Pass over a damage that costs no message, which ``findings`` reports. Raises Damage."""
+    if size > CHECKSUM:
+        raise damage
 
-    Where a pass or the file broke off, the last periods may lack causes or effects.
-    """
-    namespace, exchange, done = robot.namespace, robot.cell.exchange, robot.robot.protocol.done
-    names = [name for name, c in robot.channels.items() if c.waiting and not c.compared]
-    if names:
-        yield Stop(namespace, None, f"the inputs of {', '.join(names)} are not in the recording")
-        return
-    if not any(robot.channels[name].compared for name in EXCHANGE if name in robot.channels):
-        yield Stop(namespace, None, "no pass is in the recording: no tool_pose and no wrench was compared")
-        return
-    allowed = 0 if done and not cut_off else UNDER_WAY * exchange.iterations
-    for channel in robot.channels.values():
-        if channel.waiting > allowed:
-            reason = f"{channel.waiting} messages on {channel.topic} from {channel.leftover * 1e-9:.6f} s on were not "
-            yield Stop(namespace, None, reason + "compared: no recorded input leads to these messages")
-    under_way = round(UNDER_WAY * exchange.period * 1e9)
-    for name, channel in () if cut_off else robot.channels.items():
-        count = channel.lacking(under_way, done, exchange.iterations if name in EXCHANGE else 1)
-        if count:
-            reason = f"{count} messages that belong on {channel.topic} are not in the recording"
-            yield Stop(namespace, None, reason + ", and the stamps show no gap")
+
+class _Robot:
+    """The nodes of one namespace: counts, the first difference, and the reasons why something was not compared."""
+
+    def __init__(self, recording: Recording, cells: tuple[Cell, Cell], namespace: str, progress):
+        self.cell, self.plant = cells
+        self.counts: dict[str, TopicCount] = {}
+        self.first: Difference | None = None
+        self.stops: list[tuple[str, int | None, str]] = []
+        self._namespace, self._cut_off = namespace, recording.cut_off
+        graph = read_graph(recording, self.cell.clock, namespace, self.cell.joint_names, pass_over)
+        poses = recording.topics()[graph.topics["tool_pose"]].count if "tool_pose" in graph.topics else 0
+        if poses > graph.refused.get("tool_pose", 0) and not graph.passes:
+            reason = "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report "
+            raise RecordingError(recording.path, reason + "scores them")
+        complete = 0
+        for number, one in enumerate(graph.passes):
+            complete += self._compare_pass(one, number, complete)
+            if progress:
+                progress(number + 1, len(graph.passes))
+        self._check_outputs(graph)
+        self._compare_revisions(Revisions(recording, cells, graph))
+        if not any(self._count(name).compared for name in ("tool_pose", "wrench")) and not self.stops:
+            self._stop(None, "no pass is in the recording: no tool_pose and no wrench was compared")
+
+    def _count(self, name: str) -> TopicCount:
+        return self.counts.setdefault(f"{self._namespace}/{name}", TopicCount())
+
+    def _stop(self, stamp_ns: int | None, reason: str) -> None:
+        self.stops.append((self._namespace, stamp_ns, reason))
+
+    def _differs(self, name: str, order: tuple[int, int], index: int, field: str, recorded, recomputed) -> None:
+        """Keep the difference if it is the first by pass, time and cause."""
+        key = (*order, RANK[name])
+        if self.first is None or key < self.first.order:
+            topic = f"{self._namespace}/{name}"
+            self.first = Difference(topic, index, order[1], field, recorded, recomputed, key)
+
+    # --- robot and cut ---
+
+    def _compare_pass(self, one: PassSeries, number: int, complete: int) -> bool:
+        """Compare one pass; return whether it ran to the end of its reference. complete: passes before that did."""
+        last = self.plant.clock.steps(one.reference.duration_ns)
+        wrench, pose = one.topic("wrench").last(), one.topic("tool_pose").last()
+        start, inputs = one.reference.start_ns, {"wrench": wrench.unbroken(), "tool pose": pose.unbroken()}
+        if one.reason or not inputs["tool pose"]:
+            self._stop(None, one.reason or "the recording begins in the middle of a pass, whose state is not known")
+            for name, part in one.series.items():
+                self._count(name).not_compared += part.step.size
+            return False
+        outputs = self._robot(one, wrench, inputs["wrench"], last, complete)
+        outputs["wrench"] = self._cut(one, number, pose, inputs["tool pose"])
+        for name, expected in outputs.items():
+            self._compare(name, one, number, expected)
+        done = inputs["wrench"] > last
+        allowed = 0 if done and not self._cut_off else UNDER_WAY
+        for cause, effects in (("wrench", ("tool_pose", "deflection")), ("tool pose", ("wrench",))):
+            beyond = max((int(one.topic(name).step[-1]) for name in effects if name in one.series), default=0)
+            if beyond - inputs[cause] >= allowed and inputs[cause] <= last:
+                stamp = start + int(self.plant.clock.stamp(inputs[cause]))
+                self._stop(stamp, f"the {cause} of this time is not in the recording")
+        for name in ("deflection", "joint_states"):
+            self._check_tail(name, one, min(len(outputs[name]), last + 1) - allowed)
+        return done
+
+    def _check_tail(self, name: str, one: PassSeries, end: int) -> None:
+        """Stop where the last messages of a pass are missing, which no gap in the stamps shows."""
+        every, there, topic = self._every(name), one.topic(name).step, f"{self._namespace}/{name}"
+        due = (max(end, 0) - 1) // every - (int(there[-1]) // every if there.size else -1)
+        if due > 0 and not self._cut_off and topic in self.counts:
+            reason = f"{due} messages that belong on {topic} are not in the recording, and the stamps show no gap"
+            self._stop(None, reason)
+
+    def _check_outputs(self, graph: GraphRecord) -> None:
+        """Stop where messages that only the robot publishes belong to no pass, or cannot be read."""
+        for name in ("deflection", "joint_states"):
+            topic = f"{self._namespace}/{name}"
+            other = graph.refused.get(name, 0) if name == "joint_states" else graph.outside.get(name, 0)
+            if graph.passes and other > (UNDER_WAY if self._cut_off else 0):
+                self._count(name).not_compared += other
+                self._stop(None, f"{other} messages on {topic} were not compared: no recorded input leads to them")
+
+    def _every(self, name: str) -> int:
+        """Return the number of steps from one message that must be there to the next."""
+        return self.cell.thinned_steps if name in ("deflection", "joint_states") else 1
+
+    def _robot(self, one: PassSeries, wrench: Series, count: int, last: int, complete: int) -> dict[str, np.ndarray]:
+        """Return poses, deflections and joint positions along the recorded wrenches, by steps."""
+        plant, reference = self.plant, one.reference
+        course = imperfect_course(plant, reference, complete)
+        model = imperfect_arm(plant, reference, plant.arm_model(reference))
+        stamps = plant.clock.stamp(np.arange(last + 1))
+        arm = CompliantArm(model, model.push(course, stamps))
+        guesses = self._guesses(one)
+        tool, deflection = course.sample(stamps[: count + 1]), np.zeros((count, 6))
+        for step in range(1, len(tool)):
+            tool[step] += arm.predict(guesses.get(step))[:3]
+            if step < count:
+                deflection[step] = arm.correct(wrench.values[step])
+        turn = course.sample_orientation(stamps[: len(tool)])
+        every = self.cell.thinned_steps
+        joints = plant.joints_along(reference, stamps[:count:every]) if count else np.zeros((0, 6))
+        repeated = np.repeat(joints, every, axis=0)[:count]  # only the rows at multiples of ``every`` are compared
+        return {"tool_pose": np.hstack([tool, turn]), "deflection": deflection, "joint_states": repeated}
+
+    def _guesses(self, one: PassSeries) -> dict[int, np.ndarray]:
+        """Return the wrench from which the last pose of an iterated exchange was predicted, by steps."""
+        if self.cell.exchange.iterations == 1:
+            return {}
+        before = one.topic("wrench").last(1)
+        return dict(zip(before.step.tolist(), before.values, strict=True))
+
+    def _cut(self, one: PassSeries, number: int, pose: Series, count: int) -> np.ndarray:
+        """Return the wrenches along the recorded poses, by steps; compare the map of the part at their end."""
+        plant, steps = self.plant, np.arange(count)
+        protocol = CutProtocol(plant)
+        protocol.cut = plant.cut()
+        wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * plant.clock.micro_steps)
+        if plant.programmed.drills:
+            wrench[silent_periods(plant.programmed.drilling_at(plant.clock.stamp(steps)))] = 0.0
+        protocol.stamp_ns = one.reference.start_ns + int(plant.clock.stamp(count - 1))
+        expected = protocol.map_of_part()
+        at_end = [index for index, recorded in enumerate(one.maps) if recorded.stamp == expected.stamp]
+        if one.maps:  # the others are of the part before, or within the pass
+            self._count("workpiece").not_compared += len(one.maps) - bool(at_end)
+        if at_end:
+            counted, recorded = self._count("workpiece"), one.maps[at_end[-1]]
+            counted.compared += 1
+            if field := _array_difference("data", recorded.cells.T.ravel(), expected.cells.T.ravel()):
+                counted.differing += 1
+                self._differs("workpiece", (number, recorded.stamp), at_end[-1], *field)
+        return wrench
+
+    def _compare(self, name: str, one: PassSeries, number: int, expected: np.ndarray) -> None:
+        """Compare one topic of a pass with what the models give, (steps, columns)."""
+        there, every = one.topic(name).last(), self._every(name)
+        if not there.step.size:
+            return
+        counted = self._count(name)
+        used = there.step < len(expected)
+        if name == "joint_states":
+            used &= there.step % every == 0
+        steps, values = there.step[used], there.values[used]
+        if name == "joint_states" and values.shape[1] != expected.shape[1]:
+            counted.not_compared += there.step.size
+            return
+        different = (expected[steps].view(np.int64) != np.ascontiguousarray(values).view(np.int64)).any(axis=1)
+        before, row = counted.compared + counted.not_compared, int(np.argmax(different)) if different.any() else -1
+        counted.compared += int(np.count_nonzero(used))
+        counted.differing += int(np.count_nonzero(different))
+        counted.not_compared += int(np.count_nonzero(~used))
+        counted.missing += np.setdiff1d(np.arange(0, len(expected), every), there.step).size
+        if row >= 0:
+            column = int(np.argmax(expected[steps[row]].view(np.int64) != values[row].view(np.int64)))
+            stamp = one.reference.start_ns + int(there.stamp_ns[used][row])
+            index = before + int(np.flatnonzero(used)[row])
+            recorded, recomputed = float(values[row, column]), float(expected[steps[row], column])
+            self._differs(name, (number, stamp), index, AXES[name][column], recorded, recomputed)
+
+    # --- compensator ---
+
+    def _compare_revisions(self, revisions: Revisions) -> None:
+        """Compare each state and reference of the compensator with those that the recorded passes lead to."""
+        graph = revisions.graph
+        for index in range(max(len(graph.states), len(graph.published))):
+            order = revisions.order(index)
+            published: dict[str, list] = {"compensator_state": graph.states, "reference_trajectory": graph.published}
+            names = [name for name, messages in published.items() if index < len(messages)]
+            try:
+                rebuilt = revisions.rebuild(index)
+            except NotRecorded as error:
+                if not error.elsewhere:
+                    self._stop(None, str(error))
+                for name in names:
+                    self._count(name).not_compared += 1
+                continue
+            for name, expected in zip(published, rebuilt, strict=True):
+                if name not in names:
+                    if index < len(graph.states) - 1:  # a recorder may stop after the last state
+                        self._count(name).missing += 1
+                    continue
+                counted = self._count(name)
+                counted.compared += 1
+                if field := record_difference(published[name][index], expected):
+                    counted.differing += 1
+                    self._differs(name, order, index, *field)
+
+
+def _array_difference(field: str, recorded: np.ndarray, expected: np.ndarray) -> tuple[str, object, object] | None:
+    """Return place and both values of the first item with other bits."""
+    if recorded.shape != expected.shape:
+        return f"shape of {field}", recorded.shape, expected.shape
+    a, b = (np.ascontiguousarray(x).view(f"i{x.dtype.itemsize}") for x in (recorded, expected))
+    if np.array_equal(a, b):
+        return None
+    place = tuple(int(k) for k in np.argwhere(a != b)[0])
+    return f"{field}[{', '.join(map(str, place))}]", recorded[place].item(), expected[place].item()
+
+
+def record_difference(recorded, expected) -> tuple[str, object, object] | None:
+    """Return name and both values of the first field of two records that differs."""
+    is_trajectory = isinstance(expected, Trajectory)
+    names = TRAJECTORY if is_trajectory else [field.name for field in dataclasses.fields(expected)]
+    for name in names:
+        a, b = getattr(recorded, name), getattr(expected, name)
+        if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+            if field := _array_difference(name, a, b):
+                return field
+        elif (a is None) != (b is None) or (not is_trajectory and a != b):
+            return name, a, b
+    return None

@@ -15,7 +15,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
-from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
+from kr270_milling.exchange.replay.attached import recorded_cells
 from kr270_milling.exchange.replay.driven import driven_passes, driven_steps, poses_lost, rsi_pass
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -53,16 +53,18 @@ def pass_from_recording(
 
 
 def passes_from_recording(
-    path, name: str | None = None, namespace: str | None = None, remap: Mapping[str, str] = MappingProxyType({})
-) -> list[tuple[ScoredPass, RecordedFacts]]:
+    path, name: str | None = None, namespace: str | None = None, remap: Mapping[str, str] = MappingProxyType({}),
+    cell_file=None,
+) -> list[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
     """Return every pass of a recording and its facts, along reference and target of its time; the file is read once.
 
-    A file that was cut off gives the part that is there. remap: see ``Recording``. A pass that cannot be used is left
-    out; the facts of the others name it. Raises RecordingError where no pass can be used.
+    A file that was cut off gives the part that is there. A pass that cannot be used is left out; the facts of the
+    others name it. remap: see ``Recording``; cell_file: see ``recorded_cells``. Raises RecordingError where no pass
+    can be used.
     """
     with Recording(path, remap=remap) as recording:
-        cell = attached_cell(recording)
-        cells = cell, attached_plant(recording, cell)
+        cells = recorded_cells(recording, cell_file)
+        cell, _ = cells
         graph = read_graph(recording, cell.clock, namespace)
         program = _program(recording, cell)
         rsi = f"{graph.namespace}/correction" in recording.topics()

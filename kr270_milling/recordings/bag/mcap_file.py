@@ -63,7 +63,7 @@ class RawMessage(NamedTuple):
     sequence: int = 0
 
 
-class Placed(NamedTuple):
+class FileRecord(NamedTuple):
     """A record of the file, its first byte and the byte after its last one."""
 
     record: Any
@@ -165,7 +165,7 @@ class McapFile:
         start, _, crc = struct.unpack_from("<QQI", self._read(footer, FOOTER_SIZE), len(FOOTER))
         begin = start or footer
         if not len(MAGIC) <= begin <= footer:
-            raise ValueError("is said to be at an impossible place")
+            raise ValueError("has an impossible place")
         if crc and zlib.crc32(self._read(begin, footer + len(FOOTER) + 16 - begin)) != crc:
             raise ValueError("does not fit its checksum")
         self._stream.seek(0)
@@ -197,7 +197,7 @@ class McapFile:
         self._stream.seek(begin)
         return self._stream.read(size)
 
-    def _take(self, placed: Placed) -> None:
+    def _take(self, placed: FileRecord) -> None:
         """Take what a record states of the content. Raises the errors in UNREADABLE."""
         record = placed.record
         if isinstance(record, Header):
@@ -285,11 +285,11 @@ class McapFile:
         if undefined is not None:
             raise ValueError(f"messages belong to channel {undefined}, which is not defined")
 
-    def _records(self, on_damage: OnDamage | None) -> Iterator[Placed]:
+    def _records(self, on_damage: OnDamage | None) -> Iterator[FileRecord]:
         """Yield the records of the data section. Raises Damage.
 
-        Behind a damaged record, reading continues at its end or, where its length is damaged, at the next chunk that
-        the summary lists.
+        After a damaged record, reading continues with the next record or, if the length is damaged too, with the next
+        chunk that the summary lists.
         """
         begin = 0
         while begin < self._end:
@@ -300,7 +300,7 @@ class McapFile:
                 for record in reader.records:
                     if whole.at > self._limit(at):
                         raise ValueError("the length of a record leads into the next chunk")
-                    yield Placed(record, at, whole.at)
+                    yield FileRecord(record, at, whole.at)
                     at = whole.at
                     if at == self._end:
                         return

@@ -80,6 +80,7 @@ REMAP = option(
     default=[],
     action="append",
 )
+CELL_BESIDE = option("--cell CELL.yaml", "the cell, for a recording without it, as of ros2 bag record")
 REFERENCE = option("--reference FILE.csv", "run along this trajectory, as written by compensate")
 
 

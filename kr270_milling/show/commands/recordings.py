@@ -12,7 +12,7 @@ from kr270_milling.base.column import columns_of, table_of, yes
 from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.units import seconds
-from kr270_milling.show.commands.command import RECORDING, REMAP, command, option
+from kr270_milling.show.commands.command import CELL_BESIDE, RECORDING, REMAP, command, option
 from kr270_milling.show.commands.console import Answer, command_line, now, output_directory
 from kr270_milling.show.commands.progress import progress, steps
 
@@ -49,6 +49,7 @@ COMMANDS = {
         ),
         option("--namespace NAME", "of the robot, where a recording holds several"),
         REMAP,
+        CELL_BESIDE,
         option(
             "--out DIR",
             "where the report goes (default: in place of the report.html of the first DIR, else DIR/report; DIR of "
@@ -130,7 +131,7 @@ def _reported(args, whole) -> Answer:
     from kr270_milling.show.report.series import write_series
 
     places = [Path(place) for place in args.recordings]
-    recorded, copies = _read(places, args.namespace, args.remap, whole)
+    recorded, copies = _read(places, args, whole)
     cell, passes = recorded[0][1].cell, [ran for ran, _ in recorded]
     first = places[0]
     beside = first if first.is_dir() else first.parent
@@ -158,21 +159,19 @@ def _reported(args, whole) -> Answer:
     ])  # fmt: skip
 
 
-def _read(
-    places: Sequence[Path], namespace: str | None, rules: Sequence[str], whole
-) -> tuple[list[tuple[ScoredPass, RecordedFacts]], list[str]]:
+def _read(places: Sequence[Path], args, whole) -> tuple[list[tuple[ScoredPass, RecordedFacts]], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
 
     from kr270_milling.exchange.replay.recorded import passes_from_recording
     from kr270_milling.recordings.bag.remap import remapping
 
-    remap = remapping(rules)
+    chosen = args.namespace, remapping(args.remap), args.cell
     paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
     names = unique_names(paths)
     recorded: list[tuple[ScoredPass, RecordedFacts]] = []
     copies: list[str] = []
     with whole("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
-        read = pool.map(lambda path, name: passes_from_recording(path, name, namespace, remap), paths, names)
+        read = pool.map(lambda path, name: passes_from_recording(path, name, *chosen), paths, names)
         for number, (path, passes) in enumerate(zip(paths, read, strict=True), 1):
             count(number, len(paths))
             for ran, about in passes:
@@ -216,8 +215,12 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 
 def _recordings(path: Path) -> list[Path]:
     """The .mcap files of a file, a recording's directory or a directory of such, in the order of their writing."""
+    from kr270_milling.recordings.bag.files import find_recording
+
     if path.is_file():
         return [path]
+    if (path / "metadata.yaml").is_file():
+        return [find_recording(path)]
     files = sorted([*path.glob("*.mcap"), *path.glob("*/*.mcap")], key=lambda p: (p.stat().st_mtime_ns, p))
     if not files:
         raise InputError(path, "holds no recording (.mcap)" if path.is_dir() else "is no such file or directory")

@@ -11,11 +11,11 @@ from kr270_milling.base.errors import one_line
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.show.commands.command import REMAP, Group, command, option
+from kr270_milling.show.commands.command import CELL_BESIDE, REMAP, Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
-COUNTS = ("compared", "differing", "missing", "repeated", "given", "not_compared")
+COUNTS = ("compared", "differing", "missing", "not_compared")
 COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
 PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
                    None: "not to be compared with a recorded one"}  # fmt: skip
@@ -34,6 +34,7 @@ COMMANDS = {
             ),
             option("--compensate", "no playback: the revised trajectory from the recorded pass", bool),
         )),
+        CELL_BESIDE,
         option("--method", "with --compensate: in place of the recorded method", choices=METHODS),
         option("--out DIR", "with --compensate: write reference_trajectory.csv there"),
         REMAP,
@@ -68,13 +69,13 @@ def _recompute(args) -> Answer:
     from kr270_milling.recordings.bag.remap import remapping
 
     with progress("recomputing") as report:
-        result = recompute(args.file, report, remapping(args.remap))
+        result = recompute(args.file, report, remapping(args.remap), args.cell)
     about = result.as_dict()
-    rows = ({"topic": _shown(topic), **count.as_dict()} for topic, count in sorted(result.channels.items()))
+    rows = ({"topic": _shown(topic), **vars(count)} for topic, count in sorted(result.channels.items()))
     shown: list = [table_of(result.file, COLUMNS, rows)]
     if result.cut_off:
         shown.append("The recording was cut off; the recorded part was compared.")
-    shown += [*map(_shown, result.stops), *("damage: " + _shown(sentence) for sentence in result.damage)]
+    shown += [*map(_shown, result.sentences), *("damage: " + _shown(sentence) for sentence in result.damage)]
     if result.first:
         shown.append(f"first difference: {_shown(result.first)}")
     shown.append(f"{result.verdict}: {result.compared} messages compared bit for bit")
@@ -92,7 +93,7 @@ def _compensate(args) -> Answer:
     from kr270_milling.recordings.bag.remap import remapping
 
     with progress("compensating") as report:
-        revisions = compensate_recording(args.file, args.method, report, remapping(args.remap))
+        revisions = compensate_recording(args.file, args.method, report, remapping(args.remap), args.cell)
     files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
     robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
     shown = []

@@ -9,6 +9,9 @@ import numpy as np
 import pass_recording as made
 import pytest
 from foreign_cell import foreign_pass
+from hostile import ask
+from recording_samples import STORE
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from kr270_milling.base.errors import ConfigError, RecordingError
 from kr270_milling.base.parameter_file import find_file
@@ -153,6 +156,33 @@ def test_a_recorder_that_starts_in_mid_pass_has_an_incomplete_pass_and_a_whole_o
     np.testing.assert_equal(ran.row() | {"name": ""}, same.row() | {"name": ""})
 
 
+def test_a_bag_of_ros2_bag_record_is_scored_and_recomputed_with_a_cell_beside_it(tmp_path):
+    """A database without attachments, whose log times are those of receipt."""
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topics = {name: writer.add_connection(f"/{name}", kind, typestore=STORE) for name, kind in made.TYPES.items()}
+        for k, message in enumerate(made.one_pass(begin=LATE)):
+            writer.write(topics[message.topic], LATE + k, message.data)
+    (tmp_path / "cell.yaml").write_text(made.cell_text())
+    with pytest.raises(RecordingError, match="give it by --cell"):
+        passes_from_recording(tmp_path / "bag")
+    ((ran, recorded),) = passes_from_recording(tmp_path / "bag", "bag", cell_file=tmp_path / "cell.yaml")
+    assert recorded.complete
+    ((plain, _),) = passes_from_recording(made.write(tmp_path / "plain", made.one_pass(begin=LATE)), "bag")
+    np.testing.assert_equal(ran.row(), plain.row())
+    assert recompute(tmp_path / "bag", cell_file=tmp_path / "cell.yaml").verdict == "identical"
+    answer = ask("report", str(tmp_path / "bag"), "--cell", str(tmp_path / "cell.yaml"), "--out", str(tmp_path / "out"))
+    assert answer.code == 0 and "report: " in answer.out
+
+
+def test_a_pass_that_cannot_be_used_does_not_stop_the_others(tmp_path):
+    """The first two passes have one start; the third begins later."""
+    bag = made.write(tmp_path / "r", [*made.one_pass()[:200], *made.one_pass()[2:], *made.one_pass(begin=LATE)])
+    ((ran, recorded),) = passes_from_recording(bag)
+    assert recorded.complete and recorded.unused == ("does not separate its passes: 2 passes have one start",)
+    ((plain, _),) = passes_from_recording(made.write(tmp_path / "plain", made.one_pass(begin=LATE)))
+    np.testing.assert_equal(ran.row() | {"name": ""}, plain.row() | {"name": ""})
+
+
 def test_a_pass_is_scored_along_the_target_in_force(tmp_path):
     """A target that lies 0.5 mm to the side: the deviation is that from this target, not from the path of the cell."""
     target = made.cell_of().target()
@@ -204,7 +234,6 @@ def test_messages_of_another_publisher_are_not_missing_and_spoil_nothing(tmp_pat
         assert info(recording)["missing"] == 0 or begin == LATE + 30_000_077
     replayed = recompute(bag)
     assert replayed.verdict == "identical", [replayed.first, *replayed.stops]
-    assert replayed.channels[f"/{topic}"].refused >= 90
     ((ran, recorded),) = passes_from_recording(bag)
     assert recorded.complete and recorded.messages_lost == 0
     np.testing.assert_equal(ran.row() | {"name": ""}, plain | {"name": ""})

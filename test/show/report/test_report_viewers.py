@@ -17,12 +17,12 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.decide.part import FeatureRow
-from kr270_milling.exchange.replay.inputs import TYPES
 from kr270_milling.exchange.scene import OUTPUTS
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.physics.robot.urdf_links import links_of
+from kr270_milling.recordings.messages.topics import TOPICS
 from kr270_milling.show.report.robot_model import robot_model
 
 
@@ -98,7 +98,7 @@ def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
 def test_every_curve_and_topic_of_the_layouts_is_in_the_messages():
     panels = json.loads(find_file("viewer_layout.json").read_text())["configById"].values()
     topics = {topic for panel in panels for topic in panel.get("topics", {})}
-    assert topics and topics <= {f"/{name}" for name in TYPES} | set(OUTPUTS)
+    assert topics and topics <= {f"/{name}" for name in (topic.name for topic in TOPICS)} | set(OUTPUTS)
     curves = [path["value"] for panel in panels for path in panel.get("paths", [])]
     names = [curve.get("name") for curve in ET.parse(find_file("plotjuggler_layout.xml")).iter("curve")]
     curves += [re.sub("joint_[1-6]/position", "position[0]", name) for name in names]  # PlotJuggler names the joints
