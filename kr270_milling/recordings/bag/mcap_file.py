@@ -136,7 +136,7 @@ class McapFile:
     def _open(self, progress, on_damage: OnDamage | None) -> None:
         self._stream.seek(0)
         begin = self._file.read(len(MAGIC))
-        if begin != MAGIC and not on_damage:
+        if begin != MAGIC and (not on_damage or not any(begin)):
             part = begin and MAGIC.startswith(begin)
             raise Damage("the file ends in its first bytes" if part else "this is not an MCAP file", 0)
         footer = max(self.size - FOOTER_SIZE, 0)

@@ -61,9 +61,9 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     losses = Losses()
     try:
         with Recording(file, on_damage=losses.add_summary) as salvage, BagWriter(part, target.name) as writer:
-            _copy(salvage, losses, writer, progress)
-            if salvage.profile is None and not (writer.count or salvage.attachments or salvage.metadata()):
+            if salvage.profile is None and not (salvage.count or salvage.attachments or salvage.metadata()):
                 raise RecordingError(file, "nothing in it can be recovered")
+            _copy(salvage, losses, writer, progress)
             lost_messages = _lost_messages(salvage, losses, writer.count)
         with Recording(part) as copy:
             result = _describe(copy)
