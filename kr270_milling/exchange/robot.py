@@ -71,8 +71,6 @@ class RobotProtocol:
         self._tool = self._unloaded[0]  # predicted tool centre [m], (3,)
         self._step = 0  # whose wrench is awaited
         self._iteration = 0
-        self._asked = 0  # tool poses published since the last wrench
-        self._stale = 0  # wrenches to come that answer a repeated tool pose
         self.awaited_ns = self.start_ns
         self.correction = 0.0
         self.started, self.done = True, False
@@ -96,10 +94,6 @@ class RobotProtocol:
         """Time of the awaited wrench, counted from the start of the pass; 0 before the first wrench."""
         return self.awaited_ns - self.start_ns
 
-    def repeat(self) -> list[Output]:
-        """Return the last tool_pose again; only one of its answers will be used."""
-        return [self._question()]
-
     def wrench(self, sample: WrenchSample) -> list[Output]:
         """Take an answer. An answer with another stamp than the awaited one is ignored; raises MessageError."""
         if not self.started or self.done:
@@ -107,10 +101,6 @@ class RobotProtocol:
         checked_wrench(sample)
         if sample.stamp != self.awaited_ns:
             return []
-        if self._stale:
-            self._stale -= 1
-            return []
-        self._stale, self._asked = self._asked - 1, 0
         wrench = in_workpiece_axes(sample, self._orientation[self._step])
         if self._step > 0 and self._iteration + 1 < self._iterations:
             self._iteration += 1
@@ -122,7 +112,6 @@ class RobotProtocol:
             self.done = True
             self.passes += 1
             return self._state(step, sample.stamp, deflection)
-        self._stale = 0
         self.awaited_ns = self._stamps[self._step]
         self._tool = self._unloaded[self._step] + self._arm.predict()[:3]
         # the tool pose comes first, so that the cut works while the other messages are published
@@ -140,7 +129,6 @@ class RobotProtocol:
     def _question(self) -> Output:
         if not self.started:
             raise ExchangeError(0, "no pass was started")
-        self._asked += 1
         return "tool_pose", PoseSample(self.awaited_ns, WORKPIECE, self._tool, self._orientation[self._step])
 
     def _state(self, step: int, stamp_ns: int, deflection: np.ndarray) -> list[Output]:

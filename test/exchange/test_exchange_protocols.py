@@ -117,20 +117,6 @@ def same_as_compiled(cell, reference=None):
     assert stamps[: 1 + iterations] == [0] + iterations * [stamps[1]] and len(stamps) == 1 + iterations * robot.steps
 
 
-def repeated(robot, cut, pose) -> list:
-    """A question that is asked twice; its second answer must not count as that of the next iteration."""
-    return robot.repeat() if pose.stamp in (0, H, 40 * H) else []
-
-
-@pytest.mark.parametrize("iterations", [1, 3])
-def test_repeated_poses_change_nothing(iterations):
-    cell = cell_with(IN_METAL, "path.length_mm=4", f"exchange.iterations={iterations}")
-    disturbed, plain = run(*protocols(cell), repeated), run(*protocols(cell))
-    np.testing.assert_array_equal(column(disturbed, "deflection", "twist"), column(plain, "deflection", "twist"))
-    assert column(plain, "wrench", "wrench").any()
-    assert not column(plain, "wrench", "wrench")[0].any() and not column(plain, "deflection", "twist")[0].any()  # rest
-
-
 def test_only_the_first_and_the_last_pose_of_a_stamp_and_the_next_one_are_swept():
     """As in an iterated exchange: first elsewhere, then here, is the same as here at once."""
     cut, pose, wrench, following = started()
