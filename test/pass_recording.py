@@ -126,8 +126,13 @@ TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states
          "compensator_state": STATE}  # fmt: skip
 
 
-def write(directory, messages, *, namespaces=("",), attachments=None, cell: str | None = None) -> Path:
-    """A recording of messages, published in each namespace alike; returns its directory."""
+def write(
+    directory, messages, *, namespaces=("",), attachments=None, cell: str | None = None, spacing: int = 1
+) -> Path:
+    """A recording of messages, published in each namespace alike; returns its directory.
+
+    spacing [ns]: from the receipt of a message to that of the next.
+    """
     attached = {"cell.yaml": cell_text() if cell is None else cell} if attachments is None else attachments
     with BagWriter(directory, attachments=attached, metadata={"seed": "1"}) as writer:
         for namespace in namespaces:
@@ -135,7 +140,7 @@ def write(directory, messages, *, namespaces=("",), attachments=None, cell: str 
                 writer.add_topic(f"{namespace}/{name}", kind, [LATCHED] if name in LATCHED_TOPICS else [{}])
         for i, message in enumerate(messages):
             for namespace in namespaces:
-                writer.write(f"{namespace}/{message.topic}", message.data, 10**9 + i)
+                writer.write(f"{namespace}/{message.topic}", message.data, 10**9 + spacing * i)
             if i % 50 == 49:
                 writer.flush()
     return Path(directory)

@@ -75,7 +75,7 @@ class Decision:
         if self.compensated.passes is None:
             parts.append("no tolerance is given: set part.tolerance_um")
         if self.verdict is None:
-            parts.append("no verdict of simulated robots: kr270_milling compensate --verdict runs them")
+            parts.append("no verdict of simulated robots: kr270_milling compensate --verdict 32 runs them")
         elif self.level == CAUTION and self.verdict.within is not None:
             parts.append(REDUCE)
         return "; ".join(parts)

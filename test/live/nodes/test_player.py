@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pass_recording as made
 import pytest
+from mcap.reader import make_reader
 from pass_recording import options
 
 from kr270_milling.base.errors import InputError
@@ -26,7 +27,8 @@ FIRST = ("/compensator_state", "/reference_trajectory")
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    return made.write(tmp_path_factory.mktemp("player") / "r", made.one_pass())
+    messages = made.one_pass()
+    return made.write(tmp_path_factory.mktemp("player") / "r", messages, spacing=END // len(messages))
 
 
 def test_the_options_parse_as_in_ros2_bag_play():
@@ -67,7 +69,7 @@ def test_latched_messages_come_first_where_several_stand_at_the_first_moment(tmp
     *latched, pose = made.one_pass()[: len(FIRST) + 1]
     rest = made.one_pass()[len(FIRST) + 1 :]
     assert (pose.topic, pose.stamp) == ("tool_pose", 0)
-    messages = made.played(made.write(tmp_path / "r", [pose, *latched, *rest]))
+    messages = made.played(made.write(tmp_path / "r", [pose, *latched, *rest], spacing=0))
     assert [m.topic for m in messages[: len(FIRST) + 1]] == [*FIRST, "/tool_pose"]
 
 
@@ -118,7 +120,9 @@ def test_names_follow_namespace_and_remapping_and_the_clock_does_not(world, bag)
     world.until(lambda: player.done)
     stamps = [deserialize_message(data, Clock).clock for data in of_topic(received, "/clock")]
     stamps = [stamp.sec * 10**9 + stamp.nanosec for stamp in stamps]
-    assert stamps == sorted(stamps) and 2 < len(stamps) < 70 and max(stamps) <= END  # 60, or fewer on a busy machine
+    assert (
+        stamps == sorted(stamps) and 2 < len(stamps) < 70 and max(stamps) <= 10**9 + END
+    )  # 60, or fewer on a busy machine
 
 
 def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, ros_environment, capfd):
@@ -156,23 +160,23 @@ def test_a_signal_ends_the_player_with_exit_code_0(play, bag):
 
 def damaged(directory, begin: int) -> Path:
     """A recording of a pass that starts at a stamp [ns], with a byte of its fourth chunk changed."""
-    with Recording(made.write(directory, made.one_pass(begin=begin))) as recording:
-        chunk, path = recording.chunks[3], recording.path
-    path.write_bytes(made.flip((chunk.offset + chunk.end) // 2)(path.read_bytes()))
+    made.write(directory, made.one_pass(begin=begin))
+    (path,) = directory.rglob("*.mcap")
+    with path.open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[3]
+    middle = chunk.chunk_start_offset + chunk.chunk_length // 2
+    path.write_bytes(made.flip(middle)(path.read_bytes()))
     return directory
 
 
 def test_what_cannot_be_played_ends_with_2_before_it_is_played_and_with_1_where_it_is_met(play, bag, tmp_path):
-    """Where several passes may begin, which a stamp near zero makes possible, is looked for in the whole file."""
-    late, early = damaged(tmp_path / "late", 10**18), damaged(tmp_path / "early", 0)
-    for words, code, *sentence in (
-        ((bag, "--topics", "/nothing"), 2, "has no topic /nothing"), ((late,), 1, "late.mcap"),
-        ((early,), 2, "early.mcap", "recover"),
-    ):  # fmt: skip
+    bad = damaged(tmp_path / "bad", 10**18)
+    cases = ((bag, "--topics", "/nothing"), 2, "has no topic /nothing"), ((bad,), 1, "bad.mcap")
+    for words, code, sentence in cases:
         ended, errors = play(*words)
         assert ended == code and "Traceback" not in errors
         last = errors.splitlines()[-1]
-        assert last.startswith("player: ") and all(part in last for part in sentence)
+        assert last.startswith("player: ") and sentence in last
 
 
 def test_names_and_types_that_ros_has_not_are_skipped_with_a_warning(play, tmp_path):

@@ -23,6 +23,9 @@
     return Array.from(robot.joints[k], (q, j) => q + u * (robot.joints[k + 1][j] - q));
   }
 
+  /* Names of the joints in the order of their positions: links are listed parents first. */
+  const names = robot.links.map((link) => link.joint).filter(Boolean);
+
   /* Where every link is at a time, in base_link. */
   function framesAt(time) {
     const joints = jointsAt(time);
@@ -30,7 +33,7 @@
     for (const link of robot.links) {
       const own = matrix(link.rotation, link.xyz);
       const frame = link.parent < 0 ? own : result[link.parent].multiply(own);
-      result.push(link.joint < 0 ? frame : frame.rotateAxisAngle(...link.axis, degrees(joints[link.joint])));
+      result.push(link.joint ? frame.rotateAxisAngle(...link.axis, degrees(joints[names.indexOf(link.joint)])) : frame);
     }
     return result;
   }
