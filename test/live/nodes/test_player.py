@@ -69,8 +69,8 @@ def test_latched_messages_come_first_where_several_stand_at_the_first_moment(tmp
     *latched, pose = made.one_pass()[: len(FIRST) + 1]
     rest = made.one_pass()[len(FIRST) + 1 :]
     assert (pose.topic, pose.stamp) == ("tool_pose", 0)
-    messages = made.played(made.write(tmp_path / "r", [pose, *latched, *rest], spacing=0))
-    assert [m.topic for m in messages[: len(FIRST) + 1]] == [*FIRST, "/tool_pose"]
+    topics = [m.topic for m in made.played(made.write(tmp_path / "r", [pose, *latched, *rest], spacing=0))]
+    assert set(FIRST) <= set(topics[: topics.index("/tool_pose")])
 
 
 def listened(world, bag, *words: str, names=("/tool_pose", "/wrench", *FIRST), arguments=()):
