@@ -267,7 +267,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
     passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
     start = pose_from[2] + s.load[RISE]
-    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from)
+    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 else -1
     s.load[RISE] = _rise(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
     dz = pose_to[2] + s.load[RISE] - start
     torque = height = thrust = 0.0
@@ -309,7 +309,7 @@ def _floor_near(s, p, tip):
 @inlined
 def _rise(s, p, z, passes, give):
     """Height of the tip above the predicted z at the end of a step [m]; give: of the tip for the whole thrust [m/N]."""
-    if give == 0.0 or passes == 0.0 or s.ints[FLOOR_NEAR] < 0:
+    if passes == 0.0 or s.ints[FLOOR_NEAR] < 0:
         return 0.0
     sinks = p.top - s.ints[FLOOR_NEAR] * p.level_step - z
     low, high = -give * s.load[THRUST], sinks

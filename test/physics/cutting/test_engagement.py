@@ -124,8 +124,6 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
     assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
-#: without the contact of the end edges with the floor, which periods of 4 ms do not resolve while the arm swings
-UNPRESSED = "cutting.end_share=0.0"
 SHARP = Cutting("linear_edge", linear_edge=AL7075_T6.replace(tangential_edge=0.0, radial_edge=0.0))
 
 
@@ -270,7 +268,7 @@ def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and
 
 def test_the_deflection_converges_with_the_exchange_period(tmp_path):
     def deflection(period: float):
-        words = [f"exchange.engagement_period_ms={period}", "cutting.detail=engagement", "tool.teeth=4", UNPRESSED]
+        words = [f"exchange.engagement_period_ms={period}", "cutting.detail=engagement", "tool.teeth=4"]
         cell = small_cell(tmp_path, POCKET, *words, "exchange.micro_step_deg=1.0")
         target = cell.target()
         result = run_pass(cell.arm_model(target), cell.cut(), cell.clock, target, target)
@@ -287,7 +285,7 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
 
 
 def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
-    cells = [read_cell("test_piece.yaml", f"cutting.detail={name}", UNPRESSED) for name in ("teeth", "engagement")]
+    cells = [read_cell("test_piece.yaml", f"cutting.detail={name}") for name in ("teeth", "engagement")]
     passes = [simulate(cell) for cell in cells]
     teeth, mean = (ran.result for ran in passes)
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
@@ -357,7 +355,7 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
-    cell = read_cell("test_piece.yaml", "cutting.detail=engagement", UNPRESSED)
+    cell = read_cell("test_piece.yaml", "cutting.detail=engagement")
     target = cell.target()
     free = cell.arm_model(target)
     monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)
