@@ -73,6 +73,7 @@ SLIGHT = 0.1  # of the move: what a tool sinks below that, its rim ahead removes
 BLOCK = 16  # nodes, a power of two
 NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
 NEAR = 0.1  # of the radius: a floor as far away is below nearly the whole tool
+FORGOTTEN = 0.9  # share of an earlier contact that still counts: a tool that swings meets the whole floor again
 HALVINGS = 32  # of the interval in which a rise is searched: from 1 mm to 1e-9 um
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
@@ -640,7 +641,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
             turning += f_t * moment
             layers, contact = layers + volume, contact + length
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
-        s.load[CONTACT] = contact
+        s.load[CONTACT] = max(contact, FORGOTTEN * s.load[CONTACT])
     torque, total = torque + turning, total + layers
     wrench[0] += ahead_x * local_x - ahead_y * local_y + side_x
     wrench[1] += ahead_y * local_x + ahead_x * local_y + side_y
