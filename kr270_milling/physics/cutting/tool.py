@@ -72,7 +72,7 @@ class Tool(Record):
     type: str = parameter(
         "program", choices=("program", "flat"), text="flat: a flat end mill, whatever the comments of the program say"
     )
-    # assumed: ground carbide
+    # assumed: a sharp ground edge of carbide for aluminium; honed edges are rounder
     edge_radius: float = parameter(
         3e-6, unit="um", above=0.0, high=100.0,
         text="roundness of the edges: the end edge presses in proportion to a layer a tooth that is thinner",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from cuttings import LAWS, fitted_order
-from milled_part import POCKET, small_cell
+from milled_part import HEAD, POCKET, small_cell
 from small_part import GCODE, small_part
 
 from kr270_milling import read_cell
@@ -302,6 +302,29 @@ def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
     for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
         swept, engaged = (getattr(part, name) for part in parts)
         assert engaged == pytest.approx(swept, rel=0.02, abs=0.5e-6), name
+
+
+#: a ramp of 3 deg
+RAMP = HEAD + "(ramp)\nG0 X-14 Y0 Z2\nG1 Z0 F1000\nG1 X14 Z-1.467 F2000\nG0 Z2\nM5\nM30\n"
+
+
+@pytest.mark.parametrize("share", [0.2, 1.0])
+def test_the_floor_below_a_swinging_arm_does_not_depend_on_the_exchange_period(tmp_path, share):
+    """The contact of the end edges with the floor is solved within a period."""
+    floors = []
+    for period in (4.0, 1.0):
+        words = f"exchange.engagement_period_ms={period}", f"cutting.end_share={share}", "cutting.detail=engagement"
+        cell = small_cell(tmp_path, RAMP, *words)
+        floors.append(assess(cell, simulate(cell)).whole.max_floor)
+    assert floors[0] == pytest.approx(floors[1], abs=3e-6)
+
+
+@pytest.mark.parametrize("detail", ["teeth", "engagement"])
+def test_a_compensated_ramp_has_a_better_floor(tmp_path, detail):
+    cell = small_cell(tmp_path, RAMP, f"cutting.detail={detail}")
+    before = simulate(cell)
+    floors = [assess(cell, ran).whole.max_floor for ran in (before, compensated(cell, before, "inverse"))]
+    assert floors[1] < 0.2 * floors[0]
 
 
 def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under_the_swept_teeth(tmp_path):
