@@ -26,8 +26,8 @@ later by z tan(helix) / R. The force of a step therefore acts with the lag of fi
 
 theta the spindle angle of the step. Without the lag the model damps vibrations too early.
 
-The robot predicts the end of a step with the last load. The thrust T of the end edges rises within some micrometres, less
-than the arm moves in a step. Therefore the tip of a step is that which the robot finds when it corrects the prediction:
+The robot predicts the end of a step with the last load. The thrust of the end edges rises within some micrometres, less
+than the arm moves in a step. Therefore the step ends where the corrected tip will be, above the predicted one by
 
     rise = give theta / (theta + T) (thrust(floor - z - rise) - last thrust)
 
@@ -72,8 +72,8 @@ RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a cover
 SLIGHT = 0.1  # of the move: what a tool sinks below that, its rim ahead removes with the crescent
 BLOCK = 16  # nodes, a power of two
 NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
-NEAR = 0.1  # of the radius: a floor as far away is below nearly the whole tool
-FORGOTTEN = 0.9  # share of an earlier contact that still counts: a tool that swings meets the whole floor again
+NEAR = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
+KEPT = 0.9  # assumed: share of an earlier contact that still counts; a tool that swings meets the whole floor again
 HALVINGS = 32  # of the interval in which a rise is searched: from 1 mm to 1e-9 um
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
@@ -150,7 +150,7 @@ def make_engagement_params(
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
-    bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give: see EngagementParams.
+    bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give: as in the record.
     """
     nx, ny = stock.nodes
     radius = float(tool.radii.max())
@@ -641,7 +641,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
             turning += f_t * moment
             layers, contact = layers + volume, contact + length
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
-        s.load[CONTACT] = max(contact, FORGOTTEN * s.load[CONTACT])
+        s.load[CONTACT] = max(contact, KEPT * s.load[CONTACT])
     torque, total = torque + turning, total + layers
     wrench[0] += ahead_x * local_x - ahead_y * local_y + side_x
     wrench[1] += ahead_y * local_x + ahead_x * local_y + side_y
