@@ -217,8 +217,8 @@ class EngagementCut(CutModel):
     """The mean force of the engagement, for steps of some milliseconds: ``engagement`` has the equations.
 
     stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
-    the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep`` gets
-    predicted poses. ``along`` gets final poses.
+    the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep``
+    gets predicted poses. ``along`` gets final poses.
     """
 
     params: EngagementParams
