@@ -25,7 +25,7 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.cutting import Cut, CutModel, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.motion.arm_model import Dynamics, arm_model, modal_models
-from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach
+from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach, discretise
 from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.robot import Arm, Mount, inverse_along, pose
@@ -256,11 +256,18 @@ class Cell(Record):
 
     def cut(self, rigid: bool = False) -> CutModel:
         """Fresh workpiece; of a later tool the stock that the earlier tools leave, rigid: on their programmed paths."""
-        model = EngagementCut if self.by_engagement else Cut
-        cut = model(self.tool, self.cutting, self.stock, self.exchange.micro_step)
+        cut: CutModel
+        common = self.tool, self.cutting, self.stock, self.exchange.micro_step
+        cut = EngagementCut(*common, give=self._give) if self.by_engagement else Cut(*common)
         if self.stage and self.stage.earlier:
             cut.continue_from(cleared(self.stage.earlier, self.stock, not rigid))
         return cut
+
+    @functools.cached_property
+    def _give(self) -> float:
+        """Displacement of the tip along z after an exchange period under a force along z, from rest [m/N]."""
+        _, driven, output, feedthrough = discretise(self.modal_model, self.dynamics.damping_ratio, self.exchange.period)
+        return float((output @ driven + feedthrough)[2, 2])
 
     @property
     def programmed_removal(self) -> Removal:

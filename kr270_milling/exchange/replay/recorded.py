@@ -188,7 +188,7 @@ def _result(
     course = run.sample(stamps)
     shift = course + rows["deflection"][:, :3] - tool
     cut, counts = plant.cut(), steps * plant.clock.micro_steps
-    _, torque, volume = cut.along(tool, counts)
+    _, torque, volume = cut.along(tool, counts, predicted=True)
     silent = silent_periods(plant.programmed.drilling_at(stamps))
     torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(

@@ -87,18 +87,28 @@ class CutModel:
             raise GridError(self.state.pool.size // TILE**2)
         return wrench
 
-    def along(self, positions: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def along(
+        self, positions: np.ndarray, steps: np.ndarray, predicted: bool = False
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Move the tool tip through positions (n, 3) [m], reached at micro-steps (n,) from the pass's start.
+
+        predicted: whether the positions are those that the robot predicted, as in ``sweep``.
 
         Returns the mean wrench (n, 6) [N, N m], the mean spindle torque (n,) [N m] and the volume removed (n,) [m^3] on
         the way to each position; 0 for the first. Raises GridError.
         """
         positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
-        cut_along(self.state, self.params, positions, steps, NO_FORCES, wrench, torque, volume)
+        params = self.params if predicted else self.final_params
+        cut_along(self.state, params, positions, steps, NO_FORCES, wrench, torque, volume)
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
         return wrench, torque, volume
+
+    @property
+    def final_params(self) -> Params | EngagementParams:
+        """Parameters for positions that no correction changes."""
+        return self.params
 
     def _make_room(self, n: int, distance: float) -> None:
         """Have an undo log for n micro-steps over a distance [m]."""
@@ -207,16 +217,23 @@ class EngagementCut(CutModel):
     """The mean force of the engagement, for steps of some milliseconds: ``engagement`` has the equations.
 
     stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
-    the angle about the tool.
+    the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep``
+    gets predicted poses. ``along`` gets final poses.
     """
 
     params: EngagementParams
     state: EngagementState
 
-    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS):
+    def __init__(
+        self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
+    ):
         super().__init__(tool, cutting, stock)
-        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
         self.state = make_engagement_state(self.params, stock)
+
+    @property
+    def final_params(self) -> EngagementParams:
+        return self.params._replace(give=0.0)
 
     @property
     def state_of_pass(self) -> EngagementState:

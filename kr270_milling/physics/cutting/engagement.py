@@ -25,6 +25,13 @@ later by z tan(helix) / R. The force of a step therefore acts with the lag of fi
     load += theta / (theta + T) (F - load),  T = pi / N + tan(helix) / R (mean height above the tip)
 
 theta the spindle angle of the step. Without the lag the model damps vibrations too early.
+
+The robot predicts the end of a step with the last load. The thrust of the end edges rises within some micrometres, less
+than the arm moves in a step. Therefore the step ends where the corrected tip will be, above the predicted one by
+
+    rise = give theta / (theta + T) (thrust(floor - z - rise) - last thrust)
+
+give: the displacement of the tip along z after a step under a unit force, which the cell computes from the arm.
 """
 
 from __future__ import annotations
@@ -64,14 +71,21 @@ LONGEST = 0.25  # of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 SLIGHT = 0.1  # of the move: what a tool sinks below that, its rim ahead removes with the crescent
 BLOCK = 16  # nodes, a power of two
-MASS = 100.0  # [kg] assumed: of an arm at its tool; in a step the floor stops no more than what comes down
 NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
+NEAR = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
+KEPT = 0.9  # assumed: share of an earlier contact that still counts; a tool that swings meets the whole floor again
+HALVINGS = 32  # of the interval in which a rise is searched: from 1 mm to 1e-9 um
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
 # Places in EngagementState.ints
 FLOOR_LEVEL = 5  # the whole footprint is cut at least to this level (-1: not known)
 FLOORS_KNOWN = 6  # rows in use of ``floors``
 FLOORS_KEPT = 8  # of these rows, the first ones that the last step has not changed
+FLOOR_NEAR = 9  # deepest level to which a footprint near the present one is cut (-1: not known)
+# Places in EngagementState.load, after wrench and torque
+THRUST = 7  # of the end edges [N]
+CONTACT = 8  # mean length of all end edges on the floor when the tool last went below FLOOR_NEAR [m]
+RISE = 9  # of the tip above the predicted pose [m]
 
 
 class EngagementParams(NamedTuple):
@@ -94,8 +108,8 @@ class EngagementParams(NamedTuple):
     law: int  # address of the compiled force law, see ``force_law.call_law``
     coefficients: np.ndarray  # of the law [SI], (p,)
     end_share: float  # of the end edge that presses on the floor
-    slight: float  # layer below which the force of the end edge is in proportion to the layer
-    stop: float  # MASS (N omega / 2 pi)^2 [N/m]: over passes^2, most that the thrust grows in a step by what is sunk
+    edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
+    give: float  # of the predicted tip along z in a step [m/N]; 0: poses are not predicted
     moments: bool  # whether forces turn the tool about its tip
     front: np.ndarray  # int16, (SINES + 2 BEYOND,): front bin by BEYOND + SINES (1 + sin(phi)) / 2
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
@@ -120,7 +134,7 @@ class EngagementState(NamedTuple):
     saved_ints: np.ndarray  # as they were before the last step
     saved_floats: np.ndarray
     saved_last: np.ndarray
-    load: np.ndarray  # (8,): wrench, torque and thrust of the end edges that act in the last step [N, N m]
+    load: np.ndarray  # (10,): wrench and torque that act in the last step [N, N m], THRUST, CONTACT, RISE
     saved_load: np.ndarray
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
@@ -132,11 +146,11 @@ class EngagementState(NamedTuple):
 
 
 def make_engagement_params(
-    tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS
+    tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
-    bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS.
+    bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give: as in the record.
     """
     nx, ny = stock.nodes
     radius = float(tool.radii.max())
@@ -158,8 +172,8 @@ def make_engagement_params(
         law=cutting.active.address(),
         coefficients=cutting.coefficients,
         end_share=cutting.end_share,
-        slight=stock.floor_tolerance,
-        stop=MASS * (tool.teeth * tool.spindle_speed / (2.0 * math.pi)) ** 2,
+        edge_radius=tool.edge_radius,
+        give=give,
         moments=cutting.moments,
         **_tables(radius, stock.grid_step, bins),
     )
@@ -215,8 +229,8 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
         saved_last=np.full(3, math.nan),
-        load=np.zeros(8),
-        saved_load=np.zeros(8),
+        load=np.zeros(10),
+        saved_load=np.zeros(10),
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
@@ -247,17 +261,22 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
         s.ints[FLOOR_LEVEL] = -1  # the tool did not come from its last place: what its footprint has cut is not known
         s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
+        s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.radius
     for j in range(6):
         wrench[j] = 0.0
-    dx, dy, dz = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], pose_to[2] - pose_from[2]
+    dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
     parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
-    passes = n * p.micro_step * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
+    passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
+    start = pose_from[2] + s.load[RISE]
+    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 else -1
+    s.load[RISE] = _rise(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
+    dz = pose_to[2] + s.load[RISE] - start
     torque = height = thrust = 0.0
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
         part = _part(
-            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, pose_from[2] + a * dz, pose_from[0] + b * dx,
-            pose_from[1] + b * dy, pose_from[2] + b * dz, passes, wrench,
+            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, start + a * dz, pose_from[0] + b * dx,
+            pose_from[1] + b * dy, start + b * dz, passes, wrench,
         )  # fmt: skip
         torque += part[0]
         height += part[1]
@@ -269,14 +288,40 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         wrench[5] = -p.sense * torque
     for j in range(3):
         s.last[j] = pose_to[j]
-    turn = n * p.micro_step
     fresh = turn / (turn + p.lag + p.twist * height / parts)
     for j in range(6):
         s.load[j] += fresh * (wrench[j] - s.load[j])
         wrench[j] = s.load[j]
     s.load[6] += fresh * (torque - s.load[6])
-    s.load[7] = thrust / parts
+    s.load[THRUST] += fresh * (thrust / parts - s.load[THRUST])
     return s.load[6]
+
+
+@inlined
+def _floor_near(s, p, tip):
+    """Deepest known level of a footprint NEAR the tip; -1: none is known."""
+    for k in range(s.ints[FLOORS_KNOWN]):
+        u, v = s.floors[k, 0] - tip[0], s.floors[k, 1] - tip[1]
+        if u * u + v * v < (NEAR * p.radius) ** 2:
+            return np.int64(s.floors[k, 2])
+    return np.int64(-1)
+
+
+@inlined
+def _rise(s, p, z, passes, give):
+    """Height of the tip above the predicted z at the end of a step [m]; give: of the tip for the whole thrust [m/N]."""
+    if passes == 0.0 or s.ints[FLOOR_NEAR] < 0:
+        return 0.0
+    sinks = p.top - s.ints[FLOOR_NEAR] * p.level_step - z
+    low, high = -give * s.load[THRUST], sinks
+    for _ in range(HALVINGS if low < high else 0):
+        rise = 0.5 * (low + high)
+        thrust = s.load[CONTACT] * end_force(p, (sinks - rise) / passes)[1]
+        if rise < give * (thrust - s.load[THRUST]):
+            low = rise
+        else:
+            high = rise
+    return low
 
 
 @inlined
@@ -583,7 +628,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
             moment_y += middle * x - p.radius * c * z
             torque += f_t * height * p.radius
             total, raised = total + volume, raised + volume * middle
-    thrust = end_x = end_y = side_x = side_y = turning = layers = area = 0.0
+    thrust = end_x = end_y = side_x = side_y = turning = layers = contact = 0.0
     for k in range(SECTORS if sinking else 0):
         volume, nodes = s.sunk[k, 0], s.sunk[k, 1]
         if volume > 0.0:  # each tooth takes a layer with its end edge: N / 2 pi int int dr dphi, and int int r dr dphi
@@ -594,14 +639,12 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
             side_x, side_y = side_x + p.sense * f_t * d * length, side_y - p.sense * f_t * c * length
             thrust, end_x, end_y = thrust + f_r * length, end_x + d * f_r * moment, end_y - c * f_r * moment
             turning += f_t * moment
-            layers, area = layers + volume, area + nodes
-    if layers > 0.0:
-        sunk = layers / area * p.level_step
-        held = min(1.0, (s.load[7] + p.stop * sunk / (passes * passes)) / max(thrust, 1e-9))
-        thrust, end_x, end_y, total = held * thrust, held * end_x, held * end_y, total + layers
-        wrench[0], wrench[1], torque = wrench[0] + held * side_x, wrench[1] + held * side_y, torque + held * turning
-    wrench[0] += ahead_x * local_x - ahead_y * local_y
-    wrench[1] += ahead_y * local_x + ahead_x * local_y
+            layers, contact = layers + volume, contact + length
+    if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
+        s.load[CONTACT] = max(contact, KEPT * s.load[CONTACT])
+    torque, total = torque + turning, total + layers
+    wrench[0] += ahead_x * local_x - ahead_y * local_y + side_x
+    wrench[1] += ahead_y * local_x + ahead_x * local_y + side_y
     wrench[2] += force_z + thrust
     if p.moments:
         wrench[3] += ahead_x * moment_x - ahead_y * moment_y + end_x

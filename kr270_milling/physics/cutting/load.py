@@ -43,9 +43,9 @@ def end_force(p, h):
 
     r from 0 to R, s = ``cutting.end_share``. The share s of the edge that presses on the floor cuts the whole volume:
     with F_t = K_tc h the torque times the speed is K_tc dV/dt for any s. The force along the edge is left out.
-    A layer thinner than ``p.slight``, within which the floor is known, has the force of that layer in proportion.
+    An edge that is round ploughs a layer thinner than ``p.edge_radius``: the force of that layer in proportion.
     """
-    least, share = max(h, p.slight), max(p.end_share, LEAST_SHARE)
+    least, share = max(h, p.edge_radius), max(p.end_share, LEAST_SHARE)
     f_t = call_law(p.law, least / share, p.coefficients)[0]
     f_r = call_law(p.law, least, p.coefficients)[1]
     return h / least * share * f_t, h / least * p.end_share * f_r

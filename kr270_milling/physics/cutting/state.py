@@ -61,7 +61,7 @@ class Params(NamedTuple):
     nominal: bool  # whether the angle of a tooth is that of the spindle alone
     moments: bool  # whether forces turn the tool about its tip
     end_share: float  # of the end edge that presses on the floor
-    slight: float  # layer below which the force of the end edge is in proportion to the layer
+    edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
     lag: float  # tan(helix) per micro-step of spindle angle: an edge lags lag z / R micro-steps at z above the tip
 
 
@@ -116,7 +116,7 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         nominal=cutting.chip_angle == "nominal",
         moments=cutting.moments,
         end_share=cutting.end_share,
-        slight=stock.floor_tolerance,
+        edge_radius=tool.edge_radius,
         lag=math.tan(tool.helix) / micro_step,
     )
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from cuttings import LAWS, fitted_order
-from milled_part import POCKET, small_cell
+from milled_part import HEAD, POCKET, small_cell
 from small_part import GCODE, small_part
 
 from kr270_milling import read_cell
@@ -124,8 +124,6 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
     assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
-#: without the contact of the end edges with the floor, which periods of 4 ms do not resolve while the arm swings
-UNPRESSED = "cutting.end_share=0.0"
 SHARP = Cutting("linear_edge", linear_edge=AL7075_T6.replace(tangential_edge=0.0, radial_edge=0.0))
 
 
@@ -270,7 +268,7 @@ def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and
 
 def test_the_deflection_converges_with_the_exchange_period(tmp_path):
     def deflection(period: float):
-        words = [f"exchange.engagement_period_ms={period}", "cutting.detail=engagement", "tool.teeth=4", UNPRESSED]
+        words = [f"exchange.engagement_period_ms={period}", "cutting.detail=engagement", "tool.teeth=4"]
         cell = small_cell(tmp_path, POCKET, *words, "exchange.micro_step_deg=1.0")
         target = cell.target()
         result = run_pass(cell.arm_model(target), cell.cut(), cell.clock, target, target)
@@ -287,7 +285,7 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
 
 
 def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
-    cells = [read_cell("test_piece.yaml", f"cutting.detail={name}", UNPRESSED) for name in ("teeth", "engagement")]
+    cells = [read_cell("test_piece.yaml", f"cutting.detail={name}") for name in ("teeth", "engagement")]
     passes = [simulate(cell) for cell in cells]
     teeth, mean = (ran.result for ran in passes)
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
@@ -304,6 +302,29 @@ def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
     for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
         swept, engaged = (getattr(part, name) for part in parts)
         assert engaged == pytest.approx(swept, rel=0.02, abs=0.5e-6), name
+
+
+#: a ramp of 3 deg
+RAMP = HEAD + "(ramp)\nG0 X-14 Y0 Z2\nG1 Z0 F1000\nG1 X14 Z-1.467 F2000\nG0 Z2\nM5\nM30\n"
+
+
+@pytest.mark.parametrize("share", [0.2, 1.0])
+def test_the_floor_below_a_swinging_arm_does_not_depend_on_the_exchange_period(tmp_path, share):
+    """The contact of the end edges with the floor is solved within a period."""
+    floors = []
+    for period in (4.0, 1.0):
+        words = f"exchange.engagement_period_ms={period}", f"cutting.end_share={share}", "cutting.detail=engagement"
+        cell = small_cell(tmp_path, RAMP, *words)
+        floors.append(assess(cell, simulate(cell)).whole.max_floor)
+    assert floors[0] == pytest.approx(floors[1], abs=3e-6)
+
+
+@pytest.mark.parametrize("detail", ["teeth", "engagement"])
+def test_a_compensated_ramp_has_a_better_floor(tmp_path, detail):
+    cell = small_cell(tmp_path, RAMP, f"cutting.detail={detail}")
+    before = simulate(cell)
+    floors = [assess(cell, ran).whole.max_floor for ran in (before, compensated(cell, before, "inverse"))]
+    assert floors[1] < 0.2 * floors[0]
 
 
 def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under_the_swept_teeth(tmp_path):
@@ -357,7 +378,7 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
-    cell = read_cell("test_piece.yaml", "cutting.detail=engagement", UNPRESSED)
+    cell = read_cell("test_piece.yaml", "cutting.detail=engagement")
     target = cell.target()
     free = cell.arm_model(target)
     monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)
