@@ -193,7 +193,7 @@ def _common(path: Toolpath, stock: Box) -> dict:
 
 def _tool(path: Toolpath) -> dict:
     """Values of the keys of a tool."""
-    program, tool, speed = path.program, path.program.current, _speed(path)
+    tool, speed = path.program.current, _speed(path)
     comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
     known = bool(tool and tool.diameter)
     teeth, source = _teeth(path)

@@ -47,6 +47,7 @@ BEFORE = re.compile(rf"{NUMBER}\s*dia(?:m|meter)?\b", re.I)
 METRIC = re.compile(rf"{NUMBER}\s*mm\b", re.I)
 FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
 INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
+#: radius of a corner: CR=1, R0.5, D10R2, RAD. 2., Eckenradius 0.5; and 0.5 CR
 CORNER = re.compile(rf"(?:\b(?:CR|(?:eck(?:en)?)?rad(?:ius)?)|(?<![^\W\d_])R)\.?\s*[-=:]?\s*{NUMBER}", re.I)
 CORNER_BEFORE = re.compile(rf"{NUMBER}\s*(?:mm|in|\")?\s*(?:CR|corner rad(?:ius)?)\b", re.I)
 DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
@@ -62,7 +63,8 @@ KIND = re.compile(
     re.I,
 )
 FLAT_KINDS = re.compile(
-    r"\b(?:flat|square)[- ]*(?:nose[- ]*)?(?:end)?[- ]?mill|(?<!feed )(?<!insert )(?:face|shell)[- ]?mill|fly ?cutter|slot ?drill"
+    r"\b(?:flat|square)[- ]*(?:nose[- ]*)?(?:end)?[- ]?mill|(?<!feed )(?<!insert )(?:face|shell)[- ]?mill"
+    r"|fly ?cutter|slot ?drill"
     r"|(?<!t-)(?<!t)(?:schaft|plan|eck|walzenstirn|schrupp|schlicht|finger|langloch|bohrnuten|nuten)fr\S{1,3}ser",
     re.I,
 )
@@ -80,17 +82,21 @@ OTHER_KINDS = {
         "reamer": r"\bream|reibahle",
         "boring bar": r"\bbor(?:e|ing)[- ]?(?:bar|head)|ausdreh|bohrstange|feinbohr",
         "drill": r"(?<!slot )\bdrill|spade ?drill|bohrer|\bforet|\bbroca",
-        "ball-end mill": r"\bball|spher|sferic|kugel|vollradius|kopierfr|\bcopy[- ]?mill|core ?box|hemi|\bboule|\bbn(?:em)?(?:\d|\b)",
+        "ball-end mill": r"\bball|spher|sferic|kugel|vollradius|kopierfr|\bcopy[- ]?mill|core ?box|hemi"
+        r"|\bboule|\bbn(?:em)?(?:\d|\b)",
         "lollipop cutter": r"lolli",
         "dovetail cutter": r"\bdove|schwalben",
         "T-slot cutter": r"\bt[- ]?slot|\bt[- ]?nut|\bslot[- ]?mill|key[- ]?(?:seat|(?:way|slot)?[- ]?(?:cutter|mill))"
-        r"|woodruff|slitting|\bsaw\b|side and face|\bdis[ck][- ]?mill|scheibenfr|kreiss.{1,2}ge|s.{1,2}geblatt|under ?cut|hinterschn",
+        r"|woodruff|slitting|\bsaw\b|side and face|\bdis[ck][- ]?mill|scheibenfr|kreiss.{1,2}ge|s.{1,2}geblatt"
+        r"|under ?cut|hinterschn",
         "high-feed mill": r"high[- ]?feed|\bhfc\b|hochvorschub|feed[- ]?mill",
         "chamfer mill": r"chamf|chanfr|\bcham\b|\bfas(?:e|fr|\b)|(?:winkel|prismen)fr|entgrat|deburr|bevel",
-        "engraver": r"engrav|grav(?:i|eur)|stichel|diamond drag|\bv(?:ee)?[- ]?(?:bit|carv\w*|cutter|groove|tool)\b|\bdrag ?(?:knife|bit)",
-        "corner-rounding cutter": r"corner[- ]?round|round[- ]?over|quarter[- ]?round|radius[- ]?mill|fillet[- ]?(?:mill|cutter)|\bogee"
-        r"|viertelkreis|radi(?:us|en)fr",
-        "form mill": r"\bform[- ]?(?:mill|tool|cutter|fr)|formfr|\bbarrel|\blens\b|circle segment|kreissegment|tonnenfr|step[- ]?mill",
+        "engraver": r"engrav|grav(?:i|eur)|stichel|diamond drag|\bv(?:ee)?[- ]?(?:bit|carv\w*|cutter|groove|tool)\b"
+        r"|\bdrag ?(?:knife|bit)",
+        "corner-rounding cutter": r"corner[- ]?round|round[- ]?over|quarter[- ]?round|radius[- ]?mill"
+        r"|fillet[- ]?(?:mill|cutter)|\bogee|viertelkreis|radi(?:us|en)fr",
+        "form mill": r"\bform[- ]?(?:mill|tool|cutter|fr)|formfr|\bbarrel|\blens\b|circle segment|kreissegment|tonnenfr"
+        r"|step[- ]?mill",
         "bull-nose mill": r"\bbull|\btor(?:us|oid|i[cqs])|rundplatten|\bbutton|round insert",
         "tapered mill": r"\btaper|konisch|kegel|\bconi[cq]|\bcone",
         "probe": r"\bprobe|taster|edge ?finder",
