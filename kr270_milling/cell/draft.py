@@ -39,7 +39,7 @@ LIPS = 2  #: of a twist drill
 TOOL = """\
       diameter_mm: {diameter}            # {diameter_source}
       teeth: {teeth}                     # {teeth_source}
-      rotation: {rotation}               # M3: clockwise, M4: counterclockwise
+      rotation: clockwise                # yours: counterclockwise, with M4, for a left-hand cutter
       {speed}                            # {speed_source}"""
 #: the sections in which the tools of a program differ, in one entry of ``tools``
 DIFFERENCES = """
@@ -47,7 +47,7 @@ DIFFERENCES = """
       stock: {{grid_step_um: {grid}}}    # as the common one, for its feed per tooth"""
 #: what the template holds for a slot along +x, of which no program says anything
 STRAIGHT_TOOL = {
-    "diameter": DIAMETER, "diameter_source": "yours", "teeth": TEETH, "teeth_source": "yours", "rotation": "clockwise",
+    "diameter": DIAMETER, "diameter_source": "yours", "teeth": TEETH, "teeth_source": "yours",
     "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours",
 }  # fmt: skip
 STRAIGHT = {
@@ -193,7 +193,7 @@ def _common(path: Toolpath, stock: Box) -> dict:
 
 def _tool(path: Toolpath) -> dict:
     """Values of the keys of a tool."""
-    program, tool, speed = path.program, path.program.current, _speed(path)
+    tool, speed = path.program.current, _speed(path)
     comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
     known = bool(tool and tool.diameter)
     teeth, source = _teeth(path)
@@ -203,7 +203,6 @@ def _tool(path: Toolpath) -> dict:
         "diameter_source": comment if known else unsaid,
         "teeth": teeth,
         "teeth_source": source or unsaid,
-        "rotation": "counterclockwise" if any(value < 0 for value in program.spindle_speeds) else "clockwise",
         "speed": f"# spindle_speed_rpm: {_number(speed)}" if speed else STRAIGHT_TOOL["speed"],
         "speed_source": "[source: the program's S]" if speed else "yours: the program has no S",
     }

@@ -118,7 +118,10 @@ def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
     turns = "clockwise (M3, CLW)" if speed[0] > 0 else "counterclockwise (M4, CCLW)"
     if turns.startswith(f"{tool.rotation} "):
         return None
-    return f"its spindle turns {turns}, but tool.rotation of the cell is {tool.rotation}", cutting[0]
+    return (
+        f"its spindle turns {turns}, but tool.rotation of the cell, the hand of the cutter, is {tool.rotation}",
+        cutting[0],
+    )
 
 
 def _tilted(path: Toolpath) -> tuple[str, int] | None:

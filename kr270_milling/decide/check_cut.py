@@ -108,8 +108,9 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         for k in range(3):
             moved[:, k] += np.interp(at_ns, passed.time_ns, passed.actual[:, k] - passed.target[:, k])
         x, y, z = (np.interp(at_ns, passed.time_ns, passed.deflection[:, k]) for k in range(3))
+        across, along = (np.maximum(d, np.r_[d[:1], d[:-1]]) for d in (np.hypot(x, y), np.abs(z)))  # at both ends
         leaves, again = _along_axis(position, rapid, math.hypot(0.5 * step, cell.limits.rapid_contact))
-        sideways, lengthwise = np.where(leaves | again, np.hypot(x, y), 0.0), np.where(leaves, np.abs(z), 0.0)
+        sideways, lengthwise = np.where(leaves | again, across, 0.0), np.where(leaves, along, 0.0)
     bodies = _bodies(cell, position) if ran is None else np.zeros((0, 2))
     core = core_radius(radius) if ran is None and not cell.tool.centre_cutting else 0.0
     grid = height_map(cell.stock, step, moved, max([radius, *bodies[:, 0]]))

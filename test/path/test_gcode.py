@@ -233,6 +233,8 @@ flat: T1 D=6.35 CR=0 - ZMIN=-12.7 - flat end mill
 flat: T26 D=0.25 CR=0. - face mill
 flat: T1 SHELL MILL 50
 flat: T1 FLY CUTTER
+flat: T1 Schaftfräser D10 R0
+flat: T1 D10 Z3 in the R8 collet
 flat: T2 8MM SLOT DRILL
 flat: T1 ROUGHER 12
 flat: T5 Bohrnutenfraeser D8
@@ -300,6 +302,18 @@ form mill: T1 circle segment barrel
 high-feed mill: T1 HIGH FEED MILL D32
 centre drill: T3 CENTERDRILL
 centre drill: T1 Zentrierbohrer
+bull-nose mill: T1 EM D10R2
+bull-nose mill: T1 Schaftfräser D10 Eckenradius 0,5
+bull-nose mill: TOOL 1 DIA 10. RAD. 2. LENGTH 50
+bull-nose mill: T1 | 10MM EM .5 CR | H1
+bull-nose mill: T1 ROUND INSERT FACE MILL D32
+bull-nose mill: T1 Fraise torique D10
+ball-end mill: T1 Kopierfräser D10 R5
+ball-end mill: T1 BN10
+ball-end mill: T1 Fraise boule D10
+chamfer mill: T1 Winkelfräser 60 D10
+engraver: T1 60DEG VEE BIT
+brush or abrasive tool: T1 Schleifstift D10
 """
 
 
@@ -307,7 +321,7 @@ centre drill: T1 Zentrierbohrer
 def test_the_kind_of_a_tool_is_read_from_its_comment(line):
     kind, comment = line.split(": ", 1)
     tool = described_tool(comment, MM, "T9")
-    assert (tool.kind if tool else "") == kind.removeprefix("flat")
+    assert (tool.shape if tool else "") == kind.removeprefix("flat")
 
 
 @pytest.mark.parametrize(("comment", "name", "announced"), [

@@ -47,7 +47,10 @@ BEFORE = re.compile(rf"{NUMBER}\s*dia(?:m|meter)?\b", re.I)
 METRIC = re.compile(rf"{NUMBER}\s*mm\b", re.I)
 FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
 INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
-CORNER = re.compile(rf"\b(?:CR|corner rad(?:ius)?\.?)\s*[-=:]?\s*{NUMBER}", re.I)
+#: radius of a corner: CR=1, R0.5, D10R2, RAD. 2., Eckenradius 0.5; and 0.5 CR
+CORNER = re.compile(rf"(?:\b(?:CR|(?:eck(?:en)?)?rad(?:ius)?)|(?<![^\W\d_])R)\.?\s*[-=:]?\s*{NUMBER}", re.I)
+CORNER_BEFORE = re.compile(rf"{NUMBER}\s*(?:mm|in|\")?\s*(?:CR|corner rad(?:ius)?)\b", re.I)
+DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 TEETH = re.compile(r"(?:(?<!\d)(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
 #: comment that is about a tool as a whole, without its number: FreeCAD, Vectric, Estlcam
 ABOUT_TOOL = re.compile(r"\s*(?:TC|tool|werkzeug|wz|cutter|bit)\b\s*[:=]", re.I)
@@ -60,7 +63,8 @@ KIND = re.compile(
     re.I,
 )
 FLAT_KINDS = re.compile(
-    r"\b(?:flat|square)[- ]*(?:nose[- ]*)?(?:end)?[- ]?mill|(?<!feed )(?:face|shell)[- ]?mill|fly ?cutter|slot ?drill"
+    r"\b(?:flat|square)[- ]*(?:nose[- ]*)?(?:end)?[- ]?mill|(?<!feed )(?<!insert )(?:face|shell)[- ]?mill"
+    r"|fly ?cutter|slot ?drill"
     r"|(?<!t-)(?<!t)(?:schaft|plan|eck|walzenstirn|schrupp|schlicht|finger|langloch|bohrnuten|nuten)fr\S{1,3}ser",
     re.I,
 )
@@ -69,29 +73,34 @@ FLAT_KINDS = re.compile(
 OTHER_KINDS = {
     kind: re.compile(words, re.I)
     for kind, words in {
-        "tap": r"\btap\b|\btaps\b|gewinde(?:bohr|form)|(?:right|left) hand tap",
-        "thread mill": r"\bthread|gewindefr",
+        "tap": r"\btap\b|\btaps\b|gewinde(?:bohr|form)|(?:right|left) hand tap|\btaraud",
+        "thread mill": r"\bthread|\bth[rd][- ]?mill|gewindefr",
         "countersink": r"counter ?sink|\bc'?sink|\bcsk|(?<!flach)senker",
         "counterbore": r"counter ?bore|flachsenker",
         "spot drill": r"\bspot|anbohrer",
         "centre drill": r"\bcent(?:er|re)[- ]?drill|zentrier",
         "reamer": r"\bream|reibahle",
         "boring bar": r"\bbor(?:e|ing)[- ]?(?:bar|head)|ausdreh|bohrstange|feinbohr",
-        "drill": r"(?<!slot )\bdrill|spade ?drill|bohrer",
-        "ball-end mill": r"\bball|spher|kugel|vollradius|core ?box|hemi",
+        "drill": r"(?<!slot )\bdrill|spade ?drill|bohrer|\bforet|\bbroca",
+        "ball-end mill": r"\bball|spher|sferic|kugel|vollradius|kopierfr|\bcopy[- ]?mill|core ?box|hemi"
+        r"|\bboule|\bbn(?:em)?(?:\d|\b)",
         "lollipop cutter": r"lolli",
         "dovetail cutter": r"\bdove|schwalben",
         "T-slot cutter": r"\bt[- ]?slot|\bt[- ]?nut|\bslot[- ]?mill|key[- ]?(?:seat|(?:way|slot)?[- ]?(?:cutter|mill))"
-        r"|woodruff|slitting|\bsaw\b|side and face|scheibenfr|s.{1,2}geblatt|under ?cut|hinterschn",
-        "high-feed mill": r"high[- ]?feed|hochvorschub|feed[- ]?mill",
-        "chamfer mill": r"chamf|\bcham\b|\bfase|entgrat|deburr|bevel",
-        "engraver": r"engrav|gravi|stichel|\bv[- ]?(?:bit|carv\w*|cutter|groove|tool)\b|\bdrag ?(?:knife|bit)",
-        "corner-rounding cutter": r"corner[- ]?round|round[- ]?over|radius[- ]?mill|fillet[- ]?(?:mill|cutter)|\bogee"
-        r"|viertelkreis|radi(?:us|en)fr",
-        "form mill": r"\bform[- ]?(?:mill|tool|cutter|fr)|formfr|\bbarrel|\blens\b|circle segment|step[- ]?mill",
-        "bull-nose mill": r"\bbull|\btor(?:us|oid|isch)",
-        "tapered mill": r"\btaper|konisch|kegel|\bconical|\bcone",
-        "probe": r"\bprobe|taster",
+        r"|woodruff|slitting|\bsaw\b|side and face|\bdis[ck][- ]?mill|scheibenfr|kreiss.{1,2}ge|s.{1,2}geblatt"
+        r"|under ?cut|hinterschn",
+        "high-feed mill": r"high[- ]?feed|\bhfc\b|hochvorschub|feed[- ]?mill",
+        "chamfer mill": r"chamf|chanfr|\bcham\b|\bfas(?:e|fr|\b)|(?:winkel|prismen)fr|entgrat|deburr|bevel",
+        "engraver": r"engrav|grav(?:i|eur)|stichel|diamond drag|\bv(?:ee)?[- ]?(?:bit|carv\w*|cutter|groove|tool)\b"
+        r"|\bdrag ?(?:knife|bit)",
+        "corner-rounding cutter": r"corner[- ]?round|round[- ]?over|quarter[- ]?round|radius[- ]?mill"
+        r"|fillet[- ]?(?:mill|cutter)|\bogee|viertelkreis|radi(?:us|en)fr",
+        "form mill": r"\bform[- ]?(?:mill|tool|cutter|fr)|formfr|\bbarrel|\blens\b|circle segment|kreissegment|tonnenfr"
+        r"|step[- ]?mill",
+        "bull-nose mill": r"\bbull|\btor(?:us|oid|i[cqs])|rundplatten|\bbutton|round insert",
+        "tapered mill": r"\btaper|konisch|kegel|\bconi[cq]|\bcone",
+        "probe": r"\bprobe|taster|edge ?finder",
+        "brush or abrasive tool": r"\bbrush|b.{1,2}rste\b|\bgrinding|schleif|\bburr\b|polier|burnish",
     }.items()
 }
 OPERATIONS = frozenset(("drill", "tap", "probe"))  #: names of operations and of tools
@@ -135,6 +144,7 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     """
     if NO_TOOL.match(comment):
         return None
+    comment = DECIMAL_COMMA.sub(".", comment)
     old = OLD_MASTERCAM.match(comment)
     numbered = TOOL_NUMBER.match(comment)
     inside = ANY_NUMBER.search(comment)
@@ -149,8 +159,10 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     if name is None or not (words or kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):
         return None
     count = int(next(filter(None, teeth.groups()))) if teeth else 0
-    corner = CORNER.search(comment)
+    corner = CORNER.search(comment) or CORNER_BEFORE.search(comment)
     radius = float(corner.group(1)) * unit if corner else 0.0
+    if radius > 0.51 * diameter > 0.0:  # a number of another thing, as R8 of a collet
+        radius = 0.0
     return ProgramTool(name, words, diameter, count if 1 <= count <= 20 else 0, corner_radius=radius, kind=kind)
 
 
