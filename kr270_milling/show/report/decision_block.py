@@ -19,7 +19,7 @@ from kr270_milling.decide.check import RAPID_MOVES, Checked, check
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES
 from kr270_milling.decide.tolerance import Judgement, um_text
-from kr270_milling.show.report.tables import micro
+from kr270_milling.show.report.tables import micro, typeset
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
 
@@ -104,7 +104,7 @@ def tiles(
     if checked and checked.rapid_text:
         rows.append(Tile(RAPID_MOVES, "", micro(checked.rapid_text.removeprefix(f"{RAPID_MOVES}: "))))
     if checked and checked.stability:
-        rows.append(Tile("stability", "", checked.stability.text.removeprefix("stability: ")))
+        rows.append(Tile("stability", "", typeset(checked.stability.text.removeprefix("stability: "))))
     return rows
 
 

@@ -57,11 +57,12 @@ def shown(value, key: str = "") -> str:
 
 def typographic(table: TextTable) -> TextTable:
     """A table of others with the page's minus sign and micro sign, and no "-0.00"."""
-    rows = tuple(tuple(map(_typographic, row)) for row in table.rows)
+    rows = tuple(tuple(map(typeset, row)) for row in table.rows)
     return TextTable(micro(table.title), tuple(map(micro, table.columns)), rows, micro(table.note))
 
 
-def _typographic(text: str) -> str:
+def typeset(text: str) -> str:
+    """Return a text with the page's minus sign and micro sign, and no "-0.00"."""
     if re.fullmatch(r"-0(\.0*)?", text):
         return text[1:]
     return micro(re.sub(r"(?<![\w-])-(?=\d)", "−", text))
