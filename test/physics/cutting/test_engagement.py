@@ -287,7 +287,7 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
 
 
 def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
-    """Within 2 %, and within 5 % where the end edges touch the floor: teeth touch it one by one, the mean force at once."""
+    """Within 2 %, and within 5 % where the end edges touch the floor: teeth touch it one by one."""
     cells = [read_cell("test_piece.yaml", f"cutting.detail={name}") for name in ("teeth", "engagement")]
     passes = [simulate(cell) for cell in cells]
     teeth, mean = (ran.result for ran in passes)
