@@ -74,7 +74,7 @@ BLOCK = 16  # nodes, a power of two
 NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
 NEAR = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
 KEPT = 0.9  # assumed: share of an earlier contact that still counts; a tool that swings meets the whole floor again
-HALVINGS = 32  # of the interval in which a rise is searched: from 1 mm to 1e-9 um
+HALVINGS = 20  # of the interval in which a rise is searched: from 1 mm to 1 nm
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
 # Places in EngagementState.ints
