@@ -165,6 +165,9 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
             drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot predicts
             for j in range(3):
                 tool[row + 1, j] = reference[row + 1, j] + deflection[j]
+                deflections[row + 1, j] = deflection[j]
+            if not max(abs(deflection[0]), abs(deflection[1]), abs(deflection[2])) <= FLIGHT:
+                return True  # a sweep over metres would take for ever; the caller refuses this deflection
             if k > 0 and not cut_undo(cut_state):
                 return False
             torque = cut_step(  # the cut answers

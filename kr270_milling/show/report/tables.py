@@ -16,7 +16,7 @@ from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
 
 __all__ = ["PAPER", "TABLE_2", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
-           "micro", "part_scores", "shown", "typographic", "warning"]  # fmt: skip
+           "micro", "part_scores", "shown", "typeset", "typographic", "warning"]  # fmt: skip
 
 UM = 1e6
 #: source of the columns `paper`
