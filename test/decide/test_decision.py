@@ -37,6 +37,7 @@ from kr270_milling.decide.verdict import (
     run_sample,
 )  # fmt: skip
 from kr270_milling.physics.compensation.compensator import Compensator, remaining_error
+from kr270_milling.show.report.tables import typeset
 
 
 def part(**features):
@@ -142,7 +143,7 @@ def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(tmp_path, ca
     assert line in manifest.splitlines() and chatter in manifest and chatter in text
     report = (tmp_path / "out" / "report.html").read_text()
     assert f'<span class="label">decision</span><strong>{level}</strong>' in report
-    assert result["sentence"].replace(" um", " µm") in report and chatter.removeprefix("stability: ") in report
+    assert result["sentence"].replace(" um", " µm") in report and typeset(chatter.removeprefix("stability: ")) in report
     method = result["recommended_method"]  # the method that is recommended is the one that is written
     assert method == result["method"] == "inverse" and f"recommended method: {method}, because" in text
     assert "exchange: largest correction of a predicted pose is" in text

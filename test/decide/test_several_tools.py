@@ -155,7 +155,13 @@ def drafted(tmp_path_factory):
     return folder / "cell.yaml"
 
 
-FAST = settings(*STOCK, "cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=mirror")
+FAST = settings(
+    *STOCK,
+    "cutting.detail=engagement",
+    "dynamics.follow_pose=false",
+    "compensation.method=mirror",
+    "cutting.end_share=0",
+)
 
 
 def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path):
@@ -199,7 +205,7 @@ def test_a_drill_gets_one_answer_from_check_of_the_program_and_of_the_tool_and_f
         return answer, {f["what"] for one in checks for f in one["findings"] if f["severity"] == "stop"}
 
     out = tmp_path / "out"
-    answer, compensated = stops("compensate", "--no-verdict", "--gcode", "--out", out)
+    answer, compensated = stops("compensate", "--verdict", "0", "--gcode", "--out", out)
     drill = next(row for row in answer.get("tools", [answer]) if row["check"]["notes"])
     assert compensated == stops("check")[1] == (set() if sound else {"rapid in material"})
     if "tools" in answer:

@@ -167,7 +167,7 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
                 tool[row + 1, j] = reference[row + 1, j] + deflection[j]
                 deflections[row + 1, j] = deflection[j]
             if not max(abs(deflection[0]), abs(deflection[1]), abs(deflection[2])) <= FLIGHT:
-                return True  # a sweep over metres would take for ever; the caller refuses this deflection
+                return True  # a sweep over metres would not end; the caller refuses this deflection
             if k > 0 and not cut_undo(cut_state):
                 return False
             torque = cut_step(  # the cut answers

@@ -382,7 +382,9 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
-    cell = read_cell("test_piece.yaml", "cutting.detail=engagement")
+    cell = read_cell(
+        "test_piece.yaml", "cutting.detail=engagement", "cutting.end_share=0"
+    )  # no contact of the end edges
     target = cell.target()
     free = cell.arm_model(target)
     monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)
