@@ -247,7 +247,7 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
     def off(wrench):
         return np.sqrt(np.mean((wrench[scored] - exact)[:, :3] ** 2, axis=0))
 
-    assert np.all(off(evidence.wrench) > 0.7) and np.all(off(evidence.on_path) < 0.15)  # [N]
+    assert np.all(off(evidence.wrench) > 0.6) and np.all(off(evidence.on_path) < 0.15)  # [N]
     before, after = (
         np.abs((ran.result.actual - ran.result.target)[ran.result.volume > 0.0]).max(axis=0)
         for ran in (original, simulate(cell, by.reference))
