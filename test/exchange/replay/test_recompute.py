@@ -311,7 +311,7 @@ def test_several_passes_in_one_file_are_distinguished(tmp_path, method):
 
 @pytest.mark.parametrize("method", ["linear", "mirror", "learned"])
 def test_a_pass_of_a_folder_is_recomputed_alone_and_its_revision_where_no_earlier_pass_matters(tmp_path, method):
-    """The history of a method that learns is in other recordings; robot and cut are compared all the same."""
+    """The history of a method that learns is in other recordings; robot and cut are still compared."""
     folder_of(tmp_path, method)
     for number, name in enumerate(NAMES):
         result = recompute(tmp_path / name)

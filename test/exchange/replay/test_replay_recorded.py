@@ -230,7 +230,7 @@ def test_messages_of_another_publisher_are_not_missing_and_spoil_nothing(tmp_pat
             data = BAD if record is None else to_bytes(record._replace(stamp=stamp))
             messages.append(made.Message(topic, data, stamp))
     bag = made.write(tmp_path / "r", messages)
-    with Recording(bag) as recording:  # two series of one clock on one topic are not told apart
+    with Recording(bag) as recording:  # two series of one clock on one topic are not distinguished
         assert info(recording)["missing"] == 0 or begin == LATE + 30_000_077
     replayed = recompute(bag)
     assert replayed.verdict == "identical", [replayed.first, *replayed.stops]

@@ -131,7 +131,7 @@ def test_messages_of_strangers_are_survived_counted_and_named_and_the_next_pass_
     assert {"tool_pose", "reference_trajectory"} <= named[CUT] and {"wrench", "reference_trajectory"} <= named[ROBOT]
     assert {"tool_pose", "wrench", "joint_states", "recorder/status", "target_trajectory"} <= named[COMPENSATOR]
     assert {"/robot_description", "/reference_trajectory"} <= named[RECORDER]
-    assert not any(node.status().error for name, node in nodes.items() if name in (CUT, RECORDER))  # a run goes on
+    assert not any(node.status().error for name, node in nodes.items() if name in (CUT, RECORDER))  # a run continues
     for name, node in nodes.items():
         assert node.refused >= sum(times for times, _, _ in node.unusable.values()) > 5
         world.until(lambda name=name: any(key.startswith("refused ") for key in reports.last.get(f"/{name}", ())))
