@@ -66,7 +66,7 @@ def compile_learning() -> None:
 
 def compile_cut(detail: str) -> Cell:
     """Compile the pass, the cut along a path and a single step; returns the cell."""
-    from small_part import GCODE, small_part
+    from samples.small_part import GCODE, small_part
 
     from kr270_milling.cell.jobs import simulate
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from samples.small_part import GCODE, small_part
 from scipy.spatial.transform import Rotation
-from small_part import GCODE, small_part
 
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError, InputError, MillingError, ParameterError

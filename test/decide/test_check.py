@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from cuttings import SET_ALUMINIUM
 from hostile import answered, ask, settings
-from small_part import assignments, small_part
+from samples.cuttings import SET_ALUMINIUM
+from samples.small_part import assignments, small_part
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.record import find_file

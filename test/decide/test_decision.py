@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hostile import printed, settings
-from small_part import GCODE, assignments, small_part
+from samples.small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file

@@ -7,8 +7,8 @@ import struct
 
 import numpy as np
 import pytest
-from cuttings import profile
-from milled_part import CONFIG, HEAD, POCKET, RADIUS, SLOT, small_cell
+from samples.cuttings import profile
+from samples.milled_part import CONFIG, HEAD, POCKET, RADIUS, SLOT, small_cell
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate

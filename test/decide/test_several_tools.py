@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import answered, ask, settings
-from milled_part import RIGID
+from samples.milled_part import RIGID
 
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from samples.small_part import small_part
 from semi_discretisation import BENCHMARK, directional, limit
-from small_part import small_part
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 from foreign_cell import PLACED, WALL, foreign_pass, readings
-from small_part import GCODE, small_part
+from samples.small_part import GCODE, small_part
 
 from kr270_milling.base.errors import ConfigError, MessageError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion

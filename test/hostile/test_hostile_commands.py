@@ -16,12 +16,12 @@ from pathlib import Path
 
 import hypothesis
 import numpy as np
-import pass_recording
 import pytest
 from budget import budget
 from hostile import POSTURE, SHORT, ask, contents, refused, refused_or_sound, settings
 from hypothesis import strategies as st
-from recording_samples import record
+from samples import pass_recording
+from samples.recording_samples import record
 
 from kr270_milling.base.arguments import bounded, numbers
 from kr270_milling.base.parameter_file import find_file

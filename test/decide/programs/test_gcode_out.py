@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import refused, settings
-from small_part import small_part, swayed
+from samples.small_part import small_part, swayed
 
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.path.cam.gcode.reader import read_gcode

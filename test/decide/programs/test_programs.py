@@ -13,9 +13,9 @@ import pinocchio as pin
 import pytest
 from arm_oracle import pinocchio_arm
 from krl_robot import NUMBER, Robot
+from samples.small_part import GCODE, small_part, swayed
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
-from small_part import GCODE, small_part, swayed
 from splines import spline
 
 from kr270_milling.base.errors import InputError, ParameterError

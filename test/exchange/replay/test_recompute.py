@@ -7,10 +7,10 @@ import dataclasses
 import struct
 
 import numpy as np
-import pass_recording as made
 import pytest
 from budget import budget
-from pass_recording import STEPS, files_of, flip, force_offset, one_pass, recomputed, without
+from samples import pass_recording as made
+from samples.pass_recording import STEPS, files_of, flip, force_offset, one_pass, recomputed, without
 
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.samples import PoseSample, WrenchSample

@@ -6,12 +6,12 @@ import json
 import time
 
 import numpy as np
-import pass_recording as made
 import pytest
 from foreign_cell import foreign_pass
 from hostile import ask
-from recording_samples import STORE
 from rosbags.rosbag2 import StoragePlugin, Writer
+from samples import pass_recording as made
+from samples.recording_samples import STORE
 
 from kr270_milling.base.errors import ConfigError, RecordingError
 from kr270_milling.base.parameter_file import find_file

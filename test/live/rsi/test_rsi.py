@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from recording_samples import full_disk
 from ros_domain import open_ports
 from rsi_controller import Controller, telegram
+from samples.recording_samples import full_disk
 
 from kr270_milling.base.errors import InputError, MessageError
 from kr270_milling.base.parameter_file import find_file

@@ -10,7 +10,7 @@ import re
 import numpy as np
 import pages
 import pytest
-from small_part import small_part
+from samples.small_part import small_part
 
 from kr270_milling import read_cell
 from kr270_milling.cell import jobs

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from arm_oracle import ARM, PAPER
 from book import check
+from samples.small_part import GCODE, assignments, small_part
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
-from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate

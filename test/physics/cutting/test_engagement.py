@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from cuttings import LAWS, fitted_order
-from milled_part import HEAD, POCKET, small_cell
-from small_part import GCODE, small_part
+from samples.cuttings import LAWS, fitted_order
+from samples.milled_part import HEAD, POCKET, small_cell
+from samples.small_part import GCODE, small_part
 
 from kr270_milling import read_cell
 from kr270_milling.base.errors import MillingError

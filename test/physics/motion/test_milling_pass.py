@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from book import check
 from budget import budget
-from cuttings import profile
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_part import GCODE, small_part
+from samples.cuttings import profile
+from samples.small_part import GCODE, small_part
 
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ParameterError

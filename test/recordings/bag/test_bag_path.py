@@ -7,9 +7,9 @@ import pytest
 from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recording_samples import PATH, STORE, header, make, path, pose, raw
+from samples.recording_samples import PATH, STORE, header, make, path, pose, raw
+from samples.small_part import path_error
 from scipy.spatial.transform import Rotation
-from small_part import path_error
 
 from kr270_milling.base.errors import ConfigError, InputError, RecordingError
 from kr270_milling.base.record import find_file

@@ -6,10 +6,10 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pass_recording as made
 import pytest
 import yaml
 from hostile import answered, ask, contents, refused
+from samples import pass_recording as made
 
 from kr270_milling.base.record import flatten
 from kr270_milling.base.samples import WrenchSample

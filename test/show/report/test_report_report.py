@@ -12,10 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from budget import budget
-from cuttings import SET_ALUMINIUM
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from milled_part import POCKET, RIGID, small_cell
+from samples.cuttings import SET_ALUMINIUM
+from samples.milled_part import POCKET, RIGID, small_cell
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file, flatten

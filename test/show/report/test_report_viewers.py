@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from recording_samples import sample
+from samples.recording_samples import sample
 
 from kr270_milling.base.column import as_dict, column, columns, columns_of, table_of
 from kr270_milling.base.record import find_file

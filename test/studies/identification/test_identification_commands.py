@@ -10,8 +10,8 @@ import re
 import numpy as np
 import pages
 import pytest
-from campaigns import COEFFICIENTS, TRUE, cuts, loads, measured, measured_cuts
 from hostile import answered, ask, refused, settings
+from samples.campaigns import COEFFICIENTS, TRUE, cuts, loads, measured, measured_cuts
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell

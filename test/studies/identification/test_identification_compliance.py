@@ -6,11 +6,11 @@ import dataclasses
 import itertools
 import math
 
-import campaigns
 import numpy as np
 import pytest
 from book import check
-from campaigns import ARM, MOUNT, TRUE, displacements
+from samples import campaigns
+from samples.campaigns import ARM, MOUNT, TRUE, displacements
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.parameter_file import find_file

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from book import check
-from campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
+from samples.campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hostile import answered, refused, settings
+from samples.small_part import small_part
 from scipy.optimize import brentq
 from semi_discretisation import BENCHMARK, MASS, TEETH, directional, limit, modal_radius, radius
-from small_part import small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file

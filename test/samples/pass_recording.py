@@ -10,7 +10,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH
+from samples.recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell_file
