@@ -63,7 +63,7 @@ class Spec:
 
     @property
     def optional(self) -> bool:
-        """Whether the value may be missing: NaN in the record, and no key in a file."""
+        """Return whether the value may be missing: NaN in the record, and no key in a file."""
         return self.kind is float and isinstance(self.default, float) and math.isnan(self.default)
 
     @property
@@ -180,14 +180,14 @@ def specs(record: type[Record]) -> tuple[Spec, ...]:
     """Return the parameters of a record class in their order; ``kind`` of a nested record is its class."""
     if record not in _SPECS:
         hints = typing.get_type_hints(record)
-        made = []
+        result = []
         for field in dataclasses.fields(record):
             if "derived" in field.metadata:  # no parameter
                 continue
             default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
             kind = typing.get_origin(hints[field.name]) or hints[field.name]
-            made.append(Spec(field.name, kind, default, **field.metadata))
-        _SPECS[record] = tuple(made)
+            result.append(Spec(field.name, kind, default, **field.metadata))
+        _SPECS[record] = tuple(result)
     return _SPECS[record]
 
 
@@ -214,9 +214,9 @@ class Record:
         return _keep(copy, {name: value for name, value in _given(self).items() if name not in changes})
 
 
-def _keep(record, given: dict):
+def _keep(record, from_file: dict):
     """Store name -> value of the file, in the file's units, in the record, and return the record."""
-    object.__setattr__(record, "_in_file_units", given)
+    object.__setattr__(record, "_in_file_units", from_file)
     return record
 
 
@@ -238,35 +238,35 @@ def build(record: type[Record], tree: dict, file="", prefix: str = ""):
                 raise ConfigError(file, f"{prefix}{key}", None, MOVED[prefix + key])
             hint = nearest(str(key), known, f"; known here: {', '.join(known)}")
             raise ConfigError(file, f"{prefix}{key}", None, "is not a known key" + hint)
-    values, given = {}, {}
+    values, from_file = {}, {}
     for key, spec in known.items():
         if issubclass(spec.kind, Record):
             if key in tree or spec.default is dataclasses.MISSING:
                 values[spec.name] = build(spec.kind, tree.get(key, {}), file, f"{prefix}{key}.")
         elif key in tree:
             try:
-                given[spec.name] = spec.read(tree[key])
+                from_file[spec.name] = spec.read(tree[key])
             except ValueError:
                 raise refusal(file, prefix + key, tree[key], spec.allowed) from None
-            values[spec.name] = spec.to_si(given[spec.name])
+            values[spec.name] = spec.to_si(from_file[spec.name])
         elif spec.default is dataclasses.MISSING:
             raise ConfigError(file, prefix + key, None, f"is missing; it must be {spec.allowed} ({spec.text})")
     try:
-        return _keep(record(**values), given)
+        return _keep(record(**values), from_file)
     except ParameterError as error:
         raise refusal(file, prefix + error.key, error.value, error.allowed) from None
 
 
 def tree_of(record: Record) -> dict:
     """Return the nested dict of a parameter file, in file units; numbers that come from a file are unchanged."""
-    given = _given(record)
+    from_file = _given(record)
     tree: dict[str, typing.Any] = {}
     for spec in specs(type(record)):
         value = getattr(record, spec.name)
         if issubclass(spec.kind, Record):
             tree[spec.key] = tree_of(value)
         elif not (spec.optional and math.isnan(value)):
-            tree[spec.key] = given[spec.name] if spec.name in given else spec.to_file(value)
+            tree[spec.key] = from_file[spec.name] if spec.name in from_file else spec.to_file(value)
     return tree
 
 

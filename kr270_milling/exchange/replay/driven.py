@@ -127,7 +127,7 @@ def rsi_pass(
     on_path = np.flatnonzero(np.isfinite(way))
     if on_path.size < 2 or path.progress == 0.0:
         raise RecordingError(recording.path, "the robot was never on the path")
-    knots = path.way[np.cumsum(path.moved) - 1]
+    knots = path.distance[np.cumsum(path.moved) - 1]
     time = np.interp(way[on_path], knots, programmed.time_ns).astype(np.int64)
     time, rows = np.unique(time[::-1], return_index=True)  # the last pose of a stop
     off = place[on_path[::-1][rows]] - programmed.sample(time)

@@ -70,7 +70,7 @@ class _AptReader(Machine):
         self.absolute_centre = True
         self.speed = 0.0  #: [rad/s]
         self.rapid = False
-        self.numbered = False  #: whether LOADTL names the tools
+        self.numbered = False  #: True if LOADTL names the tools
         self.circle: tuple[list[float], int] | None = None  #: its numbers and line, until the GOTO of its end
         self.systems: dict[str, list] = {}  #: word -> its values
         self.units_given = False
@@ -87,7 +87,7 @@ class _AptReader(Machine):
 
     @property
     def started(self) -> bool:
-        """Whether the program has stated the place of the tool."""
+        """Return whether the program has stated the place of the tool."""
         return not math.isnan(self.position[0])
 
     # --- lines to statements ---

@@ -18,7 +18,7 @@ SILENT = frozenset({
     "MCHTOL", "ARCSLP", "BREAK", "UNLOAD", "TLON",
 })  # fmt: skip
 TEXTS = ("PARTNO", "PPRINT", "REMARK", "INSERT", "LETTER")  #: their values are text, in which $ is a character
-SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: what the coordinates are counted from
+SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: words that set the origin of the coordinates
 CENTRE = "let the CAM output the path of the tool's centre"
 MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
 ARCS = "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"
