@@ -104,15 +104,15 @@ def run_map(args) -> Answer:
     summary = Summary(axes[0], axes[1], BEST)
     for table in study.tables(placements.chunks):
         summary.add(table)
-    cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
+    cells = write_cells(args.out, source, args.set, cell, placements.places, summary.best)
     rate = made * summary.rows / seconds if seconds else None
-    present = present_row(cell, placements.course)
+    present = present_row(cell, placements.places)
     page = write_map(args.out, cell, source.name, summary, present, self_contained=args.self_contained)
     result = {
         "rows": summary.rows,
         "rows_per_s": rate,
         "present": present,
-        "postures_per_s": rate and rate * len(placements.course.position),
+        "postures_per_s": rate and rate * len(placements.places.position),
         "feasible": summary.feasible,
         "best": [row | {"cell": str(path)} for row, path in zip(summary.best, cells, strict=True)],
         "picture": str(page),
@@ -147,32 +147,32 @@ def _along(args) -> Answer:
     step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
     turns = turning.Turns(cell, places_at(cell, ran, chosen), step, np.degrees(1e-6 * args.smooth))
     grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
-    way, same, own = (
-        turning.find_way(turns, grid),
-        turning.constant_way(turns, grid),
-        turning.constant_way(turns, np.zeros(1)),
+    path, same, own = (
+        turning.best_turns(turns, grid),
+        turning.constant_turn(turns, grid),
+        turning.constant_turn(turns, np.zeros(1)),
     )
-    run, q = turning.turned(cell, ran.time_ns[chosen], way)
-    files = _write(Path(args.out), source, args.set, cell, run, q, way)
+    run, q = turning.turned(cell, ran.time_ns[chosen], path)
+    files = _write(Path(args.out), source, args.set, cell, run, q, path)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
     result = {
         "rows": len(chosen),
         "rows_per_s": None,
-        "branch": way.branch,
-        "criterion_um": 1e6 * way.value,
+        "branch": path.branch,
+        "criterion_um": 1e6 * path.value,
         "criterion_constant_um": 1e6 * same.value if same else None,
         "criterion_unturned_um": 1e6 * own.value if own else None,
         "constant_turn_deg": float(np.degrees(same.turn[0])) if same else None,
-        "error_max_um": 1e6 * float(way.error.max()),
+        "error_max_um": 1e6 * float(path.error.max()),
         "error_max_constant_um": 1e6 * float(same.error.max()) if same else None,
-        "turn_deg": np.degrees([way.turn.min(), way.turn.max()]).tolist(),
+        "turn_deg": np.degrees([path.turn.min(), path.turn.max()]).tolist(),
         "joint_speed_share": speed.max(axis=0).tolist(),
         "slower": float(run.duration_ns / cell.target().duration_ns),
         "best": [{"cell": str(files[0])}],
         "files": [str(path) for path in files],
     }
     low, high = result["turn_deg"]
-    shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * way.value:.2f} um"]
+    shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * path.value:.2f} um"]
     for name, other in (("the best turn that stays the same", same), ("not turned", own)):
         shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
     share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
@@ -185,7 +185,7 @@ def _along(args) -> Answer:
     ])  # fmt: skip
 
 
-def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
+def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
     """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
     import numpy as np
 
@@ -197,7 +197,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
 
     changes = {"path": {"file": TURNED_RECORDING}, "workpiece": place_of(cell.workpiece.pose),
                "posture_deg": np.degrees(q[0]).tolist()}  # fmt: skip
-    note = f"The tool turns about its axis along the path, from {np.degrees(way.turn[0]):.2f} deg on"
+    note = f"The tool turns about its axis along the path, from {np.degrees(path.turn[0]):.2f} deg on"
     with staged(out) as (draft, final):
         write_placement(draft / TURNED_CELL, source, settings, cell, changes, note)
         write_csv(draft / TURNED_TABLE, run, q)

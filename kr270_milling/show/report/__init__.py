@@ -29,7 +29,7 @@ from kr270_milling.show.report.straight_cut import charts_of
 __all__ = ["report_text", "write_report", "write_report_page", "write_series"]
 
 FIRST_TILES = 3  #: before the findings: decision, as programmed, compensated
-FIRST_FINDINGS = 4  #: that are shown at once; the others follow behind a switch
+FIRST_FINDINGS = 4  #: rows that are shown at once; the others follow behind a switch
 
 
 def write_report(directory, cell: Cell, passes: Sequence[ScoredPass], **more) -> Path:
@@ -63,7 +63,7 @@ def report_text(
     tables: Sequence[TextTable] = (),
     program: str | None = None,
 ) -> str:
-    """The report as one HTML page.
+    """Return the report as an HTML page.
 
     passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
     paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes, if they
@@ -74,7 +74,7 @@ def report_text(
         raise InputError(title, "a report needs at least one pass")
     programmed = cell.programmed
     parts = parts or assess_all(cell, passes)
-    judgements = [judge(cell, ran, part) for ran, part in zip(passes, parts, strict=True)]
+    judgements = [judge(cell, scored, part) for scored, part in zip(passes, parts, strict=True)]
     method = decision.method_text if decision else ""
     if decision is None:
         decision, checked = judged(cell, passes, judgements)

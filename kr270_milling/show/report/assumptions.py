@@ -24,7 +24,7 @@ TEXT = Path(__file__).parent / "page" / "assumptions.txt"
 
 
 class Assumption(NamedTuple):
-    """One row of the table."""
+    """Row of the table."""
 
     point: str
     value: str

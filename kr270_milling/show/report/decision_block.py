@@ -21,7 +21,7 @@ from kr270_milling.decide.findings import SEVERITIES
 from kr270_milling.decide.tolerance import Judgement, um_text
 from kr270_milling.show.report.tables import micro, typeset
 
-TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
+TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: colour of the tile
 
 __all__ = ["Tile", "asked", "cut_text", "finding_rows", "judged", "tiles"]
 
@@ -123,9 +123,9 @@ def _tile(label: str, judged: Judgement, quantity: str) -> Tile:
 def finding_rows(checked: Checked | None) -> list[dict]:
     """The worst first; where: the place in words."""
     rows = []
-    for one in sorted(checked.findings if checked else (), key=lambda f: SEVERITIES.index(f.severity)):
-        point, line = one.where.point, one.where.line
-        words = [one.where.feature, f"line {line}" if line else None, f"XP{point}" if point else None]
+    for finding in sorted(checked.findings if checked else (), key=lambda f: SEVERITIES.index(f.severity)):
+        point, line = finding.where.point, finding.where.line
+        words = [finding.where.feature, f"line {line}" if line else None, f"XP{point}" if point else None]
         where = ", ".join(filter(None, words))
-        rows.append({**vars(one), "sentence": micro(one.sentence), "where": where, "point": point})
+        rows.append({**vars(finding), "sentence": micro(finding.sentence), "where": where, "point": point})
     return rows

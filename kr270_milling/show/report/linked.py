@@ -17,14 +17,14 @@ from kr270_milling.show.report.charts import envelope_index, stations
 __all__ = ["Linked", "PartSurface", "StationSeries", "SurfaceErrors", "SourceLine", "linked", "part_surface"]
 
 LONGEST = 160  #: characters of a source line
-MOST_LINES = 4000  #: of the source; beyond it only those on which a station lies
-MOST_CELLS = 120  #: of the part's map along its longer side
+MOST_LINES = 4000  #: lines of the source; of a longer one only those on which a station lies
+MOST_CELLS = 120  #: nodes of the part's map along its longer side
 WALL_BUCKETS = 400
 
 
 @dataclass(frozen=True, eq=False)
 class StationSeries:
-    """One pass at the stations, (k,) each; NaN beyond its end."""
+    """Series of a pass at the stations, (k,) each; NaN beyond its end."""
 
     name: str
     side: np.ndarray  #: deviation to the left of the path [um]
@@ -46,10 +46,10 @@ class Linked:
 
     time: np.ndarray  #: [s], (k,)
     way: np.ndarray  #: along the path [mm], (k,)
-    x: np.ndarray  #: of the target, workpiece frame [mm], (k,)
+    x: np.ndarray  #: position of the target, workpiece frame [mm], (k,)
     y: np.ndarray
     z: np.ndarray
-    line: np.ndarray  #: of the source, (k,); 0: none
+    line: np.ndarray  #: line of the source, (k,); 0: none
     point: np.ndarray  #: number in the robot program, from 1, (k,): the knot that comes next
     feature: np.ndarray  #: index into ``features``, (k,)
     features: tuple[str, ...]
@@ -71,11 +71,11 @@ def linked(
     time_ns, target, path = result.time_ns, result.target, part.path
     cutting = np.zeros(time_ns.size, bool)
     series = []
-    for one, assessed in zip(passes, parts, strict=True):
-        rows = np.searchsorted(one.result.time_ns, time_ns)
-        known = rows < one.result.time_ns.size
-        known[known] = one.result.time_ns[rows[known]] == time_ns[known]
-        series.append(np.where(known, _series(one, assessed)[:, np.where(known, rows, 0)], np.nan))
+    for scored, assessed in zip(passes, parts, strict=True):
+        rows = np.searchsorted(scored.result.time_ns, time_ns)
+        known = rows < scored.result.time_ns.size
+        known[known] = scored.result.time_ns[rows[known]] == time_ns[known]
+        series.append(np.where(known, _series(scored, assessed)[:, np.where(known, rows, 0)], np.nan))
         cutting[known] |= assessed.cutting[rows[known]]
     chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
     engaged, knots = result.time >= cell.full_engagement - 1e-9, cell.target().time_ns
@@ -99,14 +99,14 @@ def linked(
 
 
 def _joined(cutting: np.ndarray, cell: Cell) -> np.ndarray:
-    """Without the moments in which no tooth of a tool at work is in the material."""
+    """Return ``cutting`` without the moments in which no tooth of a tool at work is in the material."""
     turn = int(np.ceil(2 * np.pi / cell.tool.spindle_speed / cell.clock.period))
     return binary_closing(np.pad(cutting, turn + 1), np.ones(turn + 1, bool))[turn + 1 : -turn - 1] | cutting
 
 
-def _series(one: ScoredPass, part: PartAssessment) -> np.ndarray:
+def _series(scored: ScoredPass, part: PartAssessment) -> np.ndarray:
     """The rows of StationSeries at all times of the pass, (5, n)."""
-    shift = one.result.reference - one.result.target
+    shift = scored.result.reference - scored.result.target
     across = np.sum(shift[:, :2] * part.path.left, axis=1)
     _, side, height = part.deviation.T * 1e6
     return np.stack([side, height, part.force, across * 1e6, shift[:, 2] * 1e6])
@@ -144,7 +144,7 @@ class PartSurface:
     z: np.ndarray  #: height of the part, (b, a)
     wall_x: np.ndarray  #: (w,)
     wall_y: np.ndarray
-    wall_z: np.ndarray  #: of the upper edge
+    wall_z: np.ndarray  #: height of the upper edge
     passes: tuple[SurfaceErrors, ...]
 
 

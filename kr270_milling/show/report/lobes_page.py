@@ -49,7 +49,7 @@ def write_lobes(
         style = {name: (COLOURS[k], "circle") for k, name in enumerate(names)}
         both = series | {"chatter": (speeds, chatter)}
         figures.append(points("Chatter at the limit", across, "frequency [Hz]", both, tuple(series), style))
-        shown = [*filter(math.isfinite, chatter), *(one[0] for of in modes.values() for one in of)]
+        shown = [*filter(math.isfinite, chatter), *(mode[0] for rows in modes.values() for mode in rows)]
         if max(shown) > LOGARITHMIC * min(shown):
             figures[1].update_yaxes(type="log", dtick="D2")
     for figure in figures:  # one above the other

@@ -23,7 +23,7 @@ TABLE_NOTE = (
 
 
 def gain_text(summary: Summary, present: dict) -> str:
-    """What the part has where it is, and what the best placement has, in one sentence."""
+    """State the error of the present placement and of the best placement in a sentence."""
     if not summary.best:
         return "no placement is feasible"
     best = summary.best[0]

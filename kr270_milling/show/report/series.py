@@ -37,7 +37,7 @@ def deviation_of(result: PassResult, target: Trajectory) -> np.ndarray:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """One harmless and different file name stem for each pass name."""
+    """Return a harmless and different file name stem for each pass name."""
     stems: list[str] = []
     for name in names:
         stem = unique = re.sub(r"[^A-Za-z0-9-]+", "_", name)[:60].strip("_") or "pass"
@@ -56,11 +56,11 @@ def write_series(directory, cell: Cell, passes: Sequence[ScoredPass]) -> list[Pa
     place, target = Path(directory), cell.target()
     place.mkdir(parents=True, exist_ok=True)
     series, references = [], []
-    for stem, one in zip(file_names([p.name for p in passes]), passes, strict=True):
+    for stem, scored in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")
-        write_files({series[-1]: series_lines(one.result, target)})
+        write_files({series[-1]: series_lines(scored.result, target)})
         references.append(place / f"{stem}_reference.csv")
-        write_csv(references[-1], one.reference, cell.joints(one.reference))
+        write_csv(references[-1], scored.reference, cell.joints(scored.reference))
     return series + references
 
 

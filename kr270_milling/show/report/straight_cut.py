@@ -23,7 +23,7 @@ from kr270_milling.show.report.series import deviation_of
 
 __all__ = ["charts_of", "force_law", "machined_profile", "micro_step_forces"]
 
-SAMPLES = 1000  #: of a reference trajectory
+SAMPLES = 1000  #: samples of a reference trajectory
 MOST_MICRO_STEPS = 500_000  #: a longer pass is not swept a second time for its micro-step forces
 ZERO = ((0.0, ""),)  #: a level
 
@@ -115,9 +115,9 @@ def _through(name: str, points, colour: int = 0, look: str = "", **more) -> Curv
     return Curve(name, x, y, colour, look, **more)
 
 
-def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
+def _of_pass(cell: Cell, scored: ScoredPass, shade) -> list[Chart]:
     """Force (Fig. 12), displacement (Fig. 13) and their spectra."""
-    result, end = one.result, float(one.result.time[-1])
+    result, end = scored.result, float(scored.result.time[-1])
     revolution, micro_step = 2 * np.pi / cell.tool.spindle_speed, cell.clock.period / cell.clock.micro_steps
     scored = result.time >= min(cell.full_engagement, 0.5 * end)
     wrench, force, step = result.wrench[:, :3], result.wrench[scored, :3], cell.clock.period
@@ -137,7 +137,7 @@ def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
         panels.append(Panel("time [ms]", "force [N]", last, "the last revolution"))
         force, step = fine[np.repeat(scored[1:], cell.clock.micro_steps)], micro_step
     forces = (
-        f"Pass '{one.name}'. Thin: means over one exchange period of {cell.clock.period * 1e3:g} ms, so the peaks "
+        f"Pass '{scored.name}'. Thin: means over one exchange period of {cell.clock.period * 1e3:g} ms, so the peaks "
         "within a tooth's engagement are lower there than in the last revolution, which is shown at micro-steps of the "
         "spindle. Bold: mean over a revolution. Shaded: fully engaged."
     )
@@ -146,14 +146,14 @@ def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
         curve(name, result.time, result.deflection[:, k] * 1e6, k + 1, look) for k, (name, look) in enumerate(rows)
     ]
     swings = (
-        f"Pass '{one.name}'. The arm deflects, swings at its low frequency and settles at its static deflection. "
+        f"Pass '{scored.name}'. The arm deflects, swings at its low frequency and settles at its static deflection. "
         "What happens before the shaded part is cut away by the teeth that follow."
     )
     panel = Panel("time [s]", "displacement of the tool [µm]", moved, shade=shade, levels=ZERO)
     return [
         Chart("forces", "Force on the tool", "Fig. 12", forces, panels, columns=2),
         Chart("displacement", "Displacement of the tool", "Fig. 13", swings, [panel]),
-        _spectra(cell, one, force, step, result.deflection[scored, 1]),
+        _spectra(cell, scored, force, step, result.deflection[scored, 1]),
     ]
 
 
@@ -169,7 +169,7 @@ def micro_step_forces(cut: CutModel, tool: np.ndarray, micro_steps: int) -> np.n
     return forces.reshape(-1, 3)
 
 
-def _spectra(cell: Cell, one: ScoredPass, force: np.ndarray, step: float, lateral: np.ndarray) -> Chart:
+def _spectra(cell: Cell, scored: ScoredPass, force: np.ndarray, step: float, lateral: np.ndarray) -> Chart:
     """force (n, 3) [N] every ``step`` [s]; lateral (m,) [m] every exchange period."""
     passing, low = cell.tool.teeth * cell.tool.spindle_speed / (2 * np.pi), cell.low_frequency
     high = 4.0 * passing
@@ -188,8 +188,8 @@ def _spectra(cell: Cell, one: ScoredPass, force: np.ndarray, step: float, latera
             Panel("frequency [Hz]", label, curves, log=True, x_range=(1.0, high), y_range=decades, uprights=marks)
         )
     caption = (
-        f"Pass '{one.name}', fully engaged part. Force lives at the tooth passing frequency, {passing:.1f} Hz, and its "
-        f"multiples; the arm follows only near its lowest lateral mode, {low:.2f} Hz."
+        f"Pass '{scored.name}', fully engaged part. Force lives at the tooth passing frequency, {passing:.1f} Hz, and "
+        f"its multiples; the arm follows only near its lowest lateral mode, {low:.2f} Hz."
     )
     of_paper = "Figs. 12 and 13 in the frequency domain"
     return Chart("spectra", "Frequencies in force and displacement", of_paper, caption, panels)
@@ -200,17 +200,17 @@ def _references(cell: Cell, passes: Sequence[ScoredPass]) -> Chart:
     target = cell.target()
     stamps = np.unique(np.linspace(0, target.duration_ns, SAMPLES).round().astype(np.int64))
     shift, rate = [], []
-    for number, one in enumerate(passes, 1):
-        run = one.reference
+    for number, scored in enumerate(passes, 1):
+        run = scored.reference
         at = stamps
         if run.velocity is None:  # the rate of a straight line is a staircase: both sides of each knot
             at = np.sort(np.concatenate([run.time_ns[1:-1] - 1, run.time_ns]))
         moved = (run.sample(stamps) - target.sample(stamps))[:, 1] * 1e6
         speed = (run.sample_velocity(at) - target.sample_velocity(at))[:, 1] * 60e3
         knots = (run.position - target.sample(run.time_ns))[:, 1] * 1e6
-        shift.append(curve(one.name, stamps * 1e-9, moved, number))
-        shift.append(Curve(f"{one.name}, points", run.time, knots, number, "points", legend=False))
-        rate.append(curve(one.name, at * 1e-9, speed, number, legend=False))
+        shift.append(curve(scored.name, stamps * 1e-9, moved, number))
+        shift.append(Curve(f"{scored.name}, points", run.time, knots, number, "points", legend=False))
+        rate.append(curve(scored.name, at * 1e-9, speed, number, legend=False))
     caption = (
         "Reference minus target, computed from the displacement in earlier passes: points every "
         f"{cell.timing.controller_step * 1e3:g} ms. 'linear' joins them by straight lines, so that its rate jumps; the "
@@ -248,7 +248,7 @@ def _deviations(cell: Cell, passes: Sequence[ScoredPass], shade) -> Chart:
 
 
 def machined_profile(parts: Sequence[PartAssessment]) -> list[Chart]:
-    """What the assessment of the part says of the walls of a path along +x; empty where none remains."""
+    """Return sentences about the walls of a path along +x; empty without a wall."""
     panels: list[Panel] = []
     for title, normal in (("left wall", -1.0), ("right wall", 1.0)):
         curves = []

@@ -70,15 +70,15 @@ def typeset(text: str) -> str:
 
 def line_scores(passes: Sequence[ScoredPass], paper: bool) -> TextTable:
     """Accuracy before and after of a straight cut; with ``paper`` the numbers of Table 2 beside ours."""
-    heads, rows = ["pass"], [[one.name] for one in passes]
+    heads, rows = ["pass"], [[scored.name] for scored in passes]
     for column in _titled(Scores):
         heads.append(_heading(column))
-        for one, row in zip(passes, rows, strict=True):
-            row.append(_text(column, getattr(one.scores, column.name)))
+        for scored, row in zip(passes, rows, strict=True):
+            row.append(_text(column, getattr(scored.scores, column.name)))
         if paper and np.isfinite(getattr(TABLE_2["original"], column.name)):
             heads.append("paper")
-            for one, row in zip(passes, rows, strict=True):
-                row.append(_text(column, getattr(TABLE_2.get(one.name), column.name, np.nan)))
+            for scored, row in zip(passes, rows, strict=True):
+                row.append(_text(column, getattr(TABLE_2.get(scored.name), column.name, np.nan)))
     note = (
         "Path deviation: actual tool centre minus target, perpendicular to the feed. Static: its mean over the last "
         "quarter of the pass. Largest: its largest magnitude while the tool is fully engaged. Low frequency: the "
@@ -140,11 +140,11 @@ def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
 def details(passes: Sequence[ScoredPass]) -> TextTable:
     """Forces and exchange of every pass."""
     rows = []
-    for one in passes:
-        result = one.result
+    for scored in passes:
+        result = scored.result
         shift = float(np.linalg.norm(result.reference - result.target, axis=1).max())
         rows.append((
-            one.name, " / ".join(fixed_text(v, 2) for v in mean_force(result)), fixed_text(shift * UM, 2),
+            scored.name, " / ".join(fixed_text(v, 2) for v in mean_force(result)), fixed_text(shift * UM, 2),
             fixed_text(result.removed_volume * 1e9, 3), fixed_text(float(result.correction.max()) * 1e9, 2),
             str(result.micro_steps), fixed_text(result.wall_time, 3),
         ))  # fmt: skip
@@ -162,6 +162,6 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
 
 def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """The pass whose exchange was the coarsest, where that was too coarse."""
-    shares = [(ran.name, exchange_share(cell, ran)) for ran in passes]
+    shares = [(scored.name, exchange_share(cell, scored)) for scored in passes]
     name, worst = max(shares, key=lambda item: item[1].share)
     return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""

@@ -164,7 +164,7 @@ def _unexplained(fit: Fit) -> float:
 
 
 def _pattern(fit: Fit) -> list[Doubt]:
-    """What the residuals look like: another frame, one wrong row, a base that tilts."""
+    """Causes that the residuals suggest: another frame, one wrong row, a base that tilts."""
     left = _unexplained(fit)
     if left < UNEXPLAINED:
         return _contradicting_row(fit, False) or _tilting_base(fit)
@@ -286,7 +286,7 @@ def _coefficients(edge: LawFit) -> list[Doubt]:
 
 
 def _plausible(fit: LawFit) -> bool:
-    """Whether K_tc is positive and the 95 % interval of K_rc has a ratio to K_tc as published."""
+    """Return whether K_tc is positive and the 95 % interval of K_rc has a ratio to K_tc as published."""
     ratios = [row.values[2] / row.values[0] for row in materials()]
     k_tc, k_rc, width = fit.values[0], fit.values[2], fit.half_widths[2]
     return bool(

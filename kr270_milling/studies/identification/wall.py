@@ -39,7 +39,7 @@ class WallPlaces:
     """n places of a wall, workpiece frame."""
 
     path: str
-    lines: tuple[int, ...]  #: of the file, (n,)
+    lines: tuple[int, ...]  #: line of the file, (n,)
     place: np.ndarray  #: nominal [m], (n, 2)
     height: np.ndarray  #: z [m], (n,); NaN: not given
     error: np.ndarray  #: measured, along the normal, positive where material is left standing [m], (n,)
@@ -51,7 +51,7 @@ class WallComparison:
     """Measured and predicted error of a wall at n places."""
 
     measured: WallPlaces
-    predicted: np.ndarray  #: by the model [m], (n,)
+    predicted: np.ndarray  #: error by the model [m], (n,)
     low: np.ndarray  #: 5 % of the plants, with the noise of the measurement [m], (n,)
     high: np.ndarray  #: 95 % [m], (n,)
     plants: int  #: drawn
@@ -59,7 +59,7 @@ class WallComparison:
 
     @property
     def inside(self) -> np.ndarray:
-        """Whether a measured error is in its band, (n,) bool."""
+        """Measured errors in their band, (n,) bool."""
         return (self.low <= self.measured.error) & (self.measured.error <= self.high)
 
 
@@ -108,9 +108,9 @@ def _plant_errors(plant: Cell, nominal: Cell, reference: Trajectory, measured: W
         arm = imperfect_arm(plant, reference, plant.arm_model(reference))
         course_of = imperfect_course(plant, reference, 0)
         silent = plant.programmed.drilling_at
-        ran = run_pass(arm, plant.cut(), plant.clock, nominal.target(), course_of, plant.exchange.iterations,
+        result = run_pass(arm, plant.cut(), plant.clock, nominal.target(), course_of, plant.exchange.iterations,
                        silent=silent)  # fmt: skip
-        return _errors_at(measured, _walls(nominal, ran, ideal))
+        return _errors_at(measured, _walls(nominal, result, ideal))
     except MillingError:
         return np.full(len(measured.error), np.nan)
 

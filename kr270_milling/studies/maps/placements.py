@@ -72,23 +72,23 @@ MAPPED = {c.key: c.heading() for c in columns(PlacementRow) if c.title}
 class PathPlaces:
     """m places on the path of a cell, workpiece frame."""
 
-    position: np.ndarray  #: of the tool tip [m], (m, 3)
-    rotation: np.ndarray  #: of tcp, (m, 3, 3)
+    position: np.ndarray  #: position of the tool tip [m], (m, 3)
+    rotation: np.ndarray  #: rotation of tcp, (m, 3, 3)
     feed: np.ndarray  #: unit vectors, (m, 3)
     force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
 
 
-def grid_axes(cell: Cell, given: Sequence) -> tuple[np.ndarray, ...]:
-    """The axes of ``Placements``: x, y, z [m], turn [rad] of the workpiece, turn of the tool [rad].
+def grid_axes(cell: Cell, values: Sequence) -> tuple[np.ndarray, ...]:
+    """Return the axes of ``Placements``: x, y, z [m], turn [rad] of the workpiece, turn of the tool [rad].
 
-    given: values of each axis in mm and deg; None: where the workpiece of the cell is, not turned. Raises
+    values: of each axis in mm and deg; None: where the workpiece of the cell is, not turned. Raises
     ParameterError for more than 10 million placements.
     """
     here = (*cell.workpiece.xyz, 0.0, 0.0)
     scales = (1e-3, 1e-3, 1e-3, 1.0 / DEGREES, 1.0 / DEGREES)
     axes = tuple(
-        np.array([value]) if values is None else scale * np.asarray(values, float).reshape(-1)
-        for values, value, scale in zip(given, here, scales, strict=True)
+        np.array([value]) if axis is None else scale * np.asarray(axis, float).reshape(-1)
+        for axis, value, scale in zip(values, here, scales, strict=True)
     )
     count = math.prod(len(axis) for axis in axes)
     if not 0 < count <= MOST:
@@ -103,9 +103,9 @@ def path_places(cell: Cell, progress: Callable[[int, int], None] | None = None) 
     chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
     rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)
     both = np.union1d(chosen, rest)
-    course = places_at(cell, result, both)
-    course.force[np.isin(both, rest)] = 0.0
-    return course
+    places = places_at(cell, result, both)
+    places.force[np.isin(both, rest)] = 0.0
+    return places
 
 
 def places_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> PathPlaces:
@@ -128,7 +128,7 @@ class Placements(StudyRows):
     """A grid of placements, each with 8 rows, one a branch."""
 
     cell: Cell
-    course: PathPlaces
+    places: PathPlaces
     axes: tuple[np.ndarray, ...]  #: x, y, z [m], turn [rad] of the workpiece; turn of the tool about its axis [rad]
     chunk: int = 500  #: placements a file, 8 rows each
     base: Pose = field(init=False)
@@ -156,24 +156,24 @@ class Placements(StudyRows):
         }
 
     def rows(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
-        """The measures of placements (n, 5), each (n, 8): one a branch."""
-        cell, course = self.cell, self.course
+        """Return the measures of placements (n, 5), each (n, 8): one a branch."""
+        cell, places = self.cell, self.places
         turn, tool_turn = about_z(chosen[:, 3]), about_z(chosen[:, 4])
         frame = turn @ self.base.rotation  # workpiece axes in base axes, (n, 3, 3)
         back = np.swapaxes(frame, -1, -2)
-        position = chosen[:, None, :3] + course.position @ back
-        rotation = frame[:, None] @ course.rotation @ tool_turn[:, None]
-        force, feed = course.force @ back, course.feed @ back
+        position = chosen[:, None, :3] + places.position @ back
+        rotation = frame[:, None] @ places.rotation @ tool_turn[:, None]
+        force, feed = places.force @ back, places.feed @ back
         n, m = position.shape[:2]
         place = Pose(position.reshape(-1, 3), rotation.reshape(-1, 3, 3))
-        q, way = postures(cell.arm, cell.mount, place, force.reshape(-1, 3), cell.dynamics.gravity)
-        q, way = q.reshape(n, m, 8, 6), way.reshape(n, m, 8, 3)
+        q, deflection = postures(cell.arm, cell.mount, place, force.reshape(-1, 3), cell.dynamics.gravity)
+        q, deflection = q.reshape(n, m, 8, 6), deflection.reshape(n, m, 8, 3)
         if tip := cell.tool.lateral_compliance:
             axis = rotation[..., 2]
             lateral = force - np.sum(force * axis, axis=-1, keepdims=True) * axis
-            way = way + tip * lateral[:, :, None]
+            deflection = deflection + tip * lateral[:, :, None]
         size = np.linalg.norm(force, axis=-1)
-        within, measures = along_path(cell.arm, q, way, feed, size, MARGIN)
+        within, measures = along_path(cell.arm, q, deflection, feed, size, MARGIN)
         singular, soft, largest, mean = np.moveaxis(measures, -1, 0)
         reachable, feasible = np.isfinite(singular), within & (singular > SINGULAR)
         left = math.hypot(cell.uncertainty.joint_compliance, cell.uncertainty.force_coefficient)
@@ -191,7 +191,7 @@ class Placements(StudyRows):
         }
 
     def lowest_mode(self, q: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """[Hz], (n, 8), of the chosen ones of the postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
+        """Frequency [Hz], (n, 8), of the chosen postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
         cell, frequency = self.cell, np.full(q.shape[:2], np.nan)
         measured = cell.dynamics.modes.frequency
         if measured.size:
@@ -213,7 +213,7 @@ class Placements(StudyRows):
         return np.where(chosen, frequency, np.nan)
 
 
-def present_row(cell: Cell, course: PathPlaces) -> dict[str, float]:
+def present_row(cell: Cell, places: PathPlaces) -> dict[str, float]:
     """The row of the workpiece where the cell has it, on the branch of the commanded joints; keys as of ``columns``."""
     here = tuple(np.array([value]) for value in (*cell.workpiece.pose.position.tolist(), 0.0, 0.0))
     stamp, target = np.zeros(1, np.int64), cell.target()
@@ -222,7 +222,7 @@ def present_row(cell: Cell, course: PathPlaces) -> dict[str, float]:
     q, _ = branches(cell.arm, cell.mount, cell.workpiece.pose @ Pose(target.sample(stamp), rotation), joints)
     away = np.abs(np.exp(1j * q[0]) - np.exp(1j * joints)).max(axis=-1)
     branch = int(np.nanargmin(away))
-    return {name: values[branch].item() for name, values in Placements(cell, course, here).columns(0, 1).items()}
+    return {name: values[branch].item() for name, values in Placements(cell, places, here).columns(0, 1).items()}
 
 
 def about_z(angle) -> np.ndarray:
@@ -230,14 +230,14 @@ def about_z(angle) -> np.ndarray:
     return rotation_from_abc(np.asarray(angle)[..., None] * [1.0, 0.0, 0.0])
 
 
-def moved_cell(cell: Cell, course: PathPlaces, row: dict) -> dict:
-    """What a parameter file must say for a placement: workpiece, mount, posture hint; lengths in mm, angles in deg."""
+def moved_cell(cell: Cell, places: PathPlaces, row: dict) -> dict:
+    """Return the keys of a parameter file for a placement: workpiece, mount, posture; lengths in mm, angles in deg."""
     origin = np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) * 1e-3
     frame = Pose(origin, about_z(np.radians(row["turn_deg"])) @ cell.workpiece.pose.rotation)
     tool_turn = about_z(np.radians(row["tool_turn_deg"]))
     mount = Pose(cell.mount.pose.position, cell.mount.pose.rotation @ tool_turn.T)
-    middle = len(course.position) // 2
-    place = frame @ Pose(course.position[middle], course.rotation[middle] @ tool_turn)
+    middle = len(places.position) // 2
+    place = frame @ Pose(places.position[middle], places.rotation[middle] @ tool_turn)
     q, _ = branches(cell.arm, cell.mount, place, (cell.arm.joint_lower + cell.arm.joint_upper) / 2)
     hint = q[int(row["branch"])][None]
     whole_turns(hint, cell.arm.joint_lower, cell.arm.joint_upper)
@@ -268,11 +268,11 @@ class Summary:
         self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count
         self.rows = self.feasible = 0
         self.best: list[dict] = []  #: the placements of the smallest largest error, the best branch of each
-        #: of the row with the least error at each x and y, (y, x)
+        #: values of the row with the least error at each x and y, (y, x)
         self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in MAPPED}
 
     def add(self, table) -> None:
-        """One chunk, an Arrow table."""
+        """Add a chunk, an Arrow table."""
         usable = table.filter(table["feasible"]).sort_by("error_max_um")
         for row in usable.slice(0, 8 * self.count).to_pylist():
             self._enter(row)
@@ -286,21 +286,21 @@ class Summary:
 
     def _enter(self, row: dict) -> None:
         names = ("x_mm", "y_mm", "z_mm", "turn_deg")
-        rivals = [one for one in self.best if all(one[name] == row[name] for name in names)]
+        rivals = [best for best in self.best if all(best[name] == row[name] for name in names)]
         if rivals and rivals[0]["error_max_um"] <= row["error_max_um"]:
             return
-        others = [one for one in self.best if one not in rivals]
-        self.best = sorted([*others, row], key=lambda one: one["error_max_um"])[: self.count]
+        others = [best for best in self.best if best not in rivals]
+        self.best = sorted([*others, row], key=lambda best: best["error_max_um"])[: self.count]
 
 
-def write_cells(folder, source: Path, settings, cell: Cell, course: PathPlaces, rows: list[dict]) -> list[Path]:
+def write_cells(folder, source: Path, settings, cell: Cell, places: PathPlaces, rows: list[dict]) -> list[Path]:
     """A parameter file for each row, which includes ``source`` and moves workpiece, mount and posture."""
     written = []
     for number, row in enumerate(rows, 1):
         note = (f"Placement {number} of the map: largest static error across the feed {row['error_max_um']:.1f} um "
                 f"before, {row['compensated_max_um']:.1f} um after compensation (predicted, one sigma)")  # fmt: skip
         written.append(Path(folder) / f"best_{number}.yaml")
-        write_placement(written[-1], source, settings, cell, moved_cell(cell, course, row), note)
+        write_placement(written[-1], source, settings, cell, moved_cell(cell, places, row), note)
     return written
 
 
