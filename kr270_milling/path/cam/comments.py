@@ -146,10 +146,8 @@ OF_FLAT = re.compile(
     re.I,
 )
 OPERATIONS = frozenset(("drill", "tap", "probe"))  #: names of operations and of tools
-#: kinds of tools that are not judged as mills while they go along their axis only
-AXIAL_KINDS = frozenset(
-    ("tap", "countersink", "counterbore", "spot drill", "centre drill", "reamer", "boring bar", "drill")
-)
+#: kinds of tools that are not judged as mills while they go along their axis only; a tap needs the angle of the spindle
+AXIAL_KINDS = frozenset(("countersink", "counterbore", "spot drill", "centre drill", "reamer", "boring bar", "drill"))
 #: cutters with inserts in a body, and faces are milled with such cutters
 INSERTS = re.compile(
     r"insert|\bindex|\bshell|\bfac(?:e|ing)|platte|\bwsp|messerkopf|(?:plan|eck|igel|walzenstirn)fr|coromill|plaquette|surfac",
