@@ -37,7 +37,7 @@ SAME_AXIS = 1e-9  #: [m], sideways, of a move along the tool axis
 PLUNGE = math.sin(math.radians(20.0))  # [Kyocera2021]: 20 deg at 25 mm, 16, 12.5, 11, 8.5, 6 deg at 28 to 50 mm
 SOLID_RAMP = math.tan(math.radians(5.0))  #: solid end mills take 2 to 5 deg (carbide-tooling.com, ramping angle)
 INSERT_RAMP = math.tan(math.radians(20.0))
-LEAST_INSERTS = 16e-3  #: [m], assumed: a smaller cutter has no room for inserts
+LEAST_INSERTS = 16e-3  #: [m], assumed: a smaller cutter with inserts is taken as a solid one
 #: [m], [Kyocera2021]: a bore of 2 D - 16 mm at least, so that the inserts cut 8 mm of the radius. A ramp at the angles
 #: above sinks 3.3 to 3.7 mm while the core passes a place (3.5 mm a turn are allowed): the depth of the hollow
 INSERT_WIDTH, HOLLOW = 8e-3, 3.7e-3
@@ -373,7 +373,9 @@ def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]
     results = violations("plunge", met.sunk, 0.0, steep, part="cutter plunges", most="", **where)
     core = core_radius(tool.radius)
     solid, part = 2.0 * core * SOLID_RAMP, f"middle of the cutter, {2e3 * core:.3g} mm wide, sinks"
-    limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if tool.diameter >= LEAST_INSERTS else solid
+    program = cell.timed_path.toolpath.program.current if cell.timed_path else None
+    inserts = tool.type == "indexable" or (tool.type == "program" and program is not None and program.inserts)
+    limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if inserts and tool.diameter >= LEAST_INSERTS else solid
     for allowed, severity in ((limit, "stop"), (solid, "warning")):
         if not results:
             most = f"; makers allow {1e3 * allowed:.2g} mm"

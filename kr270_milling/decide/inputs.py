@@ -142,7 +142,7 @@ def _program(cell: Cell) -> list[Violation]:
         x, y, z = 1e3 * cell.mount.xyz
         tip = f"[{x:g}, {y:g}, {z:g}]"
         findings.append(violation("tool length", 0.0, 0.0, line=tool.line, label=tool.label, tip=tip))
-    if tool.shape and cell.tool.type != "flat" and not (tool.shape in AXIAL_KINDS and _along_axis(cell, path)):
+    if tool.shape and cell.tool.type == "program" and not (tool.shape in AXIAL_KINDS and _along_axis(cell, path)):
         article = "an" if tool.shape[0] in "aeiou" else "a"
         findings.append(
             violation(

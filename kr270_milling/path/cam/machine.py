@@ -294,6 +294,9 @@ class Machine:
         if not max(abs(cycle.bottom), abs(cycle.retract)) <= REACH or cycle.bottom > cycle.retract:
             self.program.refuse(word, "the cycle does not lead from R down to Z within reach")
             return False
+        if cycle.kind in (73, 83) and not cycle.peck:  # LinuxCNC refuses it, other controls drill in one stroke
+            self.program.refuse(word, f"{word} without Q, the depth of a peck", "write Q, or G81 for one stroke")
+            return False
         try:
             strokes = cycle.strokes()
         except ValueError as error:

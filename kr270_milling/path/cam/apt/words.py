@@ -4,12 +4,30 @@ from __future__ import annotations
 
 from kr270_milling.path.cam.machine import INCH, MM
 
-__all__ = ["ADVICE", "CENTRE", "DATUM", "FEEDS", "LENGTHS", "MILL", "MOVES", "SILENT", "SYSTEMS", "TEXTS"]
+__all__ = [
+    "ADVICE",
+    "CENTRE",
+    "CYCLES",
+    "DATUM",
+    "DISTANCES",
+    "FEEDS",
+    "LENGTHS",
+    "MILL",
+    "MOVES",
+    "SILENT",
+    "SYSTEMS",
+    "TEXTS",
+]
 
 LENGTHS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "CM": 1e-2}
 #: unit of FEDRAT -> length [m], None: that of UNITS, and whether it is per revolution
 FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MMPR": (MM, True), "IPR": (INCH, True),
          "PERREV": (None, True)}  # fmt: skip
+#: kind of CYCLE/ -> the cycle of G-code that makes the same hole
+CYCLES = {"DRILL": 81, "FACE": 82, "DEEP": 83, "BRKCHP": 73, "REAM": 85}
+#: word of CYCLE/ -> the distance that follows
+DISTANCES = {"DEPTH": "depth", "FEDTO": "depth", "CLEAR": "clear", "RAPTO": "clear", "STEP": "step", "INCR": "step",
+             "RETURN": "back", "RTRCTO": "back"}  # fmt: skip
 #: words without effect on the path, whatever their values
 SILENT = frozenset({
     "REMARK", "MACHIN", "COOLNT", "DISPLY", "PAINT", "INTOL", "OUTTOL", "TOLER", "END-OF-PATH", "STOP", "OPSTOP",
