@@ -282,7 +282,7 @@ def test_the_deflection_converges_with_the_exchange_period(tmp_path):
         stamps, coarse = deflection(period)
         rows = np.searchsorted(time, stamps[stamps <= time[-1]])
         errors.append(rms(coarse[: rows.size] - finest[rows]))
-    assert fitted_order([16.0, 8.0, 4.0, 2.0], errors) > 1.0
+    assert fitted_order([16.0, 8.0, 4.0, 2.0], errors) > 1.4
     assert errors[2] < 0.5e-6
 
 
@@ -298,14 +298,13 @@ def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
             before, after = (measure(np.abs(series[:, axis])) for series in (swept, engaged))
             assert after == pytest.approx(before, rel=0.02, abs=0.5e-6)
     difference = np.linalg.norm(engaged[:, :2] - swept[:, :2], axis=1)
-    assert difference.max() < 0.05 * np.abs(swept[:, :2]).max()
+    assert difference.max() < 5e-6
     assert rms(difference) < 1e-6
     assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.002)
     parts = [assess(cell, ran).whole for cell, ran in zip(cells, passes, strict=True)]
     for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
         swept, engaged = (getattr(part, name) for part in parts)
-        touching = name in ("max_vertical", "max_floor", "mean_floor")
-        assert engaged == pytest.approx(swept, rel=0.05 if touching else 0.02, abs=0.5e-6), name
+        assert engaged == pytest.approx(swept, rel=0.02, abs=0.5e-6), name
 
 
 #: a ramp of 3 deg
@@ -382,9 +381,7 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
-    cell = read_cell(
-        "test_piece.yaml", "cutting.detail=engagement", "cutting.end_share=0"
-    )  # no contact of the end edges
+    cell = read_cell("test_piece.yaml", "cutting.detail=engagement")
     target = cell.target()
     free = cell.arm_model(target)
     monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)
