@@ -155,7 +155,13 @@ def drafted(tmp_path_factory):
     return folder / "cell.yaml"
 
 
-FAST = settings(*STOCK, "cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=inverse")
+FAST = settings(
+    *STOCK,
+    "cutting.detail=engagement",
+    "dynamics.follow_pose=false",
+    "compensation.method=mirror",
+    "cutting.end_share=0",
+)
 
 
 def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path):
