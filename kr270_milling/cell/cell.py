@@ -25,7 +25,7 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.cutting import Cut, CutModel, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.motion.arm_model import Dynamics, arm_model, modal_models
-from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach, discretise
+from kr270_milling.physics.motion.dynamics import ArmFactors, ArmModel, ModalModel, approach, discretise
 from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.robot import Arm, Mount, inverse_along, pose
@@ -172,10 +172,15 @@ class Cell(Record):
         soft = self.tool.lateral_compliance
         return modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints, soft)
 
-    def arm_model(self, reference: Trajectory) -> ArmModel:
-        """Eq. (1) over one exchange period, at the posture where the reference starts or along all of it."""
+    def arm_model(self, reference: Trajectory, factors: ArmFactors | None = None) -> ArmModel:
+        """Eq. (1) over one exchange period, at the posture where the reference starts or along all of it.
+
+        factors: of an identified arm on the modes.
+        """
         between, stamps = self._postures(reference)
         models = self.modes_at(self.joints_along(reference, stamps))
+        if factors is not None:
+            models = [model.scaled(factors, self.dynamics.damping_ratio) for model in models]
         dynamics, before = self.dynamics, np.zeros(6) if reference.standing[0] else approach(self.target())
         ratio, inertia = dynamics.damping_ratio, dynamics.reference_inertia
         revolution = 2.0 * math.pi / self.tool.spindle_speed

@@ -22,7 +22,7 @@ from kr270_milling.physics.compensation.mirror import Mirror, mirror
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse
 from kr270_milling.physics.compensation.revision import PassRecord
-from kr270_milling.physics.motion.dynamics import ModalModel
+from kr270_milling.physics.motion.dynamics import ArmFactors, ModalModel
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
@@ -131,8 +131,8 @@ def models_of(cell: Cell) -> CellModels:
     return CellModels(
         mirror=lambda target, wrench: mirrored(cell, target, wrench),
         arm=lambda target: arm_response(cell, target),
-        predict=lambda reference: record_of(cell, simulate(cell, reference)),
-        cut=lambda target, time_ns, shift: deviated_cut(cell, target, time_ns, shift),
+        predict=lambda reference, factors: predicted(cell, reference, factors),
+        cut=lambda path: cut_along(cell, path),
     )
 
 
@@ -173,14 +173,28 @@ def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[fl
     return [learner.predicted(reference) for reference in references]
 
 
-def deviated_cut(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:
-    """The cut alone, along a path that deviates from the target by shifts (k, 3) [m] at times (k,) [ns]."""
-    steps = np.arange(cell.clock.steps(target.duration_ns) + 1)
+def cut_along(cell: Cell, path: Trajectory) -> PassRecord:
+    """The cut alone, by a tool that runs on ``path``."""
+    steps = np.arange(cell.clock.steps(path.duration_ns) + 1)
     stamps = cell.clock.stamp(steps)
-    tool = target.sample(stamps) + np.column_stack([np.interp(stamps, time_ns, axis) for axis in shift.T])
+    tool = path.sample(stamps)
     wrench, _, _ = cell.cut().along(tool, steps * cell.clock.micro_steps)
     wrench = np.where(cell.programmed.drilling_at(stamps)[:, None], 0.0, wrench)
     return pass_record(cell, stamps, tool, wrench)
+
+
+def predicted(cell: Cell, reference: Trajectory, factors: ArmFactors | None = None) -> PassRecord:
+    """The pass that the model predicts along ``reference``; factors: of an identified arm on the modelled arm."""
+    target, course = cell.target(), reference
+    if factors is not None and factors.gain != 1.0:
+        velocity = reference.velocity
+        if velocity is not None and target.velocity is not None:
+            velocity = target.velocity + factors.gain * (velocity - target.velocity)
+        course = target.with_position(target.position + factors.gain * (reference.position - target.position), velocity)
+    arm, silent = cell.arm_model(reference, factors), cell.programmed.drilling_at
+    return record_of(
+        cell, run_pass(arm, cell.cut(), cell.clock, target, course, cell.exchange.iterations, silent=silent)
+    )
 
 
 def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:

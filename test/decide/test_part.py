@@ -106,8 +106,7 @@ def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_c
     path = tmp_path / "diamond.nc"
     path.write_text(f"{start.replace('M3', 'M3 F4000')}\n({diamond}\nM5\nM30\n")
     coarse = "stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0", f"path.file={path}"
-    # without end edges: their contact with the floor is no part of the linear response
-    cell = read_cell(CONFIG / "test_piece.yaml", (*coarse, "cutting.end_share=0"))
+    cell = read_cell(CONFIG / "test_piece.yaml", coarse)
     assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
     original = simulate(cell)
     before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))

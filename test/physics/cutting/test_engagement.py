@@ -304,7 +304,7 @@ def test_the_test_piece_deflects_and_has_the_errors_of_the_swept_teeth():
     parts = [assess(cell, ran).whole for cell, ran in zip(cells, passes, strict=True)]
     for name in ("max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"):
         swept, engaged = (getattr(part, name) for part in parts)
-        touching = name in ("max_vertical", "max_floor", "mean_floor")
+        touching = name in ("max_vertical", "mean_floor")
         assert engaged == pytest.approx(swept, rel=0.05 if touching else 0.02, abs=0.5e-6), name
 
 
@@ -382,13 +382,11 @@ def test_a_grid_too_coarse_for_thin_chips_is_stated_where_the_swept_teeth_lose_f
 
 
 def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
-    cell = read_cell(
-        "test_piece.yaml", "cutting.detail=engagement", "cutting.end_share=0"
-    )  # no contact of the end edges
+    cell = read_cell("test_piece.yaml", "cutting.detail=engagement")
     target = cell.target()
     free = cell.arm_model(target)
     monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)
     bounded = cell.arm_model(target)
     assert len(free.transition) > 100 and len(bounded.transition) <= 51
-    passes = [run_pass(model, cell.cut(), cell.clock, target, target).deflection for model in (free, bounded)]
+    passes = [run_pass(model, cell.cut(), cell.clock, target, target).deflection[:, :3] for model in (free, bounded)]
     assert np.abs(passes[1] - passes[0]).max() < 0.05 * np.abs(passes[0]).max()
