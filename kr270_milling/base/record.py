@@ -23,9 +23,20 @@ from kr270_milling.base.parameter_file import find_file, merge, override, read_t
 from kr270_milling.base.units import UNITS
 
 __all__ = [
-    "Record", "Spec", "derived", "parameter", "specs", "build", "flatten", "tree_of", "read_tree", "merge", "override",
+    "Record",
+    "Spec",
+    "build",
+    "derived",
     "find_file",
-]  # fmt: skip
+    "flatten",
+    "merge",
+    "override",
+    "parameter",
+    "read_tree",
+    "section",
+    "specs",
+    "tree_of",
+]
 
 #: key of an earlier version -> what its user must know
 MOVED = {
@@ -52,10 +63,10 @@ class Spec:
     above: float = -math.inf  # exclusive lower bound
     choices: tuple[str, ...] = ()
     size: int | None = None  # of an array; None: any
+    key: str = ""  # in a file; empty: from name and unit
 
-    @property
-    def key(self) -> str:
-        return f"{self.name}_{self.unit}" if self.unit else self.name
+    def __post_init__(self):
+        object.__setattr__(self, "key", self.key or (f"{self.name}_{self.unit}" if self.unit else self.name))
 
     @property
     def scale(self) -> float:
@@ -166,6 +177,11 @@ def parameter(default=dataclasses.MISSING, **about):
         values = tuple(default)
         return dataclasses.field(default_factory=lambda: np.array(values, float), metadata=about)
     return dataclasses.field(default=default, metadata=about)
+
+
+def section(record: type, key: str = ""):
+    """Return a dataclass field for a section that a file may leave out; key: in the file, if not the field's name."""
+    return dataclasses.field(default_factory=record, metadata={"key": key})
 
 
 def derived(default):

@@ -7,16 +7,16 @@ import functools
 import math
 import pathlib
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kr270_milling.base.errors import ConfigError, InputError, ParameterError
 from kr270_milling.base.frames import JOINT_NAMES, Pose, abc_from_rotation, rotation_from_quaternion
-from kr270_milling.base.record import Record, build, derived, override, parameter, read_tree
+from kr270_milling.base.record import Record, build, derived, override, parameter, read_tree, section
 from kr270_milling.cell.path import check_postures
 from kr270_milling.cell.paths import ProgramPath, StraightCut
-from kr270_milling.cell.sections import Limits, Path, Program, Tolerances, Uncertainty, Workpiece
+from kr270_milling.cell.sections import Limits, PathSection, Program, Tolerances, Uncertainty, Workpiece
 from kr270_milling.cell.stage import Removal, Stage, cleared, removal_along
 from kr270_milling.cell.tools import in_program_order, tool_trees
 from kr270_milling.path.cam.readers import find_tool_path
@@ -26,8 +26,8 @@ from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.cutting import Cut, CutModel, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.motion.arm_model import Dynamics, arm_model, modal_models
 from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach, discretise
-from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
 from kr270_milling.physics.motion.imperfections import Imperfections
+from kr270_milling.physics.motion.periods import Clock, Exchange, Publish
 from kr270_milling.physics.robot import Arm, Mount, inverse_along, pose
 from kr270_milling.physics.robot.sensor import ForceSensor
 
@@ -55,22 +55,22 @@ class Cell(Record):
     )
     arm: Arm
     mount: Mount
-    sensor: ForceSensor = field(default_factory=ForceSensor)
+    sensor: ForceSensor = section(ForceSensor)
     workpiece: Workpiece
     tool: Tool
     cutting: Cutting
     stock: Stock
-    path: Path
+    path: PathSection
     dynamics: Dynamics
     exchange: Exchange
     compensation: CompensationSettings
-    publish: Publish = field(default_factory=Publish)
-    timing: Timing = field(default_factory=Timing)
-    program: Program = field(default_factory=Program)
-    limits: Limits = field(default_factory=Limits)
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
-    part: Tolerances = field(default_factory=Tolerances)
-    imperfections: Imperfections = field(default_factory=Imperfections)
+    publish: Publish = section(Publish)
+    timing: Timing = section(Timing)
+    krl: Program = section(Program, key="program")
+    limits: Limits = section(Limits)
+    uncertainty: Uncertainty = section(Uncertainty)
+    tolerances: Tolerances = section(Tolerances, key="part")
+    imperfections: Imperfections = section(Imperfections)
     stage: Stage | None = derived(None)  #: in a program with several tools; None: one tool, an uncut stock
 
     def __post_init__(self):
@@ -325,7 +325,7 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
         return (_one_cell(tree, assigned, path),)
     chosen = tree.get("path", {}).get("tool", "") if isinstance(tree.get("path"), dict) else ""
     by_tool = {name: _cell_of_tool(name, one, assigned, path) for name, one in tool_trees(tree, path).items()}
-    order = in_program_order(tuple(by_tool), next(iter(by_tool.values())).programmed.program, path)
+    order = in_program_order(tuple(by_tool), next(iter(by_tool.values())).programmed.source, path)
     cells = [by_tool[name] for name in order]
     cut = [cell.programmed_removal for cell in cells]
     tips = [cell.mount.xyz.tolist() for cell in cells]
@@ -340,10 +340,10 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
 def _staged(cell: Cell, stage: Stage, path) -> Cell:
     """The cell of one of several tools, with the name of the tool in that of the robot program."""
     try:
-        program = cell.program.replace(name=cell.program.name + stage.suffix)
+        krl = cell.krl.replace(name=cell.krl.name + stage.suffix)
     except ParameterError as error:
         raise ConfigError(path, "program.name", error.value, f"{error.allowed}, with the tool") from None
-    return cell.replace(stage=stage, program=program)
+    return cell.replace(stage=stage, krl=krl)
 
 
 def _cell_of_tool(name: str, tree: dict, assigned: frozenset, path) -> Cell:
@@ -391,7 +391,7 @@ def _with_cut_model(cell: Cell) -> Cell:
 def _with_spindle(cell: Cell, source) -> Cell:
     if cell.tool.spindle_speed > 0.0:
         return cell
-    speeds = cell.programmed.program.spindle_speeds
+    speeds = cell.programmed.source.spindle_speeds
     if not speeds:
         allowed = "above 0: the program in path.file has no spindle speed S"
         raise ConfigError(source, "tool.spindle_speed_rpm", 0.0, allowed)

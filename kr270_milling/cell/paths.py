@@ -14,14 +14,14 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.cell.path import MOST_STEPS, check_duration, check_effort, check_feed, check_path
-from kr270_milling.cell.sections import Path
+from kr270_milling.cell.sections import PathSection
 from kr270_milling.path.cam.readers import read_path_file
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.timing import TimedPath, Timing, limit_by_joints, time_path
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Stock, Tool
-from kr270_milling.physics.motion.exchange import Exchange
+from kr270_milling.physics.motion.periods import Exchange
 from kr270_milling.physics.robot import Arm
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
@@ -35,7 +35,7 @@ WIDE = 5.0  #: ratio of the widths of path and stock above which the unit is pro
 class StraightCut:
     """A cut along +x of the workpiece frame, described by the keys of ``path``."""
 
-    path: Path
+    path: PathSection
     stock: Stock
     tool: Tool
     timing: Timing
@@ -46,7 +46,7 @@ class StraightCut:
     file_name = ""
     files = ()  #: that a copy of the cell needs
     sha256 = ""  #: of the file
-    program = SourceProgram()
+    source = SourceProgram()
     spindle_speed_needed = True  #: no program states the spindle speed
     cutting_time = 0.0  #: [s], of a program
     fed = None  #: the tool path under the limits of the controller alone
@@ -121,7 +121,7 @@ class StraightCut:
 class ProgramPath:
     """The tool path of ``path.file``: G-code, APT, a CSV of points or a recording."""
 
-    path: Path
+    path: PathSection
     stock: Stock
     tool: Tool
     timing: Timing
@@ -188,7 +188,7 @@ class ProgramPath:
         return self.path.recorded
 
     @property
-    def program(self) -> SourceProgram:
+    def source(self) -> SourceProgram:
         """The statements of the program beside its moves; empty for a recording."""
         read = self.fed.toolpath if self.tool.spindle_speed > 0.0 else self._read()
         return SourceProgram() if isinstance(read, TimedPath) else read.program

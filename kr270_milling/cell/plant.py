@@ -32,8 +32,7 @@ class Plant:
 
     def __init__(self, model: Cell, cell: Cell, imperfections: Imperfections | None = None):
         programmed = {
-            name: getattr(model, name)
-            for name in ("path", "timing", "start_joints", "compensation", "stage", "program")
+            name: getattr(model, name) for name in ("path", "timing", "start_joints", "compensation", "stage", "krl")
         }
         self.cell = cell.replace(imperfections=imperfections or cell.imperfections, **programmed)
         self.target = model.target()
@@ -62,7 +61,7 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Tra
     assumed = cell.imperfections
     target = cell.target() if target is None else target
     if assumed.joining:
-        reference = other_motion(reference, target, assumed.joining, cell.program.blend_distance)
+        reference = other_motion(reference, target, assumed.joining, cell.krl.blend_distance)
     if assumed.servo_frequency or assumed.servo_delay:
         reference = assumed.lagged(reference, target)
     if not assumed.repeatability:

@@ -14,7 +14,7 @@ from kr270_milling.base.record import Record, parameter, specs
 from kr270_milling.path.cam.readers import known_reader
 from kr270_milling.physics.motion.imperfections import LEAST_SERVO_FREQUENCY
 
-__all__ = ["Limits", "Path", "Program", "Tolerances", "Uncertainty", "Workpiece"]
+__all__ = ["Limits", "PathSection", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Workpiece(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Path(Record):
+class PathSection(Record):
     """YAML ``path``: a tool path file, or a straight cut along +x of the workpiece frame."""
 
     file: str = parameter(
@@ -97,7 +97,7 @@ class Path(Record):
     def check(self) -> None:
         if self.topic and not self.recorded:
             raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
-        for spec in () if self.file else specs(Path):
+        for spec in () if self.file else specs(PathSection):
             if spec.kind is float and not getattr(self, spec.name) > 0.0:
                 value = getattr(self, spec.name) / spec.scale
                 raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")

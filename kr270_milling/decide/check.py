@@ -144,7 +144,7 @@ def check(
     if reachable:
         target = cell.target()
         straight = run.velocity is None and target.velocity is not None
-        robot_program = cell.program.replace(motion=motion or ("LIN" if straight else cell.program.motion))
+        robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, target, run, robot_program)
         program_size = program_blocks(robot_program, target, run)
         ran, cut = _cut(cell, run, ran, progress)

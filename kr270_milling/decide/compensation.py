@@ -82,7 +82,7 @@ def compensate(
             comparison = compare_methods(cell, original)
         method = comparison.best
     by = compensator(cell, cell.target(), None if method == NO_METHOD else method)
-    motions = tuple(motions) or (cell.program.motion if by.chosen.smooth else "LIN",)
+    motions = tuple(motions) or (cell.krl.motion if by.chosen.smooth else "LIN",)
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
     planned = revised = original
     if method != NO_METHOD:
@@ -106,7 +106,7 @@ def compensate(
     ]
     checked = check(
         cell, revised.reference, motion, revised, progress,
-        [*limited, *unlike(plan, revised.scores, cell.program.tolerance)],
+        [*limited, *unlike(plan, revised.scores, cell.krl.tolerance)],
     )  # fmt: skip
     judged: Verdict | None = None
     if robots:

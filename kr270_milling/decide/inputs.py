@@ -123,7 +123,7 @@ def _program(cell: Cell) -> list[Violation]:
     findings = _outside(cell, path)
     tool = path.program.current
     silent = path.program.tools and not path.spindle_speed[~path.rapid].any()
-    if silent and not cell.program.spindle_on:
+    if silent and not cell.krl.spindle_on:
         block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
         findings.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block))
     if path.drilling.any():

@@ -118,7 +118,7 @@ def judge_part(cell: Cell, part: PartAssessment) -> Judgement:
     """Walls and floors of every feature against its own tolerance."""
     rows: list[tuple[float, float, str | None]] = []
     for row in part.rows:
-        wall, floor = cell.part.of(row.name)
+        wall, floor = cell.tolerances.of(row.name)
         rows += [(row.max_wall, wall, row.name), (row.max_floor, floor, row.name)]
     return _judge(part.whole.max_wall, part.whole.max_floor, rows, SURFACE_ERROR)
 
@@ -135,7 +135,7 @@ def _judge_straight_cut(cell: Cell, result: PassResult, largest: float) -> Judge
     """The fully engaged part: its side is the wall, its height the floor; largest: deviation to the side [m]."""
     engaged = result.time >= cell.full_engagement - 1e-9
     floor = float(np.max(np.abs((result.actual - result.target)[engaged, 2]), initial=0.0))
-    wall_tolerance, floor_tolerance = cell.part.of()
+    wall_tolerance, floor_tolerance = cell.tolerances.of()
     rows = [(largest, wall_tolerance, None), (floor, floor_tolerance, None)]
     return _judge(largest, floor, rows, PATH_DEVIATION)
 

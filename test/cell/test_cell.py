@@ -161,7 +161,7 @@ def programmed(folder, program, *sets):
 def test_speed_and_feed_come_from_program_or_cell_and_may_not_contradict_each_other(tmp_path):
     cell = programmed(tmp_path, PROGRAM, *SILENT)
     assert cell.tool.spindle_speed == pytest.approx(200 * np.pi)
-    assert cell.programmed.program.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
+    assert cell.programmed.source.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
     with pytest.raises(ConfigError, match="no spindle speed S"):
         programmed(tmp_path, PROGRAM.replace("M3 S6000", "M3"), *SILENT)
     silent = GCODE.replace(" S8000 M3", "").replace("M5\n", "")

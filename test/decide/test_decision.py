@@ -48,7 +48,7 @@ def part(**features):
 
 def test_the_error_that_is_farthest_beyond_its_own_tolerance_decides():
     def judged(rows, **tolerances):
-        return judge_part(SimpleNamespace(part=Tolerances(**tolerances)), rows)
+        return judge_part(SimpleNamespace(tolerances=Tolerances(**tolerances)), rows)
 
     limits = {"tolerance": 50e-6, "floor_tolerance": 10e-6, "features": ("pocket=30",)}
     result = judged(part(slot=(49e-6, 9e-6), pocket=(40e-6, np.nan)), **limits)
@@ -171,7 +171,7 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
     assert compare_methods(tracked, original).best == "learned"
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
         assert Compensator(one.compensation, one.target()).method == method
-    judged = cell.replace(part=cell.part.replace(tolerance=100 * UM))
+    judged = cell.replace(tolerances=cell.tolerances.replace(tolerance=100 * UM))
     result = compensation.compensate(judged, robots=1).decision
     assert list(result.verdict.methods) == ["inverse"]  # it runs no other method
     assert result.verdict.quantity == result.compensated.quantity

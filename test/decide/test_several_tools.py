@@ -120,7 +120,7 @@ def test_a_tool_overrides_sections_and_one_tool_can_be_chosen(tmp_path):
     tools = {"T1": LARGE, "T2": SMALL | {"cutting": {"linear_edge": {"tangential_cutting_n_per_mm2": 700.0}}}}
     first, second = tool_cells(tmp_path, SLOTS, tools)
     assert second.cutting.active.tangential_cutting == 700e6 != first.cutting.active.tangential_cutting
-    assert (first.program.name, second.program.name) == ("MILLING_T1", "MILLING_T2")
+    assert (first.krl.name, second.krl.name) == ("MILLING_T1", "MILLING_T2")
     (chosen,) = tool_cells(tmp_path, SLOTS, tools, "path.tool=T2")
     assert chosen.tool.diameter == 6e-3 and [one.tool for one in chosen.stage.earlier] == ["T1"]
 

@@ -94,8 +94,8 @@ def set_aside(directory) -> list[str]:
 
 def kuka_frames(cell: Cell) -> tuple[str, str]:
     """$TOOL and $BASE that the programs set, as the display of the controller has them."""
-    frames = (("TOOL", cell.program.tool_number, _tool_in_flange(cell)),
-              ("BASE", cell.program.base_number, cell.workpiece.pose))  # fmt: skip
+    frames = (("TOOL", cell.krl.tool_number, _tool_in_flange(cell)),
+              ("BASE", cell.krl.base_number, cell.workpiece.pose))  # fmt: skip
     rows = [(name, f"[{index}]" if index else "", krl_motion.frame_row(frame)) for name, index, frame in frames]
     tool, base = (
         f"${name}={{{krl_motion.frame_text(row)}}}, to compare with {name}_DATA{index}" for name, index, row in rows
@@ -132,7 +132,7 @@ def write_tool_programs(
     joints = commanded_joints(cell, original), commanded_joints(cell, revised)
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     suffix = cell.stage.suffix if cell.stage else ""
-    program = cell.program if released else cell.program.replace(name=f"{NOT_RELEASED}{suffix}")
+    program = cell.krl if released else cell.krl.replace(name=f"{NOT_RELEASED}{suffix}")
     heading = krl.Heading(__version__, date, source, method, (time_law(cell), *decision, *findings))
     named = f"{method}{suffix}"
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
@@ -157,7 +157,7 @@ def write_tool_programs(
     files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
     files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
     files["trajectory"] = [place / f"reference_{named}.csv"]
-    air = float(cell.stock.max[2]), setup.safe_z, cell.program.approach_feed
+    air = float(cell.stock.max[2]), setup.safe_z, cell.krl.approach_feed
     write_rsi_table(files["rsi"][0], *commanded, tick_ns, air)
     for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
         write_joint_table(path, run, q)
@@ -184,7 +184,7 @@ def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
 
 def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     """$TOOL is the mount, $BASE the workpiece."""
-    safe_z = float(cell.stock.max[2]) + cell.program.safe_height
+    safe_z = float(cell.stock.max[2]) + cell.krl.safe_height
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
     mount = cell.mount
     centre = tuple(TOOL0.inverse().apply(mount.mass_centre).tolist())

@@ -83,9 +83,9 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
             "G-code states no joints, so the controller must compensate the sag: compensation.sag_compensated: true"
         )
         raise InputError("--gcode", reason)
-    if not all(cell.programmed.program.spindle_speeds for cell in cells):
+    if not all(cell.programmed.source.spindle_speeds for cell in cells):
         raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
-    return read_source(file, {cell.programmed.program.tool for cell in cells}, float(cells[0].stock.max[2]))
+    return read_source(file, {cell.programmed.source.tool for cell in cells}, float(cells[0].stock.max[2]))
 
 
 def write_gcode(
@@ -175,7 +175,7 @@ class _Plan:
 
     def compared(self, file: Path) -> WrittenGcode:
         """Read the program back and compare its path with the planned one; raise InputError for another program."""
-        cell, tool = self.cell, self.cell.programmed.program.tool
+        cell, tool = self.cell, self.cell.programmed.source.tool
         read = read_toolpath(file, tool, cell.path.feed_rate)
         ends = np.flatnonzero(~read.rapid & ~read.drilling)
         if len(ends) != self.block.sum():
@@ -191,7 +191,7 @@ class _Plan:
 
     def _error(self, places: np.ndarray) -> float:
         """Return the largest distance [m] of the planned path from the straight lines between places (p, 3)."""
-        times = _candidates(self.run, self.cell.program.tolerance)
+        times = _candidates(self.run, self.cell.krl.tolerance)
         times = np.union1d(times, (times[1:] + times[:-1]) // 2)
         span = np.clip(np.searchsorted(self.time_ns, times, side="right") - 1, 0, len(places) - 2)
         inside = (times >= self.time_ns[span]) & (times <= self.time_ns[span + 1])
@@ -230,10 +230,10 @@ def _time_at(timed: TimedPath, distance: np.ndarray) -> np.ndarray:
 
 def _point_times(cell: Cell, run: Trajectory, needed: np.ndarray) -> np.ndarray:
     """Return the times [ns] of the points of a run; needed [ns]: of the ends of the moves."""
-    times = np.union1d(_candidates(run, cell.program.tolerance), needed)
+    times = np.union1d(_candidates(run, cell.krl.tolerance), needed)
     fine = Trajectory(times, run.sample(times), run.quaternion[0], None, run.frame)
     fixed = np.isin(times, needed) | np.isin(times, run.time_ns[run.standing])
-    program = cell.program.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.program.tolerance)
+    program = cell.krl.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.krl.tolerance)
     return times[point_numbers(program, fine, fine, fixed)]
 
 

@@ -28,7 +28,7 @@ NOWHERE = Pose(np.zeros(3), np.eye(3))
 
 def motion_of(cell: Cell, planned: Trajectory) -> str:
     """SPLINE or LIN: LIN for straight lines along a cell's path."""
-    return "LIN" if planned.velocity is None else cell.program.motion
+    return "LIN" if planned.velocity is None else cell.krl.motion
 
 
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
@@ -39,7 +39,7 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     start = krl.Approach(planned.position[0], 0, 0)
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(cell) else (0.0, 0.0)
     setup = krl.Setup(NOWHERE, NOWHERE, (start, start), 0.0, acceleration=law[0], jerk=law[1])
-    program = cell.program.replace(motion=motion, name="WRITTEN")
+    program = cell.krl.replace(motion=motion, name="WRITTEN")
     target = cell.target()
     with tempfile.TemporaryDirectory() as folder:
         krl.write_krl(folder, program, setup, target, commanded, krl.Heading("", ""), source_of(cell, len(planned)))

@@ -19,7 +19,7 @@ from kr270_milling.exchange.inbox import PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.physics.motion.periods import Clock
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 

@@ -95,7 +95,7 @@ def report_text(
         "charts": charts,
         "paper": paper,
         "best": best,
-        "tolerance_um": [1e6 * allowed for allowed in cell.part.of()],
+        "tolerance_um": [1e6 * allowed for allowed in cell.tolerances.of()],
         "stock_mm": [*(cell.stock.min * 1e3), *(cell.stock.max * 1e3)],
         "engaged_s": cell.full_engagement,
         "part": not programmed.straight,

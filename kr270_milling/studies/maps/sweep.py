@@ -13,7 +13,7 @@ from kr270_milling.base.errors import MillingError, ParameterError, nearest
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import mean_force, simulate
 from kr270_milling.cell.keys import keys_of
-from kr270_milling.physics.motion.exchange import Exchange
+from kr270_milling.physics.motion.periods import Exchange
 from kr270_milling.studies.maps.engine import StudyRows
 
 __all__ = ["Axis", "Sweep", "SweepSummary", "parse_axis"]

@@ -264,7 +264,7 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
         assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
         assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
         away = np.linalg.norm(np.diff(run.position[knots], axis=0), axis=1)
-        least = 0.9 * cell.program.point_spacing
+        least = 0.9 * cell.krl.point_spacing
         assert away.min() > least and len(knots) > 0.9 * len(run)  # nothing but close points is left out
 
 
@@ -401,7 +401,7 @@ def test_the_written_program_leaves_what_the_plan_leaves(part, method, tolerance
     """Points are written to 0.1 um; a step of the path by the tolerance makes an arm with little damping swing."""
     cell, original = part
     planned = compensated(cell, original, method)
-    left = written_pass(cell.replace(program=cell.program.replace(tolerance=tolerance)), planned).scores.max_deviation
+    left = written_pass(cell.replace(krl=cell.krl.replace(tolerance=tolerance)), planned).scores.max_deviation
     assert left == pytest.approx(planned.scores.max_deviation, rel=0.02, abs=2 * tolerance + 0.12 * UM)
     if method in SMOOTH:  # the slopes of a smooth reference follow from its points
         run, target = planned.reference, cell.target()
@@ -410,7 +410,7 @@ def test_the_written_program_leaves_what_the_plan_leaves(part, method, tolerance
 
 
 def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
-    cell = part[0].replace(program=part[0].program.replace(tolerance=0.0))
+    cell = part[0].replace(krl=part[0].krl.replace(tolerance=0.0))
     done = compensate(cell, "inverse", motions=("LIN",))
     (finding,) = [f for f in done.checked.findings if f.what == "written program"]
     assert finding.severity == "warning"
@@ -425,7 +425,7 @@ def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
 def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, tmp_path, motion, law, names):
     """Both readers have the limits of ``timing`` and of the turning tool after BAS(#INITMOV,0), which resets them."""
     cell, original = part
-    cell = cell.replace(program=cell.program.replace(time_law=law, turn_speed=np.radians(90.0)))
+    cell = cell.replace(krl=cell.krl.replace(time_law=law, turn_speed=np.radians(90.0)))
     files = write_programs(tmp_path, cell, cell.target(), cell.target(), method="m", date=DATE, motions=[motion])
     timing = cell.timing
     values = {"$ACC.CP": timing.acceleration, "$JERK.CP": timing.jerk, "$VEL.ORI1": 90.0, "$VEL.ORI2": 90.0,
@@ -445,11 +445,11 @@ def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, t
 @pytest.mark.parametrize(("motion", "limit"), [("SPLINE", 1400), ("SPLINE", 120), ("LIN", 1400)])
 def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_path, motion, limit):
     cell, original = part
-    cell = cell.replace(program=cell.program.replace(line_limit=limit))
+    cell = cell.replace(krl=cell.krl.replace(line_limit=limit))
     run = compensated(cell, original, "spline").reference
     files = write_programs(tmp_path, cell, cell.target(), run, method="spline", date="2030-01-01", motions=[motion])
     folder = files[f"krl_{motion.lower()}"][0].parent
-    main = f"{cell.program.name}_CMP"
+    main = f"{cell.krl.name}_CMP"
     written, robot = read_krl(folder, main), Robot(folder, main)
     assert written.spline == (motion == "SPLINE") and written.number.tolist() == robot.numbers.tolist()
     assert [1, *robot.rests] == written.number[written.stops].tolist()
@@ -462,7 +462,7 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
 def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_path, motion):
     """The path of the points is that of another library: from stop to stop a natural spline over the planned way."""
     cell, original = part
-    program, target = cell.program.replace(motion=motion), cell.target()
+    program, target = cell.krl.replace(motion=motion), cell.target()
     run = compensated(cell, original, "inverse").reference
     write_programs(tmp_path, cell, target, run, method="inverse", date=DATE, motions=(motion,))
     for kind, planned in (("ORG", target), ("CMP", run)):
@@ -490,7 +490,7 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
 def test_a_straight_cut_stops_where_a_module_ends_and_has_no_second_time_law():
     cell = read_cell(find_file("paper.yaml"), ["timing.controller_step_ms=12"])
     run = controller_motion(cell.target(), cell.target())
-    short, long = (cell.replace(program=cell.program.replace(line_limit=n, tolerance=0.0)) for n in (100, 1400))
+    short, long = (cell.replace(krl=cell.krl.replace(line_limit=n, tolerance=0.0)) for n in (100, 1400))
     assert not run.standing.any() and written_trajectory(short, run, "SPLINE").standing[1:-1].any()
     assert not written_trajectory(long, run, "SPLINE").standing.any()
     assert softer_pass(cell, run) is None

@@ -26,8 +26,8 @@ from kr270_milling.physics.motion.dynamics import (
     push,
     reference_motion,
 )
-from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.physics.motion.milling_pass import CompliantArm, follow
+from kr270_milling.physics.motion.periods import Clock
 from kr270_milling.physics.robot import cartesian_mass, compliance, equilibrium, mode_frequencies, rotate_matrix
 
 PAPER = read_cell("paper.yaml")

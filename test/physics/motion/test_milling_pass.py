@@ -20,8 +20,8 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Cut, GridError, UndoError
 from kr270_milling.physics.motion import milling_pass
-from kr270_milling.physics.motion.exchange import Clock, Exchange
 from kr270_milling.physics.motion.milling_pass import run_pass
+from kr270_milling.physics.motion.periods import Clock, Exchange
 from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency, score
 
 MICRO_STEP = 1 / 48  # [ms], 1 deg at 8000 rpm

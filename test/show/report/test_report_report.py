@@ -121,7 +121,7 @@ def test_the_decision_leads_the_page(tmp_path, straight):
     checked = SimpleNamespace(findings=(row,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
     decision = shown_decision("caution", "few robots", "method: spline, as set", "helps (1 to 3 um)")
     cell, passes = straight
-    cell = cell.replace(part=cell.part.replace(tolerance=30e-6))
+    cell = cell.replace(tolerances=cell.tolerances.replace(tolerance=30e-6))
     text = written(tmp_path, cell, passes, decision=decision, checked=checked)
     order = ["caution", "few robots", "fails", "30 µm allowed", "passes", "warning", "it is 31 µm", "Feed slower.",
              "ring, line 7, XP12", "spline", "helps", "1 to 3 µm", "stable"]  # fmt: skip
