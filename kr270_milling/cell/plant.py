@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.path.controller_motion import other_motion
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Tool
@@ -35,7 +36,7 @@ class Plant:
             name: getattr(model, name) for name in ("path", "timing", "start_joints", "compensation", "stage", "krl")
         }
         self.cell = cell.replace(imperfections=imperfections or cell.imperfections, **programmed)
-        self.target = model.target()
+        self.target = path_of(model).target
         self.passes = 0  #: run so far
 
     def run(self, reference: Trajectory, progress=None) -> PassResult:
@@ -48,9 +49,9 @@ class Plant:
         self.passes += 1
         course = imperfect_course(cell, reference, number, self.target)
         iterations = cell.exchange.iterations
-        model = imperfect_arm(cell, reference, cell.arm_model(reference))
-        silent = cell.programmed.drilling_at
-        return run_pass(model, cell.cut(), cell.clock, self.target, course, iterations, progress, silent)
+        model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
+        silent = path_of(cell).drilling_at
+        return run_pass(model, cut_of(cell), path_of(cell).clock, self.target, course, iterations, progress, silent)
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Trajectory | None = None) -> Trajectory:
@@ -59,7 +60,7 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Tra
     target: the programmed trajectory; None: that of the cell.
     """
     assumed = cell.imperfections
-    target = cell.target() if target is None else target
+    target = path_of(cell).target if target is None else target
     if assumed.joining:
         reference = other_motion(reference, target, assumed.joining, cell.krl.blend_distance)
     if assumed.servo_frequency or assumed.servo_delay:
@@ -82,12 +83,14 @@ def joint_gaps(cell: Cell, reference: Trajectory, width: np.ndarray, periods: in
 
     tau = J_G^T G - M_theta q''   weight (6) and inertia of rigid links; q'' from differences of the joint positions
     """
-    every = max(cell.steps_of(cell.timing.controller_step), -(-cell.clock.steps(reference.duration_ns) // MOST_KNOTS))
-    knots = np.arange(max(3, -(-cell.clock.steps(reference.duration_ns) // every) + 1))
-    joints = cell.joints_along(reference, np.minimum(cell.clock.stamp(knots * every), reference.duration_ns))
+    clock = cell.exchange.clock(cell.tool.spindle_speed)
+    steps = clock.steps(reference.duration_ns)
+    every = max(cell.exchange.steps_of(cell.timing.controller_step), -(-steps // MOST_KNOTS))
+    knots = np.arange(max(3, -(-steps // every) + 1))
+    joints = arm_of(cell).joints_along(reference, np.minimum(clock.stamp(knots * every), reference.duration_ns))
     frames = forward(cell.arm, cell.mount, joints)
     loads = link_loads(cell.arm, cell.mount, GRAVITY if cell.dynamics.gravity else 0.0)
-    inner = np.diff(joints, 2, axis=0) / (every * cell.clock.period) ** 2
+    inner = np.diff(joints, 2, axis=0) / (every * clock.period) ** 2
     acceleration = np.concatenate([inner[:1], inner, inner[-1:]])
     inertia = np.einsum("nij,nj->ni", rigid_joint_mass(cell.arm, cell.mount, joints), acceleration)
     to_workpiece = np.kron(np.eye(2), cell.workpiece.pose.rotation.T)
@@ -96,7 +99,7 @@ def joint_gaps(cell: Cell, reference: Trajectory, width: np.ndarray, periods: in
         jacobian=np.ascontiguousarray(to_workpiece @ jacobian_at(frames, frames.tool.position)),
         friction=np.array(cell.arm.friction_torque),
         width=np.array(width, float),
-        share=1.0 - float(np.exp(-periods * cell.clock.period * cell.tool.spindle_speed / (2.0 * np.pi))),
+        share=1.0 - float(np.exp(-periods * clock.period * cell.tool.spindle_speed / (2.0 * np.pi))),
         steps_per_knot=every / periods,
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map
 
 __all__ = ["Arcs", "arcs_along"]
@@ -48,7 +49,7 @@ class Arcs:
 def arcs_along(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Arcs:
     """The engagements of the programmed path, without rapid moves and steep ways down; progress(done, total)."""
     radius = float(cell.tool.radii.max())
-    timed, target = cell.timed_path, cell.target()
+    timed, target = path_of(cell).timed, path_of(cell).target
     length = timed.toolpath.length if timed else cell.path.length
     area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
     step = max(

@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
 from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
@@ -130,19 +131,19 @@ def check(
     context that yields a function for the progress of a step. Where the arm cannot make the path, nothing is simulated.
     Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
     """
-    fed = cell.fed_path
-    programmed = cell.target() if fed is None else fed.trajectory
+    fed = path_of(cell).fed
+    programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     results, joints = arm_violations(cell, run)
     stability = residue = rapid_moves = exchange = reversals = program_size = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in results)
     del joints  # of a long program they take 100 MB
     if reachable and reference is None and fed is not None:
-        run = cell.target()  # slowed down to what the joints can do
+        run = path_of(cell).target  # slowed down to what the joints can do
         results, _ = arm_violations(cell, run)
     results += [*input_violations(cell), *more]
     if reachable:
-        target = cell.target()
+        target = path_of(cell).target
         straight = run.velocity is None and target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, target, run, robot_program)

@@ -8,6 +8,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.findings import Violation, violation
 
 __all__ = ["ExchangeShare", "exchange_share"]
@@ -49,13 +50,13 @@ def exchange_share(cell: Cell, ran: ScoredPass) -> ExchangeShare:
     square over WINDOW with the feed of a period, or with that of a tooth where this is longer: material that one period
     missed is removed in the next, so that a single step of the force, as at an entry, changes one period alone.
     """
-    scale = cell.feed_rate * 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    scale = path_of(cell).feed_rate * 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
     correction, name, period = ran.result.correction, "feed per tooth", "exchange.period_ms"
-    if cell.by_engagement:
+    if cell.cutting.by_engagement:
         periods = max(1, round(WINDOW / cell.exchange.period))
         correction = np.sqrt(np.convolve(correction**2, np.full(periods, 1.0 / periods), mode="same"))
         name, period = "feed per tooth or period, over 0.1 s", "exchange.engagement_period_ms"
-        scale = max(scale, cell.feed_rate * cell.exchange.period)
+        scale = max(scale, path_of(cell).feed_rate * cell.exchange.period)
     k = int(np.argmax(correction))
     point = int(np.searchsorted(ran.reference.time_ns, ran.result.time_ns[min(k, len(ran.result.time_ns) - 1)])) + 1
     share = float(correction[k]) / scale

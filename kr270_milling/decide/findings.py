@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
 
@@ -301,7 +302,7 @@ def _finding(cell: Cell, run: Trajectory, group: Sequence[Violation]) -> Finding
 
 def _place(cell: Cell, run: Trajectory, worst: Violation) -> Place:
     """The place of a point of the program, of a block without a point, or of a line."""
-    fed, point, block = cell.fed_path, worst.point, worst.block
+    fed, point, block = path_of(cell).fed, worst.point, worst.block
     if point is not None:
         position = run.position[min(point, len(run)) - 1]
     elif fed is not None and block is not None:

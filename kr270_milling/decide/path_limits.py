@@ -10,6 +10,7 @@ import numpy as np
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_of
 from kr270_milling.decide.findings import Violation, violation, violations
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
@@ -31,7 +32,7 @@ def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.nda
     unlimited = cell.arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
     try:
         place = cell.workpiece.pose
-        joints = inverse_along(unlimited, cell.mount, place, run.position, run.quaternion, cell.posture)
+        joints = inverse_along(unlimited, cell.mount, place, run.position, run.quaternion, arm_of(cell).posture)
     except SingularityError as error:
         point = error.index[0] + 1
         return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
@@ -45,7 +46,7 @@ def _reach(cell: Cell, run: Trajectory) -> list[Violation]:
     lost, nearest = np.zeros(len(run), bool), np.zeros(len(run))
     for part in blocks(len(run)):
         tool = Pose(run.position[part], rotation_from_quaternion(run.quaternion[part]))
-        angles, distance = branches(cell.arm, cell.mount, cell.workpiece.pose @ tool, cell.posture)
+        angles, distance = branches(cell.arm, cell.mount, cell.workpiece.pose @ tool, arm_of(cell).posture)
         lost[part], nearest[part] = ~np.isfinite(angles).all(-1).any(-1), distance.min(-1)
     least, most = abs(cell.arm.a2 - cell.arm.forearm), cell.arm.a2 + cell.arm.forearm
     worst = np.maximum(nearest - most, least - nearest)

@@ -19,6 +19,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.cell.stage import Removal, cleared, swept
 from kr270_milling.decide.part.course import Course
 from kr270_milling.decide.part.workpiece import heights_at, machined
@@ -213,7 +214,7 @@ def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
     level = cut.params.level_step
     x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level, float(cell.stock.max[2]))
-    walls = ideal_walls(cut, marks(cell.tool, path, cell.clock.period, target))
+    walls = ideal_walls(cut, marks(cell.tool, path, path_of(cell).clock.period, target))
     if cell.stage:
         radius = float(cell.tool.radii.max())
         mine = swept((Removal(cell.stage.tool, radius, target, target),), cell.stock, False)

@@ -9,6 +9,7 @@ import numpy as np
 
 from kr270_milling.base.files import write_files
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.physics.cutting import CutModel, Stock
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.motion.milling_pass import PassResult
@@ -24,8 +25,8 @@ def machined(cell: Cell, positions: np.ndarray, rigid: bool = False) -> CutModel
     """A fresh workpiece after the tool tip went through positions (n + 1, 3) [m], one exchange period from each to the
     next, workpiece frame. Positions that are the target's leave the part of a rigid arm. rigid: earlier tools of the
     program had a rigid arm, too. Raises GridError."""
-    cut = cell.cut(rigid)
-    cut.along(positions, np.arange(len(positions)) * cell.clock.micro_steps)
+    cut = cut_of(cell, rigid)
+    cut.along(positions, np.arange(len(positions)) * path_of(cell).clock.micro_steps)
     return cut
 
 
@@ -43,7 +44,7 @@ def heights_at(cut: CutModel, xy: np.ndarray) -> np.ndarray:
 
 def write_part(path, cell: Cell, result: PassResult) -> int:
     """``write_stl`` of the part that a pass left. It is swept again only where the pass has no map that is as fine."""
-    cut = cell.cut()
+    cut = cut_of(cell)
     if result.heights is None or cut.map_thinning > _thinning(cut):
         return write_stl(path, machined(cell, result.actual))
     return write_stl(path, cut, (*cut.map_heights()[:2], result.heights))

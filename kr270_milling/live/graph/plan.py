@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from kr270_milling.base.column import as_dict, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph, RunValues
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -83,7 +84,7 @@ def _most_passes(cell: Cell, methods: Sequence[str], passes: int | None) -> int:
     """Return the largest possible number of passes."""
     if passes is not None:
         return 1 + len(methods) * (passes - 1)
-    limits = (Compensator(cell.compensation, cell.target(), method).most_passes for method in methods)
+    limits = (Compensator(cell.compensation, path_of(cell).target, method).most_passes for method in methods)
     return 1 + sum(1 if most is None else most for most in limits)
 
 

@@ -165,5 +165,5 @@ def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = 
         (out / "log" / name).mkdir(exist_ok=True)
         attach.append(str(out / "log" / name / "plant.yaml"))
         write_cell_file(plant, Path(attach[-1]))
-    attach += map(str, cell.programmed.files)
+    attach += map(str, cell.path.files)
     return {"attach": attach, "command": shlex.join(sys.argv), "directory": str(out / name)}

@@ -37,7 +37,7 @@ COMMANDS = {
 
 
 def run_demo(args) -> Answer:
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
 
     source = find_file("paper.yaml")
     cell = read_cell(source)
@@ -65,11 +65,12 @@ def run_demo(args) -> Answer:
 
 def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
     from kr270_milling.cell.jobs import compensated, compensator, simulate
+    from kr270_milling.cell.models import path_of
 
     with whole(f"original{suffix}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
-        by = compensator(cell, cell.target(), method)
+        by = compensator(cell, path_of(cell).target, method)
         with whole(f"{method}{suffix}", by.most_passes) as report:
             passes.append(compensated(cell, passes[0], method, report, by, plant))
     return passes

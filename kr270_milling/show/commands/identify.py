@@ -216,7 +216,7 @@ def _tool(args):
     import numpy as np
 
     from kr270_milling.base.record import build
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.cell.sections import Workpiece
     from kr270_milling.physics.cutting.tool import Tool
 
@@ -240,7 +240,7 @@ def _tool(args):
 
 def identify_damping(args) -> Answer:
     """Identify frequency and damping of the modes from a ring-down or an impact."""
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.show.report.identification.modes import mode_outcome
     from kr270_milling.studies.identification import modes
     from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts
@@ -280,6 +280,7 @@ def run_compare(args) -> Answer:
     import numpy as np
 
     from kr270_milling.cell.jobs import simulate
+    from kr270_milling.cell.models import path_of
     from kr270_milling.path.trajectory_csv import read_csv
     from kr270_milling.show.report.identification.comparison import comparison_outcome
     from kr270_milling.studies.identification import comparison
@@ -302,7 +303,7 @@ def run_compare(args) -> Answer:
     with progress("milling") as report:
         ran = simulate(cell, reference, progress=report).result
     force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
-    feed = cell.target().sample_velocity(ran.time_ns)
+    feed = path_of(cell).target.sample_velocity(ran.time_ns)
     compared = comparison.compare(
         measured, comparison.ComparedSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
     )

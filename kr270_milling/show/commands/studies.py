@@ -74,7 +74,7 @@ def run_map(args) -> Answer:
         require_extra("map", "studies", *STUDIES[: 3 if args.scheduler else 1])
     import numpy as np
 
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.show.report.placements import gain_text, write_map
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
     from kr270_milling.studies.maps.placements import (
@@ -131,8 +131,9 @@ def _along(args) -> Answer:
     """Turn the tool about its axis along a path."""
     import numpy as np
 
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.cell.jobs import simulate
+    from kr270_milling.cell.models import path_of
     from kr270_milling.studies.maps import along as turning
     from kr270_milling.studies.maps.placements import places_at
 
@@ -167,7 +168,7 @@ def _along(args) -> Answer:
         "error_max_constant_um": 1e6 * float(same.error.max()) if same else None,
         "turn_deg": np.degrees([way.turn.min(), way.turn.max()]).tolist(),
         "joint_speed_share": speed.max(axis=0).tolist(),
-        "slower": float(run.duration_ns / cell.target().duration_ns),
+        "slower": float(run.duration_ns / path_of(cell).target.duration_ns),
         "best": [{"cell": str(files[0])}],
         "files": [str(path) for path in files],
     }
@@ -210,7 +211,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
     require_extra("sweep", "studies", *STUDIES[: 3 if args.scheduler else 1])
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.show.report.sweep import sweep_tables, write_sweep
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
     from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis

@@ -15,6 +15,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.check import RAPID_MOVES, Checked, check
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES
@@ -50,7 +51,7 @@ def cut_text(cell: Cell) -> str:
     """Path and tool of a cell."""
     tool, speed = cell.tool, cell.tool.spindle_speed * 30 / np.pi
     cutter = f"a {tool.diameter * 1e3:g} mm cutter with {tool.teeth} teeth at {speed:.0f} rpm"
-    return f"{cell.programmed.description} with {cutter}"
+    return f"{path_of(cell).description} with {cutter}"
 
 
 class Tile(NamedTuple):

@@ -11,6 +11,7 @@ from scipy.ndimage import binary_closing
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.part import PartAssessment
 from kr270_milling.show.report.charts import envelope_index, stations
 
@@ -78,8 +79,8 @@ def linked(
         series.append(np.where(known, _series(one, assessed)[:, np.where(known, rows, 0)], np.nan))
         cutting[known] |= assessed.cutting[rows[known]]
     chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
-    engaged, knots = result.time >= cell.full_engagement - 1e-9, cell.target().time_ns
-    line = cell.programmed.line_at(time_ns)
+    engaged, knots = result.time >= path_of(cell).full_engagement - 1e-9, path_of(cell).target.time_ns
+    line = path_of(cell).line_at(time_ns)
     return Linked(
         time=time_ns[chosen] * 1e-9,
         way=path.distance[chosen] * 1e3,
@@ -94,13 +95,13 @@ def linked(
         scored=(cutting & engaged)[chosen].astype(np.int64),
         passes=tuple(StationSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
         source=_source(cell, line[chosen], program),
-        source_name=cell.programmed.file_name,
+        source_name=cell.path.file_name,
     )
 
 
 def _joined(cutting: np.ndarray, cell: Cell) -> np.ndarray:
     """Without the moments in which no tooth of a tool at work is in the material."""
-    turn = int(np.ceil(2 * np.pi / cell.tool.spindle_speed / cell.clock.period))
+    turn = int(np.ceil(2 * np.pi / cell.tool.spindle_speed / path_of(cell).clock.period))
     return binary_closing(np.pad(cutting, turn + 1), np.ones(turn + 1, bool))[turn + 1 : -turn - 1] | cutting
 
 

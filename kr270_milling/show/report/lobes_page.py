@@ -10,6 +10,7 @@ import numpy as np
 
 from kr270_milling.base.column import TextTable, fixed
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.arcs import arcs_along
 from kr270_milling.decide.stability import modes_of
 from kr270_milling.show.report.decision_block import cut_text
@@ -74,6 +75,6 @@ def _modes(cell: Cell, arm: bool) -> dict[str, list[tuple[float, float]]]:
 
 def _deepest(cell: Cell) -> float:
     """Depth of cut [m]; of a program the largest."""
-    if cell.programmed.straight:
+    if path_of(cell).straight:
         return cell.path.depth_of_cut
     return float(arcs_along(cell).depth.max(initial=0.0))

@@ -71,5 +71,5 @@ def write_map(folder, cell: Cell, name: str, summary: Summary, present: dict, *,
         "Placements", [("", "place", str), *shown, ("gain [%]", "gain", lambda v: fixed(v, 1))], rows, TABLE_NOTE
     )
     sentences = [f"{name}: {cell.arm.name} mills {cut_text(cell)}", gain_text(summary, present), NOTE]
-    title = f"Where to clamp {cell.programmed.file_name or 'the part'}"
+    title = f"Where to clamp {cell.path.file_name or 'the part'}"
     return write_page(Path(folder) / "map.html", title, sentences, [table], figures, self_contained=self_contained)

@@ -17,6 +17,7 @@ from scipy import stats
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import modal_model_of
 from kr270_milling.physics.cutting.materials import materials
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.studies.identification.compliance import Fit, fit_compliance
@@ -358,7 +359,7 @@ def hammer_doubts(modes: list[Mode], shapes: np.ndarray, axis: str, cell: Cell |
                       "with --cell")]  # fmt: skip
     whole = float(tool_compliance(cell)[at, at]) + cell.tool.lateral_compliance * (at < 2)
     factor = soft / whole
-    if factor > UNLIKELY or (factor < 1 / UNLIKELY and omega.min() < NEAR * cell.modal_model.frequency[0]):
+    if factor > UNLIKELY or (factor < 1 / UNLIKELY and omega.min() < NEAR * modal_model_of(cell).frequency[0]):
         cause = likely_factor(factor, HAMMER_UNITS) or ": is a unit wrong, or the cell that of another arm?"
         return [Doubt(f"{shown}, {factor:.3g} times that of the cell{cause}", True)]
     return []

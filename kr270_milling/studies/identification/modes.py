@@ -32,6 +32,7 @@ from scipy.optimize import nnls
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
@@ -347,6 +348,6 @@ def tool_compliance(cell: Cell) -> np.ndarray:
 
     Without that of the tool: its spring moves no mass below the frequencies of the arm, and is no part of its modes.
     """
-    q = cell.joints(cell.target())[0]
+    q = arm_of(cell).joints(path_of(cell).target)[0]
     bent = equilibrium(cell.arm, cell.mount, q, gravity=cell.dynamics.gravity)
     return rotate_matrix(compliance(bent, cell.arm), cell.workpiece.pose.rotation.T)

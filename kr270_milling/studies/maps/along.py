@@ -23,6 +23,7 @@ from scipy.interpolate import PchipInterpolator
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.path.timing import limit_by_joints
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import inverse_near
@@ -151,7 +152,7 @@ def turned(cell: Cell, time_ns: np.ndarray, way: Way) -> tuple[Trajectory, np.nd
     Between two places the turn is a monotone cubic, without overshoot. Knots come later where a joint would run too
     fast or accelerate too hard. Raises ReachError, JointLimitError.
     """
-    run = cell.target()
+    run = path_of(cell).target
     turn = PchipInterpolator(time_ns, way.turn)(run.time_ns)
     rotation = rotation_from_quaternion(run.quaternion) @ about_z(turn)
     q = inverse_near(cell.arm, cell.mount, cell.workpiece.pose @ Pose(run.position, rotation), way.q[0])

@@ -118,7 +118,7 @@ class Study:
 def content(path, cell: Cell) -> str:
     """Return a hash of a parameter file and its tool path: rows of another cell have another hash."""
     tree = json.dumps(read_tree(path), sort_keys=True, default=str)
-    return hashlib.sha256(f"{tree}{cell.programmed.sha256}".encode()).hexdigest()
+    return hashlib.sha256(f"{tree}{cell.path.sha256}".encode()).hexdigest()
 
 
 def _write_whole(path: Path, data: bytes) -> None:

@@ -25,6 +25,7 @@ from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc
 from kr270_milling.base.parameter_file import merge, override, shipped_directories, write_include
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.robot import cartesian_mass, jacobian
 from kr270_milling.physics.robot.inverse import branches
@@ -113,7 +114,7 @@ def places_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> PathPlaces:
 
     The feed of a resting tool is 0.
     """
-    time_ns, target = result.time_ns[chosen], cell.target()
+    time_ns, target = result.time_ns[chosen], path_of(cell).target
     feed = target.sample_velocity(time_ns)
     feed = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-12)
     window = max(1, round(2.0 * math.pi / cell.tool.spindle_speed / cell.exchange.period))  # a revolution
@@ -216,9 +217,9 @@ class Placements(StudyRows):
 def present_row(cell: Cell, course: PathPlaces) -> dict[str, float]:
     """The row of the workpiece where the cell has it, on the branch of the commanded joints; keys as of ``columns``."""
     here = tuple(np.array([value]) for value in (*cell.workpiece.pose.position.tolist(), 0.0, 0.0))
-    stamp, target = np.zeros(1, np.int64), cell.target()
+    stamp, target = np.zeros(1, np.int64), path_of(cell).target
     rotation = rotation_from_quaternion(target.sample_orientation(stamp))
-    joints = cell.joints_along(target, stamp)
+    joints = arm_of(cell).joints_along(target, stamp)
     q, _ = branches(cell.arm, cell.mount, cell.workpiece.pose @ Pose(target.sample(stamp), rotation), joints)
     away = np.abs(np.exp(1j * q[0]) - np.exp(1j * joints)).max(axis=-1)
     branch = int(np.nanargmin(away))

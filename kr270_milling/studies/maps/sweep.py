@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import MillingError, ParameterError, nearest
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import mean_force, simulate
 from kr270_milling.cell.keys import keys_of
 from kr270_milling.physics.motion.periods import Exchange

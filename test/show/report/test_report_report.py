@@ -19,8 +19,9 @@ from milled_part import POCKET, RIGID, small_cell
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file, flatten
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.models import arm_of, cut_of, path_of
 from kr270_milling.decide.findings import Finding, Place
 from kr270_milling.decide.part import assess_all
 from kr270_milling.path.trajectory_csv import read_csv
@@ -193,12 +194,12 @@ def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its
             close(table[f"deflection_r{axis}_deg"], np.degrees(r.deflection[:, 3 + k]))
             close(table[f"force_{axis}_n"], r.wrench[:, k])
             close(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
-        close(table["path_deviation_um"], 1e6 * deviation_of(r, cell.target()))
+        close(table["path_deviation_um"], 1e6 * deviation_of(r, path_of(cell).target))
         close(table["pose_correction_um"], 1e6 * r.correction)
     trajectory, joints = read_csv(paths[5])
     np.testing.assert_array_equal(trajectory.position, passes[2].reference.position)
     np.testing.assert_array_equal(trajectory.velocity, passes[2].reference.velocity)
-    np.testing.assert_allclose(joints, cell.joints(passes[2].reference), atol=1e-12)
+    np.testing.assert_allclose(joints, arm_of(cell).joints(passes[2].reference), atol=1e-12)
 
 
 def test_file_names_are_plain_inside_the_directory_and_different_even_without_regard_to_case(tmp_path, straight):
@@ -214,8 +215,8 @@ def test_file_names_are_plain_inside_the_directory_and_different_even_without_re
 def test_micro_step_forces_average_to_the_wrench_of_each_exchange_period():
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=6.0", "stock.grid_step_um=20.0"])
     result = simulate(cell).result
-    force = micro_step_forces(cell.cut(), result.tool, cell.clock.micro_steps)
-    means = force.reshape(-1, cell.clock.micro_steps, 3).mean(axis=1)
+    force = micro_step_forces(cut_of(cell), result.tool, path_of(cell).clock.micro_steps)
+    means = force.reshape(-1, path_of(cell).clock.micro_steps, 3).mean(axis=1)
     assert np.abs(result.wrench[1:, 1]).max() > 10.0
     np.testing.assert_allclose(means, result.wrench[1:, :3], atol=1e-9)
 
@@ -243,7 +244,7 @@ def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to(straight):
     assert [panel.title for panel in chart.panels] == ["left wall", "right wall"]
     for panel in chart.panels:
         (shown,) = panel.curves
-        at = cell.target().sample(ran.result.time_ns)[:, 0] * 1e3
+        at = path_of(cell).target.sample(ran.result.time_ns)[:, 0] * 1e3
         pushed = np.interp(shown.x, at, (ran.result.actual - ran.result.target)[:, 1] * 1e6)
         np.testing.assert_allclose(shown.y[5:-5], pushed[5:-5], atol=1.0)  # a cusp, and the nearest passage of a tooth
 
@@ -279,12 +280,12 @@ def test_the_largest_deviation_of_each_pass_is_a_station_as_in_the_table(case):
 
 def test_line_point_and_feature_of_a_station_are_those_of_its_time(case):
     cell, _, _, outcome = case
-    toolpath, target = cell.timed_path.toolpath, cell.target()
+    toolpath, target = path_of(cell).timed.toolpath, path_of(cell).target
     source = Path(cell.path.file).read_text().splitlines()
     assert [line.text for line in outcome.source] == source
     for k in range(0, outcome.time.size, 97):
         stamp = round(outcome.time[k] * 1e9)
-        block = int(cell.timed_path.block_at(np.array([stamp]))[0])
+        block = int(path_of(cell).timed.block_at(np.array([stamp]))[0])
         assert source[outcome.line[k] - 1].startswith("G") and outcome.line[k] == toolpath.line[block]
         assert outcome.features[outcome.feature[k]] == toolpath.features[toolpath.feature[block]]
         knot = outcome.point[k] - 1

@@ -11,8 +11,9 @@ from hostile import answered, refused, settings
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
@@ -54,7 +55,7 @@ def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
     settings += [f"mount.abc_deg={moved['mount']['abc_deg']}", f"posture_hint_deg={moved['posture_deg']}"]
     cell = read_cell(find_file("test_piece.yaml"), settings)
     quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))  # the tool down
-    q = cell.joints_at(placements.course.position, quaternion)  # independent: the path of the cell itself
+    q = arm_of(cell).joints_at(placements.course.position, quaternion)  # independent: the path of the cell itself
     across = []
     for joints in q:
         step = 1e-6
@@ -121,7 +122,7 @@ def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(p
     row = present_row(cell, course)
     assert [row["x_mm"], row["y_mm"], row["z_mm"]] == pytest.approx(1e3 * cell.workpiece.xyz)
     assert row["feasible"] and row["error_max_um"] > 0.0
-    joints = cell.joints_at(course.position, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))[2]
+    joints = arm_of(cell).joints_at(course.position, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))[2]
     np.testing.assert_allclose(moved_cell(cell, course, row)["posture_deg"], np.degrees(joints), atol=1e-6)
 
 
@@ -134,7 +135,7 @@ def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
     assert errors == sorted(errors)
     best = read_cell(result["best"][0]["cell"])
     assert 1e3 * best.workpiece.xyz[:2] == pytest.approx([result["best"][0]["x_mm"], result["best"][0]["y_mm"]])
-    assert best.joints(best.target()).shape[1] == 6
+    assert best.joints(path_of(best).target).shape[1] == 6
 
 
 # --- Sweeps: axes, samples, rows that do not depend on the chunk. Workers are in ``test_engine`` ---
@@ -265,8 +266,8 @@ def test_the_command_writes_a_cell_that_runs(tmp_path):
     result = answered(*words, *settings(*slot))
     assert result["criterion_um"] <= result["criterion_constant_um"] and max(result["joint_speed_share"]) < 1.0
     cell, old = read_cell(result["best"][0]["cell"]), read_cell(find_file("test_piece.yaml"), slot)
-    run = cell.target()
-    assert run.position == pytest.approx(old.target().position, abs=1e-12)
-    assert cell.joints(run).shape == (len(run), 6)
+    run = path_of(cell).target
+    assert run.position == pytest.approx(path_of(old).target.position, abs=1e-12)
+    assert arm_of(cell).joints(run).shape == (len(run), 6)
     assert len((tmp_path / "along.csv").read_text().splitlines()) == len(run) + 1
     assert refused(*words, "--x", "1:2/2")
