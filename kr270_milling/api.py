@@ -16,7 +16,7 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell_file, jobs
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance
 from kr270_milling.decide import decision as decisions
@@ -295,8 +295,9 @@ def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, to
     >>> placements(cell, x_mm=range(1200, 1801, 100)).query("feasible").nsmallest(5, "error_max_um")
     """
     frames = _pandas()
-    axes = grid_axes(cell, (x_mm, y_mm, z_mm, turn_deg, tool_turn_deg))
-    grid = Placements(cell, path_places(cell), axes)
+    axes = grid_axes(cell.workpiece, (x_mm, y_mm, z_mm, turn_deg, tool_turn_deg))
+    places = path_places(path_of(cell), jobs.simulate(cell).result)
+    grid = Placements(arm_of(cell), cell.uncertainty.left, places, axes)
     return frames.DataFrame(grid.columns(0, len(grid)))
 
 

@@ -85,6 +85,16 @@ class Cell(Record):
     def __repr__(self) -> str:
         return f"<Cell {self.arm.name}: {self.path.name}>"
 
+    @property
+    def posture_key(self) -> str:
+        """Key of the joint positions that choose the branch."""
+        return "start_joints_deg" if self.start_joints.size else "posture_hint_deg"
+
+    @property
+    def earlier(self) -> tuple[Removal, ...]:
+        """Material that the earlier tools of the program remove."""
+        return self.stage.earlier if self.stage else ()
+
     def after(self, earlier: tuple[Removal, ...]) -> Cell:
         """The cell of a tool after the passes of the earlier tools of its program."""
         return self.replace(stage=replace(self.stage, earlier=earlier)) if self.stage else self

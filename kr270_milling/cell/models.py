@@ -45,7 +45,7 @@ def arm_of(cell: Cell) -> PlacedArm:
 def path_of(cell: Cell) -> CellPath:
     """Return the programmed path of a cell; its file is read and timed when the path is first used."""
     by_teeth = not cell.cutting.by_engagement
-    return _path(cell.path, cell.stock, cell.tool, cell.timing, cell.exchange, arm_of(cell), by_teeth)
+    return _path(cell.path.loaded(), cell.stock, cell.tool, cell.timing, cell.exchange, arm_of(cell), by_teeth)
 
 
 @functools.lru_cache(maxsize=4)  # the path of a program of an hour has some 60 MB
@@ -62,8 +62,8 @@ def cut_of(cell: Cell, rigid: bool = False) -> CutModel:
     cut: CutModel
     common = cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step
     cut = EngagementCut(*common, give=_give(cell)) if cell.cutting.by_engagement else Cut(*common)
-    if cell.stage and cell.stage.earlier:
-        cut.continue_from(cleared(cell.stage.earlier, cell.stock, not rigid))
+    if cell.earlier:
+        cut.continue_from(cleared(cell.earlier, cell.stock, not rigid))
     return cut
 
 

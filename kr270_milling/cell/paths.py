@@ -43,6 +43,7 @@ class StraightCut(_Programmed):
 
     #: the path is one line: its scores are those of the paper, and its feed has one direction
     straight = True
+    by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
     drills = False  #: whether the program has a drilling cycle

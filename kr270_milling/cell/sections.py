@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import math
@@ -160,6 +161,14 @@ class PathSection(Record):
         if not (self.length or self.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
             check_feed(self.file, read, self.feed_rate)
         return read
+
+    def loaded(self) -> PathSection:
+        """Return the section with the content of its file; unchanged where the file cannot be read."""
+        if not self.file or self.content is not None:
+            return self
+        with contextlib.suppress(InputError):
+            return self.replace(content=self.read())
+        return self
 
     def replace(self, **changes) -> PathSection:
         """Return a copy with some values (SI) replaced; its file is read anew."""
@@ -386,6 +395,11 @@ class Uncertainty(Record):
         for key, span in (("servo_frequency_hz", self.servo_frequency), ("end_share", self.end_share)):
             if span.size not in (0, 2) or np.any(np.diff(span) < 0.0):
                 raise ParameterError(key, span.tolist(), "empty, or lowest and highest")
+
+    @property
+    def left(self) -> float:
+        """Share of an error that compensation leaves, one standard deviation of joints and forces."""
+        return math.hypot(self.joint_compliance, self.force_coefficient)
 
     def of_compliances(self) -> np.ndarray:
         """Of the six compliances, (6,)."""

@@ -114,7 +114,7 @@ def compensate(
         with progress("verdict") as report:
             judged = _verdict(cell, compared, revised, robots, seed, report, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
-    backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
+    backlash = backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
     return JudgedCompensation(programmed, plan, revised, by, parts, checked, decision, motions)
 

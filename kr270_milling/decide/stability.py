@@ -16,6 +16,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.arcs import Arcs, arcs_along
 from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
@@ -91,9 +92,9 @@ class Stability:
         """ "stable", "near the limit", "chatter" or "unknown"."""
         return self.worst.word if self.worst else "unknown"
 
-    def word_at(self, cell: Cell, time: float) -> str:
+    def word_at(self, path: CellPath, time: float) -> str:
         """The word of the feature that is milled at a time [s], of the whole path where that feature has none."""
-        timed, name = path_of(cell).timed, "straight cut"
+        timed, name = path.timed, "straight cut"
         if timed:
             name = timed.toolpath.features[timed.toolpath.feature[int(timed.block_at(round(1e9 * time)))]] or "unnamed"
         return next((one.word for one in self.features if one.name == name), self.word)
@@ -174,7 +175,7 @@ def feature_limits(
     tool = cell.tool
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
-    arcs = arcs_along(cell, progress)
+    arcs = arcs_along(path_of(cell), cell.earlier, progress)
     groups = _groups(arcs, FEWEST_TEETH * path_of(cell).feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
     limits: list[FeatureLimit] = []
     models: dict[tuple, ModalModel] = {}

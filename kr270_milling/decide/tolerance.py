@@ -16,6 +16,7 @@ from kr270_milling.base.column import CONVERGED
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
+from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
 from kr270_milling.decide.part.course import Course, course
 from kr270_milling.decide.part.surface import IdealPart, ideal_part
@@ -93,16 +94,16 @@ class Gauge:
         """Sweep the part of the rigid arm once."""
         if path_of(cell).straight:
             return cls(cell, None)
-        target = path_of(cell).target
-        stamps = path_of(cell).clock.stamp(np.arange(path_of(cell).clock.steps(target.duration_ns) + 1))
-        path = course(cell, stamps)
-        return cls(cell, ideal_part(cell, path, target.sample(stamps)), path)
+        path = path_of(cell)
+        stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
+        along = course(path, stamps)
+        return cls(cell, ideal_part(cell, along, path.target.sample(stamps)), along)
 
     def measure(self, result: PassResult) -> Judgement:
         """Judge one pass along the target; ``result.heights`` spares a sweep of the workpiece."""
         if self.ideal is None:
             return _judge_straight_cut(self.cell, result, _largest_deviation(self.cell, result))
-        return judge_part(self.cell, assess_result(self.cell, "", result, self.ideal, self.path))
+        return judge_part(self.cell.tolerances, assess_result(self.cell, "", result, self.ideal, self.path))
 
 
 def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:
@@ -112,14 +113,14 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
     """
     if path_of(cell).straight:
         return _judge_straight_cut(cell, ran.result, ran.scores.max_deviation)
-    return judge_part(cell, part or assess(cell, ran))
+    return judge_part(cell.tolerances, part or assess(cell, ran))
 
 
-def judge_part(cell: Cell, part: PartAssessment) -> Judgement:
+def judge_part(tolerances: Tolerances, part: PartAssessment) -> Judgement:
     """Walls and floors of every feature against its own tolerance."""
     rows: list[tuple[float, float, str | None]] = []
     for row in part.rows:
-        wall, floor = cell.tolerances.of(row.name)
+        wall, floor = tolerances.of(row.name)
         rows += [(row.max_wall, wall, row.name), (row.max_floor, floor, row.name)]
     return _judge(part.whole.max_wall, part.whole.max_floor, rows, SURFACE_ERROR)
 

@@ -52,14 +52,14 @@ def along_joints(cell, joints):
     """The findings of the trajectory whose inverse kinematics gives these joint positions [rad], one every 50 ms."""
     tool = cell.workpiece.pose.inverse() @ pose(cell.arm, cell.mount, joints)
     run = Trajectory(np.arange(len(joints)) * 50_000_000, tool.position, tool.quaternion)
-    results, solved = arm_violations(cell, run)
+    results, solved = arm_violations(arm_of(cell), cell.limits, run)
     assert solved == pytest.approx(joints, abs=1e-9)
     return results
 
 
 def test_out_of_reach_names_all_points_that_are(cell):
     far = Trajectory(np.arange(9) * 10**9, np.outer(np.linspace(0, 2, 9), [-1.0, 0.0, 0.0]), TOOL_DOWN)
-    (finding,), joints = arm_violations(cell, far)
+    (finding,), joints = arm_violations(arm_of(cell), cell.limits, far)
     tool, arm = cell.workpiece.pose.apply(far.position), cell.arm  # -x leads away from the arm and up
     centre = tool + arm.d6 * cell.workpiece.pose.rotation[:, 2]  # no tool: the flange is d6 in front of the wrist
     away = np.hypot(np.hypot(*centre[:, :2].T) - arm.a1, centre[:, 2] - arm.d1)

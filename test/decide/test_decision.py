@@ -49,7 +49,7 @@ def part(**features):
 
 def test_the_error_that_is_farthest_beyond_its_own_tolerance_decides():
     def judged(rows, **tolerances):
-        return judge_part(SimpleNamespace(tolerances=Tolerances(**tolerances)), rows)
+        return judge_part(Tolerances(**tolerances), rows)
 
     limits = {"tolerance": 50e-6, "floor_tolerance": 10e-6, "features": ("pocket=30",)}
     result = judged(part(slot=(49e-6, 9e-6), pocket=(40e-6, np.nan)), **limits)
@@ -181,7 +181,7 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):
     cell = small_part(tmp_path, GCODE)
     ran = simulate(cell)
-    share = exchange_share(cell, ran)
+    share = exchange_share(path_of(cell), ran)
     feed_per_tooth = path_of(cell).feed_rate / (cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth)
     assert share.share == pytest.approx(ran.result.correction.max() / feed_per_tooth) and not share.violations()
     strict = cell.replace(exchange=cell.exchange.replace(stop_correction=0.5 * share.share))

@@ -59,7 +59,7 @@ def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell,
 
 def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_gives(cell, ran, part):
     """The predicted tool centre, which cut, is within 2 um of the corrected one: few nodes fall to another tooth."""
-    cut = machined(cell, ran.result.tool)
+    cut = machined(cut_of(cell), ran.result.tool, path_of(cell).clock)
     assert np.array_equal(cut.map_heights()[2], ran.result.heights)
     x, y, z = cut.heights(thinning=7)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
@@ -74,7 +74,7 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
     target = path_of(cell).target
     end = target.duration_ns
     stamps = np.arange(0, end, 500_000)
-    path, velocity = course(cell, np.append(stamps, [end, end + 10**9])), target.sample_velocity(stamps)
+    path, velocity = course(path_of(cell), np.append(stamps, [end, end + 10**9])), target.sample_velocity(stamps)
     speed = np.linalg.norm(velocity, axis=1)
     moving = np.flatnonzero(speed > 5e-3)
     assert moving.size > 500
@@ -83,7 +83,7 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
     assert path.distance[-1] == pytest.approx(path_of(cell).timed.toolpath.length, abs=1e-12)
     upright = np.abs(path.tangent[:, 2]) > 0.999  # a move along the spindle keeps the side of the last horizontal move
     assert upright.any() and not upright[np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1].any()
-    straight = course(read_cell(CONFIG / "paper.yaml"), np.array([0, 10**9, 2 * 10**9]))
+    straight = course(path_of(read_cell(CONFIG / "paper.yaml")), np.array([0, 10**9, 2 * 10**9]))
     np.testing.assert_allclose(straight.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
     assert straight.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
 
@@ -91,7 +91,7 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
 def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
     cell = small_cell(tmp_path, HEAD + "G0 X-28 Y0 Z-1\nG1 X20 F3000\nG1 X20 Y28\nG0 Z2\n")
     stamps = np.linspace(0, path_of(cell).target.duration_ns, 200).astype(np.int64)
-    path = course(cell, stamps)
+    path = course(path_of(cell), stamps)
     shifted = deviations(path, np.tile([-1.0, 2.0, 3.0], (stamps.size, 1)))
     flat = np.abs(path.tangent[:, 2]) < 0.5
     along_x, along_y = flat & (path.tangent[:, 0] > 0.9), flat & (path.tangent[:, 1] > 0.9)
@@ -161,7 +161,7 @@ def planned(cell):
     """Stamps, course and target (n + 1, 3) of a cell."""
     clock = path_of(cell).clock
     stamps = clock.stamp(np.arange(clock.steps(path_of(cell).target.duration_ns) + 1))
-    return course(cell, stamps), path_of(cell).target.sample(stamps)
+    return course(path_of(cell), stamps), path_of(cell).target.sample(stamps)
 
 
 def errors(cell, shift, feature: str = ""):
@@ -206,7 +206,7 @@ def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
     time = np.arange(len(target)) * path_of(fine).clock.period
     shake = 8 * UM * np.sin(2 * np.pi * 63.0 * time)  # comes round between the teeth, which pass at 200 Hz
     result = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
-    cut = machined(fine, target + shake[:, None] * [0, 1, 0])
+    cut = machined(cut_of(fine), target + shake[:, None] * [0, 1, 0], path_of(fine).clock)
     x, low, high = profile(cut)
     left = result.normal[:, 1] < 0
     for mine, border, side in ((left, high + 2 * UM, 1), (~left, low - 2 * UM, -1)):
@@ -259,7 +259,7 @@ def test_a_plunge_owns_the_floor_it_ends_on_and_heights_beside_the_stock_are_not
     assert len(place) > 500
     away = np.hypot(floors.x[place[:, 0]] - 5 * MM, floors.y[place[:, 1]] - 5 * MM)
     assert away.max() < RADIUS
-    deepest = heights_at(machined(cell, target), np.array([[5 * MM, 5 * MM]]))[0]
+    deepest = heights_at(machined(cut_of(cell), target, path_of(cell).clock), np.array([[5 * MM, 5 * MM]]))[0]
     assert deepest == pytest.approx(-1 * MM, abs=5e-6)  # no dwell
     beside = heights_at(cut_of(cell), np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
     assert beside[0] == 0.0 and np.isnan(beside[1:]).all()
@@ -283,7 +283,7 @@ def test_the_stl_of_a_pass_is_closed_with_normals_outward_and_the_volume_of_the_
     cell, ran, tmp_path
 ):
     path, stock, chips = tmp_path / "part.stl", cell.stock, 1e9 * ran.result.removed_volume
-    count = write_part(path, cell, ran.result)
+    count = write_part(path, cut_of(cell), ran.result, path_of(cell).clock)
     data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
     assert struct.unpack_from("<I", data, 80) == (count,)
     assert len(data) == 84 + 50 * count and not data.startswith(b"solid")

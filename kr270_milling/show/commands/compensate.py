@@ -233,10 +233,11 @@ def _report_of_tool(cell, done, args, source, date: str, whole) -> str:
 
 def _write_part(draft, cell, revised):
     """Write the predicted part as STL and return its path."""
+    from kr270_milling.cell.models import cut_of, path_of
     from kr270_milling.decide.part import write_part
 
     stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
-    write_part(stl, cell, revised.result)
+    write_part(stl, cut_of(cell), revised.result, path_of(cell).clock)
     return stl
 
 

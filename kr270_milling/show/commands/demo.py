@@ -78,6 +78,7 @@ def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
+    from kr270_milling.cell.models import arm_of, path_of
     from kr270_milling.show.report import write_report
     from kr270_milling.show.report.series import write_series
 
@@ -87,7 +88,7 @@ def _write(directory, cell, passes, second, source, args):
         directory, cell, passes, title="The milling pass of Klimchik et al. (2014)", source=str(source),
         command=command_line(args), date=now(), paper=True, tables=(table,),
     )  # fmt: skip
-    write_series(directory, cell, passes)
+    write_series(directory, arm_of(cell), path_of(cell).target, passes)
     return report
 
 

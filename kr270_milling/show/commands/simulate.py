@@ -48,7 +48,7 @@ def run_simulate(args) -> Answer:
 def _simulated(cell, args, draft, final, whole):
     """The pass of one tool, what ``--json`` prints of it, and the output for the terminal."""
     from kr270_milling.cell import jobs
-    from kr270_milling.cell.models import cut_text_of, path_of
+    from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, path_of
     from kr270_milling.decide.check_cut import residue_of
     from kr270_milling.decide.part import FeatureRow, assess, write_part
     from kr270_milling.decide.tolerance import judge
@@ -68,10 +68,10 @@ def _simulated(cell, args, draft, final, whole):
     if part:
         summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
     if draft and final:
-        files = write_series(draft, cell, [ran])
+        files = write_series(draft, arm_of(cell), path_of(cell).target, [ran])
         if not path_of(cell).straight:
             files.append(draft / f"part{suffix}.stl")
-            write_part(files[-1], cell, ran.result)
+            write_part(files[-1], cut_of(cell), ran.result, path_of(cell).clock)
         summary["files"] = [str(final(path)) for path in files]
     columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
     scores: list = _scores(cell, summary)

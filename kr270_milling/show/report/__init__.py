@@ -85,7 +85,7 @@ def report_text(
     else:
         best = int(np.argmin([part.whole.max_normal for part in parts]))
     pictures, robot, charts = (
-        linked(cell, passes, parts, program),
+        linked(path, passes, parts, program),
         robot_model(cell, passes[best]),
         charts_of(cell, passes, parts),
     )
@@ -125,8 +125,8 @@ def report_text(
         features=None if path.straight else texts.feature_table(parts),
         more=[texts.typographic(t) for t in tables if t.rows],
         details=texts.details(passes),
-        inputs=texts.input_rows(cell, robot.joints[0]),
-        warning=texts.warning(cell, passes),
+        inputs=texts.input_rows(cell.arm, robot.joints[0]),
+        warning=texts.warning(path, passes),
         assumptions=assumptions(cell, paper),
         configuration=[(key, texts.shown(value, key)) for key, value in flatten(cell).items()],
         charts=charts,

@@ -58,5 +58,6 @@ def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
         micro_step=np.degrees(cell.exchange.micro_step),
         modes="; ".join(f"{name}: {', '.join(f'{f:.2f}' for f in hz[:3])} Hz" for name, hz in modes),
         way=path_of(cell).length,
+        engaged=path_of(cell).full_engagement,
     )
     return rows

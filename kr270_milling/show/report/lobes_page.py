@@ -58,7 +58,7 @@ def write_lobes(
     listed = [(owner, fixed(hertz), fixed(ratio, 4)) for owner, of in modes.items() for hertz, ratio in of]
     table = TextTable("Modes", ("of", "frequency [Hz]", "damping ratio"), listed)
     sentences = [
-        f"{name}: {cell.arm.name} mills {cut_text(cell)}",
+        f"{name}: {cell.arm.name} mills {cut_text(path_of(cell))}",
         f"engagement of the lobes: {engagement_text(cell)}",
         summary,
     ]
@@ -77,4 +77,4 @@ def _deepest(cell: Cell) -> float:
     """Depth of cut [m]; of a program the largest."""
     if path_of(cell).straight:
         return cell.path.depth_of_cut
-    return float(arcs_along(cell).depth.max(initial=0.0))
+    return float(arcs_along(path_of(cell), cell.earlier).depth.max(initial=0.0))

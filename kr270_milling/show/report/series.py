@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.files import write_files
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.physics.motion.milling_pass import PassResult
@@ -49,19 +48,21 @@ def file_names(names: Sequence[str]) -> list[str]:
     return stems
 
 
-def write_series(directory, cell: Cell, passes: Sequence[ScoredPass]) -> list[Path]:
+def write_series(directory, arm: PlacedArm, target: Trajectory, passes: Sequence[ScoredPass]) -> list[Path]:
     """Write ``<pass>.csv`` (every series) and ``<pass>_reference.csv`` (its knots, with joint angles) of each pass.
+
+    target: the programmed trajectory.
 
     Returns the paths, first those of the series. Each file appears whole or not at all.
     """
-    place, target = Path(directory), path_of(cell).target
+    place = Path(directory)
     place.mkdir(parents=True, exist_ok=True)
     series, references = [], []
     for stem, one in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")
         write_files({series[-1]: series_lines(one.result, target)})
         references.append(place / f"{stem}_reference.csv")
-        write_csv(references[-1], one.reference, arm_of(cell).joints(one.reference))
+        write_csv(references[-1], one.reference, arm.joints(one.reference))
     return series + references
 
 

@@ -85,14 +85,14 @@ def compare_wall(
     Raises InputError where a place is farther than 2 mm from every predicted wall.
     """
     result = simulate(cell, reference).result
-    ideal = ideal_part(cell, course(cell, result.time_ns), result.target)
+    ideal = ideal_part(cell, course(path_of(cell), result.time_ns), result.target)
     predicted = _errors_at(measured, _walls(cell, result, ideal))
     nominal, rng = coarser(cell), np.random.default_rng(seed)
     drawn = [perturbed(nominal, rng) for _ in range(plants)]
     path, target = path_of(nominal), path_of(nominal).target
     known = target if reference is None else reference
     stamps = path.clock.stamp(np.arange(path.clock.steps(target.duration_ns) + 1))
-    coarse = ideal_part(nominal, course(nominal, stamps), target.sample(stamps))
+    coarse = ideal_part(nominal, course(path, stamps), target.sample(stamps))
     rows: list[np.ndarray] = []
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for row in pool.map(lambda plant: _plant_errors(plant, nominal, known, measured, coarse), drawn):
@@ -118,7 +118,8 @@ def _plant_errors(plant: Cell, nominal: Cell, reference: Trajectory, measured: W
 
 
 def _walls(cell: Cell, result: PassResult, ideal: IdealPart) -> Walls:
-    return remaining_walls(ideal.walls, course(cell, result.time_ns), result.actual - result.target, ideal.level)
+    path = course(path_of(cell), result.time_ns)
+    return remaining_walls(ideal.walls, path, result.actual - result.target, ideal.level)
 
 
 def _errors_at(measured: WallPlaces, walls: Walls) -> np.ndarray:

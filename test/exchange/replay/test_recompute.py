@@ -469,5 +469,5 @@ def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
     from kr270_milling.live.graph.processes import recording_parameters
 
     (tmp_path / "log").mkdir()
-    attached = recording_parameters(made.cell_of("learned"), tmp_path, "learned_2", plant)["attach"]
+    attached = recording_parameters(tmp_path, "learned_2", (), cell_text(plant))["attach"]
     assert attached == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]

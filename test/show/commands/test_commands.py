@@ -15,7 +15,7 @@ from kr270_milling.base.record import flatten
 from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.keys import keys_of
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import arm_model_of, path_of
 from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -63,7 +63,7 @@ def test_a_program_that_takes_an_hour_is_modelled_at_as_many_postures_as_a_cell_
     (tmp_path / "slow.nc").write_text(SLOT.replace("F1200", "F1"))  # 18 mm at 1 mm/min
     cell = cell_of(tmp_path, "--gcode", tmp_path / "slow.nc")
     assert path_of(cell).target.duration_ns > 1000e9 and cell.dynamics.posture_spacing > 5e-3
-    assert len(cell._postures(path_of(cell).target)[1]) < 50_000  # more than 100,000 are refused
+    assert len(arm_model_of(cell, path_of(cell).target).transition) < 50_000  # more than 100,000 are refused
 
 
 def test_a_written_cell_moves_with_the_program_beside_it_and_an_error_leaves_no_file(tmp_path):

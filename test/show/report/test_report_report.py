@@ -180,7 +180,7 @@ def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its
         np.testing.assert_allclose(table, expected, rtol=5e-13, atol=0)
 
     cell, passes = straight
-    paths = write_series(tmp_path, cell, passes)
+    paths = write_series(tmp_path, arm_of(cell), path_of(cell).target, passes)
     assert [p.name for p in paths[:3]] == ["original.csv", "linear.csv", "spline.csv"]
     for path, one in zip(paths[:3], passes, strict=True):
         assert path.read_text().splitlines()[0] == ",".join(COLUMNS)
@@ -204,7 +204,7 @@ def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its
 
 def test_file_names_are_plain_inside_the_directory_and_different_even_without_regard_to_case(tmp_path, straight):
     cell, (first, *_) = straight
-    write_series(tmp_path / "out", cell, [dataclasses.replace(first, name="../../etc/x")])
+    write_series(tmp_path / "out", arm_of(cell), path_of(cell).target, [dataclasses.replace(first, name="../../etc/x")])
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     names = file_names(["a b", "a/b", "A_B", "", "..", "../../etc/x", "x" * 300, "Ω"])
     assert len({n.lower() for n in names}) == len(names)
@@ -268,7 +268,7 @@ def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, 
 def case(milled):
     cell, passes = milled
     parts = assess_all(cell, passes)
-    return cell, passes, parts, linked(cell, passes, parts)
+    return cell, passes, parts, linked(path_of(cell), passes, parts)
 
 
 def test_the_largest_deviation_of_each_pass_is_a_station_as_in_the_table(case):
@@ -300,7 +300,7 @@ def test_a_pass_that_was_cut_off_is_unknown_beyond_its_end(case):
     half = len(whole.time_ns) // 2
     fields = {name: value[:half] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
     short = dataclasses.replace(passes[1], result=dataclasses.replace(whole, **fields))
-    outcome = linked(cell, [passes[0], short], assess_all(cell, [passes[0], short]))
+    outcome = linked(path_of(cell), [passes[0], short], assess_all(cell, [passes[0], short]))
     late = outcome.time > short.result.time[-1]
     assert late.any() and np.isnan(outcome.passes[1].side[late]).all() and np.isfinite(outcome.passes[0].side).all()
 
