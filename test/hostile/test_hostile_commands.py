@@ -25,8 +25,7 @@ from samples.recording_samples import record
 
 from kr270_milling.base.arguments import bounded, numbers
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.cell_file import cell_text
+from kr270_milling.cell.cell_file import cell_text, read_cell
 from kr270_milling.recordings.bag.writer import BagWriter
 
 GARBAGE = bytes(range(256)) * 40

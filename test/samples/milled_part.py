@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 
 CONFIG = Path(__file__).parents[2] / "config"
 RADIUS = 5e-3  # [m] of the cutter here

@@ -15,6 +15,8 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.check import RAPID_MOVES, Checked, check
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES
@@ -43,14 +45,14 @@ def judged(
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """The question, in one sentence."""
     then = "" if len(passes) == 1 else ", and what does compensation change"
-    return f"How far off does {cell.arm.name} mill {cut_text(cell)}{then}?"
+    return f"How far off does {cell.arm.name} mill {cut_text(path_of(cell))}{then}?"
 
 
-def cut_text(cell: Cell) -> str:
+def cut_text(path: CellPath) -> str:
     """Path and tool of a cell."""
-    tool, speed = cell.tool, cell.tool.spindle_speed * 30 / np.pi
+    tool, speed = path.tool, path.tool.spindle_speed * 30 / np.pi
     cutter = f"a {tool.diameter * 1e3:g} mm cutter with {tool.teeth} teeth at {speed:.0f} rpm"
-    return f"{cell.programmed.description} with {cutter}"
+    return f"{path.description} with {cutter}"
 
 
 class Tile(NamedTuple):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_closing
 
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.part import PartAssessment
 from kr270_milling.show.report.charts import envelope_index, stations
 
@@ -61,7 +61,7 @@ class Linked:
 
 
 def linked(
-    cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
+    programmed: CellPath, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
 ) -> Linked:
     """Thin the passes to their common stations; the largest deviation and force of every pass are among them.
 
@@ -78,8 +78,8 @@ def linked(
         series.append(np.where(known, _series(scored, assessed)[:, np.where(known, rows, 0)], np.nan))
         cutting[known] |= assessed.cutting[rows[known]]
     chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
-    engaged, knots = result.time >= cell.full_engagement - 1e-9, cell.target().time_ns
-    line = cell.programmed.line_at(time_ns)
+    engaged, knots = result.time >= programmed.full_engagement - 1e-9, programmed.target.time_ns
+    line = programmed.line_at(time_ns)
     return Linked(
         time=time_ns[chosen] * 1e-9,
         way=path.distance[chosen] * 1e3,
@@ -90,17 +90,17 @@ def linked(
         point=np.clip(np.searchsorted(knots, time_ns[chosen]), 0, knots.size - 1) + 1,
         feature=path.feature[chosen],
         features=tuple(path.features),
-        cutting=_joined(cutting, cell)[chosen].astype(np.int64),
+        cutting=_joined(cutting, programmed)[chosen].astype(np.int64),
         scored=(cutting & engaged)[chosen].astype(np.int64),
         passes=tuple(StationSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
-        source=_source(cell, line[chosen], program),
-        source_name=cell.programmed.file_name,
+        source=_source(programmed.path.file, line[chosen], program),
+        source_name=programmed.path.file_name,
     )
 
 
-def _joined(cutting: np.ndarray, cell: Cell) -> np.ndarray:
+def _joined(cutting: np.ndarray, programmed: CellPath) -> np.ndarray:
     """Return ``cutting`` without the moments in which no tooth of a tool at work is in the material."""
-    turn = int(np.ceil(2 * np.pi / cell.tool.spindle_speed / cell.clock.period))
+    turn = int(np.ceil(2 * np.pi / programmed.tool.spindle_speed / programmed.clock.period))
     return binary_closing(np.pad(cutting, turn + 1), np.ones(turn + 1, bool))[turn + 1 : -turn - 1] | cutting
 
 
@@ -112,13 +112,13 @@ def _series(scored: ScoredPass, part: PartAssessment) -> np.ndarray:
     return np.stack([side, height, part.force, across * 1e6, shift[:, 2] * 1e6])
 
 
-def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
+def _source(file: str, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
     """Lines of the tool path file, or of its text: all of a short one, else those that are used."""
     if not used.any():
         return ()
     if program is None:
         try:
-            program = Path(cell.path.file).read_text(encoding="utf-8", errors="replace")
+            program = Path(file).read_text(encoding="utf-8", errors="replace")
         except OSError:  # it was attached to a recording
             return ()
     lines = program.splitlines()

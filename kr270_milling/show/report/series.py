@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.files import write_files
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.path.trajectory_csv import write_csv
@@ -48,19 +48,21 @@ def file_names(names: Sequence[str]) -> list[str]:
     return stems
 
 
-def write_series(directory, cell: Cell, passes: Sequence[ScoredPass]) -> list[Path]:
+def write_series(directory, arm: PlacedArm, target: Trajectory, passes: Sequence[ScoredPass]) -> list[Path]:
     """Write ``<pass>.csv`` (every series) and ``<pass>_reference.csv`` (its knots, with joint angles) of each pass.
+
+    target: the programmed trajectory.
 
     Returns the paths, first those of the series. Each file appears whole or not at all.
     """
-    place, target = Path(directory), cell.target()
+    place = Path(directory)
     place.mkdir(parents=True, exist_ok=True)
     series, references = [], []
     for stem, scored in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")
         write_files({series[-1]: series_lines(scored.result, target)})
         references.append(place / f"{stem}_reference.csv")
-        write_csv(references[-1], scored.reference, cell.joints(scored.reference))
+        write_csv(references[-1], scored.reference, arm.joints(scored.reference))
     return series + references
 
 

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.column import Column, TextTable, columns, fixed
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
+from kr270_milling.physics.robot import Arm
 
 __all__ = ["PAPER", "TABLE_2", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
            "micro", "part_scores", "shown", "typeset", "typographic", "warning"]  # fmt: skip
@@ -127,12 +128,12 @@ def _text(column: Column, value: float) -> str:
     return fixed_text(value * column.scale, column.digits, column.least * column.scale)
 
 
-def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
+def input_rows(arm: Arm, joints: np.ndarray) -> list[tuple[str, list[str]]]:
     """Table 1: name with unit, six values; joints [rad], (6,): the commanded joints at the start."""
     rows = [
         ("commanded joint position q at the start [deg]", np.round(np.degrees(joints), 3) + 0.0),
-        ("joint compliance [10⁻⁶ rad/(N m)]", np.round(cell.arm.joint_compliance * UM, 9)),
-        ("link mass [kg]", cell.arm.link_mass),
+        ("joint compliance [10⁻⁶ rad/(N m)]", np.round(arm.joint_compliance * UM, 9)),
+        ("link mass [kg]", arm.link_mass),
     ]
     return [(name, [shown(value) for value in values.tolist()]) for name, values in rows]
 
@@ -160,8 +161,8 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
     return TextTable("Forces and exchange", columns, tuple(rows), note)
 
 
-def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
+def warning(path: CellPath, passes: Sequence[ScoredPass]) -> str:
     """The pass whose exchange was the coarsest, where that was too coarse."""
-    shares = [(scored.name, exchange_share(cell, scored)) for scored in passes]
+    shares = [(scored.name, exchange_share(path, scored)) for scored in passes]
     name, worst = max(shares, key=lambda item: item[1].share)
     return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""

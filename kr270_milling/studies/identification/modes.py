@@ -31,7 +31,8 @@ from scipy.optimize import nnls
 
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
@@ -342,11 +343,10 @@ def by_compliance(modes: list[Mode], signals: Signals, soft: np.ndarray) -> np.n
     return np.sqrt(squares)[:, None] * directions
 
 
-def tool_compliance(cell: Cell) -> np.ndarray:
-    """Compliance of the arm at the start of the cell's path, workpiece axes, (6, 6).
+def tool_compliance(arm: PlacedArm, target: Trajectory) -> np.ndarray:
+    """Compliance of the arm at the start of a path, workpiece axes, (6, 6).
 
     Without that of the tool: its spring moves no mass below the frequencies of the arm, and is no part of its modes.
     """
-    q = cell.joints(cell.target())[0]
-    bent = equilibrium(cell.arm, cell.mount, q, gravity=cell.dynamics.gravity)
-    return rotate_matrix(compliance(bent, cell.arm), cell.workpiece.pose.rotation.T)
+    bent = equilibrium(arm.arm, arm.mount, arm.joints(target)[0], gravity=arm.dynamics.gravity)
+    return rotate_matrix(compliance(bent, arm.arm), arm.place.rotation.T)

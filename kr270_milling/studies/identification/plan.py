@@ -17,7 +17,8 @@ from scipy.stats import qmc
 
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import read_tree
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.kinematics import forward, singularity_measures
 from kr270_milling.physics.robot.loads import GRAVITY
@@ -105,10 +106,10 @@ def read_test_pose(path, mount: Mount) -> Measurements | None:
     if "workpiece" not in read_tree(path):
         return None
     cell = read_cell(path)
-    run = cell.target()
+    run = path_of(cell).target
     middle = len(run) // 2
     place, turn = run.position[middle : middle + 1], run.quaternion[middle : middle + 1]
-    return at_posture(mount, cell.joints_at(place, turn)[0])
+    return at_posture(mount, arm_of(cell).joints_at(place, turn)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from scipy.interpolate import PchipInterpolator
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.path.timing import limit_by_joints
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import inverse_near
@@ -55,27 +55,27 @@ class TurnPath:
 class Turns:
     """Cost and joint angles of turns at n times ``step`` [s] apart."""
 
-    cell: Cell
+    arm: PlacedArm
     places: PathPlaces  #: n places, in the order of time
     step: float  #: [s]
     weight: float  #: w [m s/rad]
 
     def at(self, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return joint angles [rad], (n, s, 8, 6), and errors [m], (n, s, 8), of turns (n, s) [rad]; NaN: no reach."""
-        cell, places = self.cell, self.places
+        placed, places = self.arm, self.places
         n, s = turn.shape
-        tool = cell.workpiece.pose @ Pose(places.position, places.rotation)
+        tool = placed.place @ Pose(places.position, places.rotation)
         rotation = tool.rotation[:, None] @ about_z(turn)
         place = Pose(np.repeat(tool.position, s, axis=0), rotation.reshape(-1, 3, 3))
-        force, feed = (vectors @ cell.workpiece.pose.rotation.T for vectors in (places.force, places.feed))
-        q, deflection = postures(cell.arm, cell.mount, place, np.repeat(force, s, axis=0), cell.dynamics.gravity)
+        force, feed = (vectors @ placed.place.rotation.T for vectors in (places.force, places.feed))
+        q, deflection = postures(placed.arm, placed.mount, place, np.repeat(force, s, axis=0), placed.dynamics.gravity)
         q, deflection = q.reshape(n, s, 8, 6), deflection.reshape(n, s, 8, 3)
         along = np.einsum("nsbi,ni->nsb", deflection, feed)[..., None] * feed[:, None, None]
         return q, np.linalg.norm(deflection - along, axis=-1)
 
     def searched(self, branch: int, turn, q, error, period: float) -> TurnPath | None:
         """Return the best path through states of turn (n, s), joints (n, s, 6) and errors (n, s), or None."""
-        arm = self.cell.arm
+        arm = self.arm.arm
         n, room = len(turn), arm.joint_speed_limit * self.step * (1 + 1e-9)  # [rad] from a place to the next
         inside = ((q >= arm.joint_lower + MARGIN) & (q <= arm.joint_upper - MARGIN)).all(-1) & np.isfinite(error)
         cost = np.where(inside, error**2 / n, np.inf)
@@ -120,7 +120,7 @@ def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> TurnPath |
 
     States: every turn of the grid with every whole turn of the joints that their limits may leave room for.
     """
-    arm, n = turns.cell.arm, len(turns.places.position)
+    arm, n = turns.arm.arm, len(turns.places.position)
     first = np.ceil((arm.joint_lower - np.pi) / (2 * np.pi)).astype(int)
     last = np.floor((arm.joint_upper + np.pi) / (2 * np.pi)).astype(int)
     wholes = 2 * np.pi * np.array(list(itertools.product(*map(range, first, last + 1))))
@@ -145,18 +145,17 @@ def _refined(turns: Turns, path: TurnPath, step: float, ends: tuple[float, float
     return path
 
 
-def turned(cell: Cell, time_ns: np.ndarray, path: TurnPath) -> tuple[Trajectory, np.ndarray]:
-    """Return the target with the turns of a path at times [ns], (n,), and its joint angles [rad] at the knots.
+def turned(placed: PlacedArm, run: Trajectory, time_ns: np.ndarray, path: TurnPath) -> tuple[Trajectory, np.ndarray]:
+    """A target trajectory with the turns of a way at times [ns], (n,), and its joint angles [rad] at the knots.
 
     Between two places the turn is a monotone cubic, without overshoot. Knots come later where a joint would run too
     fast or accelerate too hard. Raises ReachError, JointLimitError.
     """
-    run = cell.target()
     turn = PchipInterpolator(time_ns, path.turn)(run.time_ns)
     rotation = rotation_from_quaternion(run.quaternion) @ about_z(turn)
-    q = inverse_near(cell.arm, cell.mount, cell.workpiece.pose @ Pose(run.position, rotation), path.q[0])
+    q = inverse_near(placed.arm, placed.mount, placed.place @ Pose(run.position, rotation), path.q[0])
     run = Trajectory(run.time_ns, run.position, quaternion_from_rotation(rotation), run.velocity)
-    return limit_by_joints(run, q, cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit), q
+    return limit_by_joints(run, q, placed.arm.joint_speed_limit, placed.arm.joint_acceleration_limit), q
 
 
 @njit(cache=True)

@@ -32,7 +32,6 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.record import read_tree
-from kr270_milling.cell.cell import Cell
 
 __all__ = ["EngineError", "StudyRows", "Study", "content", "run_chunks"]
 
@@ -115,10 +114,10 @@ class Study:
             yield parquet.read_table(self.chunk(number), columns=columns)
 
 
-def content(path, cell: Cell) -> str:
-    """Return a hash of a parameter file and its tool path: rows of another cell have another hash."""
+def content(path, program: str) -> str:
+    """Return a hash of a parameter file and of the hash of its program: rows of another cell have another hash."""
     tree = json.dumps(read_tree(path), sort_keys=True, default=str)
-    return hashlib.sha256(f"{tree}{cell.programmed.sha256}".encode()).hexdigest()
+    return hashlib.sha256(f"{tree}{program}".encode()).hexdigest()
 
 
 def _write_whole(path: Path, data: bytes) -> None:

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import MillingError, ParameterError, nearest
-from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.cell.jobs import mean_force, simulate
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import ScoredPass, mean_force, simulate
 from kr270_milling.cell.keys import keys_of
-from kr270_milling.physics.motion.exchange import Exchange
+from kr270_milling.physics.motion.periods import Exchange
 from kr270_milling.studies.maps.engine import StudyRows
 
 __all__ = ["Axis", "Sweep", "SweepSummary", "parse_axis"]
@@ -125,7 +125,8 @@ class Sweep(StudyRows):
         scores, error = dict.fromkeys(SCORES, math.nan), ""
         try:
             texts = (f"{key}={_text(value)}" for key, value in chosen.items())
-            scores = _scores(read_cell(Path(self.cell), (*self.settings, *texts)))
+            cell = read_cell(Path(self.cell), (*self.settings, *texts))
+            scores = _scores(simulate(cell), cell.tool.spindle_speed)
         except MillingError as refusal:
             error = str(refusal)
         return {"index": index, **chosen, **scores, "error": error}
@@ -182,11 +183,10 @@ def _exchange(sweep: Sweep) -> Exchange:
     return read_cell(Path(sweep.cell), sweep.settings).exchange
 
 
-def _scores(cell: Cell) -> dict[str, float]:
-    scored = simulate(cell)
+def _scores(scored: ScoredPass, spindle_speed: float) -> dict[str, float]:
     torque = float(scored.result.torque.max())
     deviations = 1e6 * scored.scores.static_deviation, 1e6 * scored.scores.max_deviation
     removed = 1e9 * scored.result.removed_volume
-    power = torque * cell.tool.spindle_speed
+    power = torque * spindle_speed
     values = *deviations, *mean_force(scored.result).tolist(), torque, power, removed, float(scored.result.time[-1])
     return dict(zip(SCORES, values, strict=True))

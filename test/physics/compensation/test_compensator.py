@@ -15,6 +15,7 @@ from samples.small_part import small_part
 from kr270_milling import read_cell
 from kr270_milling.cell import jobs
 from kr270_milling.cell.jobs import compensated, cut_along, record_of, simulate
+from kr270_milling.cell.models import modal_model_of, path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.cli import main
 from kr270_milling.path.trajectory import Trajectory
@@ -201,13 +202,13 @@ def learned(cell):
     """Plant, original pass, compensator, learned pass."""
     plant = plant_of(cell)
     original = simulate(cell, plant=plant)
-    by = jobs.compensator(cell, cell.target(), "learned")
+    by = jobs.compensator(cell, path_of(cell).target, "learned")
     return plant, original, by, compensated(cell, original, "learned", by=by, plant=plant)
 
 
 def test_learning_identifies_the_plant_leaves_less_than_a_hundredth_and_changes_no_copy_of_itself(cell, learned):
     plant, original, by, ran = learned
-    true = plant.cell.modal_model.frequency / (2 * np.pi)
+    true = modal_model_of(plant.cell).frequency / (2 * np.pi)
     identified = by.identified
     assert 1 in identified.mode
     modes = zip(identified.mode, identified.frequency_hz, identified.damping_ratio, strict=True)
@@ -219,7 +220,7 @@ def test_learning_identifies_the_plant_leaves_less_than_a_hundredth_and_changes_
     assert by.finished and len(by.errors) <= 5
     assert original.scores.max_deviation > 70 * UM and ran.scores.max_deviation < 0.01 * original.scores.max_deviation
     # the node tries a revision on a copy of its compensator
-    by = jobs.compensator(cell, cell.target(), "learned")
+    by = jobs.compensator(cell, path_of(cell).target, "learned")
     copied = copy.copy(by)
     copied.revise(record_of(cell, original))
     assert by.learner is None and by.errors == () and len(copied.learner.passes) == 1
@@ -237,10 +238,10 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
         tmp_path, SHALLOW, "cutting.fractional.axial_ratio=0.4", "dynamics.reference_inertia=true",
         "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid",
     )  # fmt: skip
-    original, by = simulate(cell), jobs.compensator(cell, cell.target(), "inverse")
+    original, by = simulate(cell), jobs.compensator(cell, path_of(cell).target, "inverse")
     by.revise(record_of(cell, original))
     (evidence,), scored = by.learner.passes, by.learner.scored
-    rigid = cut_along(cell, cell.target())
+    rigid = cut_along(cell, path_of(cell).target)
     exact = by.learner.segments.mean(rigid.time_ns - 125_000, rigid.wrench)[scored]  # each is of the period before
 
     def off(wrench):
@@ -260,7 +261,7 @@ def test_lines_between_the_knots_a_missing_wrench_and_noise_of_the_pose_leave_li
     assert ran.reference.velocity is None and ran.scores.max_deviation < 1 * UM
     plant, original, *_ = learned
     blind = dataclasses.replace(record_of(cell, original), wrench=None)
-    reference = jobs.compensator(cell, cell.target(), "inverse").revise(blind)
+    reference = jobs.compensator(cell, path_of(cell).target, "inverse").revise(blind)
     ran = simulate(cell, reference, plant=plant)
     assert ran.scores.max_deviation < 0.1 * original.scores.max_deviation
     plant = plant_of(cell, pose_noise=20 * UM, seed=5)

@@ -6,7 +6,7 @@ import pytest
 from samples.milled_part import POCKET, small_cell
 
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 
 

@@ -14,7 +14,7 @@ from semi_discretisation import BENCHMARK, MASS, TEETH, directional, limit, moda
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.decide.stability import feature_limits
 from kr270_milling.physics.motion.stability import Modes, stability_limit
 from kr270_milling.studies.maps.lobes import lobes

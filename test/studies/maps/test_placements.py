@@ -11,8 +11,9 @@ from hostile import answered, refused, settings
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
@@ -38,7 +39,7 @@ def placements() -> Placements:
     places = line([-0.04, 0.0, -1e-3], [0.04, 0.0, -1e-3], 5, [-40.0, 150.0, 5.0])
     axes = (np.array([1.4, 1.5]), np.array([-0.1, 0.1]), np.array([0.8]), np.radians([0.0, 20.0]),
             np.radians([-30.0, 0.0]))  # fmt: skip
-    return Placements(cell, places, axes)
+    return Placements(arm_of(cell), cell.uncertainty.left, places, axes)
 
 
 def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
@@ -48,13 +49,13 @@ def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
     x, y, z, turn, tool_turn = chosen[number]
     row = {"x_mm": 1e3 * x, "y_mm": 1e3 * y, "z_mm": 1e3 * z, "turn_deg": np.degrees(turn),
            "tool_turn_deg": np.degrees(tool_turn), "branch": branch}  # fmt: skip
-    moved = moved_cell(placements.cell, placements.places, row)
+    moved = moved_cell(placements.arm, placements.places, row, "posture_deg")
     place = moved["workpiece"]
     settings = [f"workpiece.xyz_mm={place['xyz_mm']}", f"workpiece.abc_deg={place['abc_deg']}"]
     settings += [f"mount.abc_deg={moved['mount']['abc_deg']}", f"posture_hint_deg={moved['posture_deg']}"]
     cell = read_cell(find_file("test_piece.yaml"), settings)
     quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))  # the tool down
-    q = cell.joints_at(placements.places.position, quaternion)  # independent: the path of the cell itself
+    q = arm_of(cell).joints_at(placements.places.position, quaternion)  # independent: the path of the cell itself
     across = []
     for joints in q:
         step = 1e-6
@@ -89,16 +90,16 @@ def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placeme
     places = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
     spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
     cell = read_cell(find_file("test_piece.yaml"))
-    rows = Placements(cell, places, placements.axes).rows(place)
+    rows = Placements(arm_of(cell), placements.left, places, placements.axes).rows(place)
     branch = int(np.flatnonzero(rows["feasible"][0])[0])
     row = {"x_mm": 1500.0, "y_mm": 0.0, "z_mm": 800.0, "turn_deg": 0.0, "tool_turn_deg": 0.0, "branch": branch}
-    q = np.radians(moved_cell(cell, places, row)["posture_deg"])
+    q = np.radians(moved_cell(arm_of(cell), places, row, "posture_deg")["posture_deg"])
     long = spring.length(np.cos(q[1]), np.sin(q[1]))
     slack = spring.replace(preload=20e6 * (spring.length(0.0, -1.0) - long))
     ours = []
     for compensator in (NO_COMPENSATOR, slack):
         arm = cell.arm.replace(compensator=compensator)
-        made = Placements(cell.replace(arm=arm), places, placements.axes).rows(place)
+        made = Placements(arm_of(cell.replace(arm=arm)), placements.left, places, placements.axes).rows(place)
         model = modal_models(arm, cell.mount, cell.dynamics, cell.workpiece.pose, q[None])[0]
         assert made["lowest_mode_hz"][0, branch] == pytest.approx(model.frequency[0] / (2 * np.pi), rel=0.01)
         way = compliance(equilibrium(arm, cell.mount, q), arm)[:3, :3] @ places.force[0]
@@ -117,12 +118,14 @@ def test_turning_everything_about_axis_1_changes_nothing_else_and_a_place_out_of
 
 
 def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(placements):
-    cell, places = placements.cell, placements.places
-    row = present_row(cell, places)
+    cell, places = read_cell(find_file("test_piece.yaml"), ["dynamics.gravity=false"]), placements.places
+    row = present_row(placements, path_of(cell).target)
     assert [row["x_mm"], row["y_mm"], row["z_mm"]] == pytest.approx(1e3 * cell.workpiece.xyz)
     assert row["feasible"] and row["error_max_um"] > 0.0
-    joints = cell.joints_at(places.position, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))[2]
-    np.testing.assert_allclose(moved_cell(cell, places, row)["posture_deg"], np.degrees(joints), atol=1e-6)
+    joints = arm_of(cell).joints_at(places.position, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))[2]
+    np.testing.assert_allclose(
+        moved_cell(arm_of(cell), places, row, "posture_deg")["posture_deg"], np.degrees(joints), atol=1e-6
+    )
 
 
 def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
@@ -134,7 +137,7 @@ def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
     assert errors == sorted(errors)
     best = read_cell(result["best"][0]["cell"])
     assert 1e3 * best.workpiece.xyz[:2] == pytest.approx([result["best"][0]["x_mm"], result["best"][0]["y_mm"]])
-    assert best.joints(best.target()).shape[1] == 6
+    assert arm_of(best).joints(path_of(best).target).shape[1] == 6
 
 
 # --- Sweeps: axes, samples, rows that do not depend on the chunk. Workers are in ``test_engine`` ---
@@ -244,9 +247,9 @@ def test_a_whole_turn_has_no_seam():
 def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_what_is_too_fast_is_refused():
     """A cut of 1.2 m across the front of the arm in 24 s, the spindle across axis 6."""
     places = line([0.0, -0.6, 0.0], [0.0, 0.6, 0.0], 49, [150.0, -40.0, -20.0])
-    across = Turns(read_cell(find_file("test_piece.yaml")), places, 0.5, np.degrees(0.05e-6))
+    across = Turns(arm_of(read_cell(find_file("test_piece.yaml"))), places, 0.5, np.degrees(0.05e-6))
     grid = np.radians(np.arange(-180.0, 181.0, 10.0))
-    way, arm = best_turns(across, grid), across.cell.arm
+    way, arm = best_turns(across, grid), across.arm.arm
     same = constant_turn(across, np.radians(np.arange(-180.0, 181.0, 2.0)))
     assert way.value < 0.99 * same.value
     turning = np.degrees(np.gradient(way.turn, 0.5))
@@ -255,7 +258,7 @@ def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_w
     assert np.all(np.abs(np.diff(way.q, axis=0)) <= arm.joint_speed_limit * 0.5)
     assert np.all((way.q >= arm.joint_lower) & (way.q <= arm.joint_upper))
     with pytest.raises(NoTurnsError, match="lower the feed"):
-        best_turns(Turns(across.cell, places, 1e-3, across.weight), GRID)
+        best_turns(Turns(across.arm, places, 1e-3, across.weight), GRID)
 
 
 def test_the_command_writes_a_cell_that_runs(tmp_path):
@@ -265,8 +268,8 @@ def test_the_command_writes_a_cell_that_runs(tmp_path):
     result = answered(*words, *settings(*slot))
     assert result["criterion_um"] <= result["criterion_constant_um"] and max(result["joint_speed_share"]) < 1.0
     cell, old = read_cell(result["best"][0]["cell"]), read_cell(find_file("test_piece.yaml"), slot)
-    run = cell.target()
-    assert run.position == pytest.approx(old.target().position, abs=1e-12)
-    assert cell.joints(run).shape == (len(run), 6)
+    run = path_of(cell).target
+    assert run.position == pytest.approx(path_of(old).target.position, abs=1e-12)
+    assert arm_of(cell).joints(run).shape == (len(run), 6)
     assert len((tmp_path / "along.csv").read_text().splitlines()) == len(run) + 1
     assert refused(*words, "--x", "1:2/2")
