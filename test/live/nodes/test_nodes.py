@@ -226,17 +226,21 @@ def test_silent_and_second_robots_are_reported_and_the_pass_continues_with_the_s
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, loop):
     """Also for a pass by hand whose cut stays active."""
     maps, cut = world.listen(loop.ear, topics.WORKPIECE), loop.cut
-    loop.reach(20)
-    assert set(maps[0].data) == {100}  # latched, of the fresh part
-    cut.trigger_deactivate()
+    loop.start()
     world.until(lambda: len(maps) == 2)
-    cut.trigger_activate()
-    world.until(lambda: len(maps) == 3)
+    assert set(maps[0].data) == {100}  # latched, of the fresh part
     cut.trigger_deactivate()  # the map is known already
     assert world.request("/cutting_process/publish_workpiece").success
-    world.until(lambda: len(maps) == 4)
-    assert min(maps[2].data) < 100
-    assert maps[3].data == maps[2].data and maps[2].header.frame_id == "workpiece"
+    world.until(lambda: len(maps) == 3)
+    assert min(maps[1].data) < 100
+    assert maps[2].data == maps[1].data and maps[1].header.frame_id == "workpiece"
+
+
+def test_map_of_the_part_comes_when_the_cut_is_deactivated_in_mid_pass(world, loop):
+    maps = world.listen(loop.ear, topics.WORKPIECE)
+    loop.reach(20)
+    loop.cut.trigger_deactivate()
+    world.until(lambda: len(maps) == 2)
 
 
 def test_impossible_transition_is_refused_and_the_node_lives_on(world, loop):
