@@ -119,7 +119,7 @@ def _leave_graph(nodes: list, executor, context: Context) -> None:
 
 
 def _spin(nodes: list, executor, signals: list[int]) -> int:
-    """Spin until the end, let the nodes write what they have received, and return the exit code."""
+    """Spin until the end, close the files, and return the exit code."""
     parent = int(os.environ.get(PARENT, 0))
     while not signals and not any(node.done for node in nodes):
         lap = Future()  # one lap is many callbacks: returning after each callback took a tenth of an exchange
@@ -128,6 +128,8 @@ def _spin(nodes: list, executor, signals: list[int]) -> int:
         executor.spin_until_future_complete(lap, timeout_sec=LAP)
         if parent and os.getppid() != parent:
             break
+    if not any(node.done for node in nodes):
+        executor.spin_until_future_complete(Future(), timeout_sec=LAP)  # messages that were received before the end
     code = 0
     for node in nodes:
         closing_failure = node.close()

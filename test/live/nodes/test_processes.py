@@ -101,7 +101,6 @@ def test_every_node_says_how_it_is_started(monkeypatch, capsys, name):
 
 
 def test_the_script_makes_one_pass_that_recomputes_and_stops_everything(ros_environment, tmp_path):
-    """Compensator and recorder poll their subscriptions, which an EventsExecutor must permit."""
     cell = tmp_path / "cell.yaml"
     cell.write_text(made.cell_text())
     for name in ("recorder", "trajectory_compensator", "milling_cell"):  # as console scripts are on a user's PATH
