@@ -16,7 +16,6 @@ from kr270_milling.exchange.scene import INPUTS, Derived, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, WARN, ReportingNode
 from kr270_milling.live.ros.readiness import is_recorded
-from kr270_milling.live.ros.topics import LOOP
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
 __all__ = ["RecordingSession"]
@@ -143,7 +142,8 @@ class RecordingSession:
             self._node.destroy_subscription(subscription)
         for publisher in filter(None, self._live.values()):
             self._node.destroy_publisher(publisher)
-        return None if self._stopped else self._close_file()
+        failed, self._stopped = self._stopped, True  # the executor may still hold messages
+        return None if failed else self._close_file()
 
     def _close_file(self) -> str | None:
         """Close the file and log the missing messages; return a sentence if that failed."""
@@ -175,8 +175,7 @@ def _matching(publishers) -> QoSProfile:
     reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
     latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
     return QoSProfile(
-        depth=LOOP.depth,
-        history=HistoryPolicy.KEEP_LAST,
+        history=HistoryPolicy.KEEP_ALL,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

@@ -72,8 +72,8 @@ class TrajectoryCompensator(ReportingNode):
         self.open_outlets(COMPENSATOR)
         self.subscribe(status_topic(RECORDER), self._on_recorder)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
-        self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose)
-        self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
+        self._pose = self.subscribe(topics.TOOL_POSE._replace(qos=topics.EVERY), self._on_pose)
+        self._wrench = self.subscribe(topics.WRENCH._replace(qos=topics.EVERY), self._on_wrench)
         if self._start_topic:
             where = f"parameters of {self.get_fully_qualified_name()}: start_topic"
             start = resolved_topic(self, self._start_topic, where)
@@ -135,11 +135,6 @@ class TrajectoryCompensator(ReportingNode):
         if missing:
             but = f", of which {missing} poses did not arrive"
         self.report(WARN if but else OK, f"reference: {what}{but}", **values)
-
-    def stamps(self) -> dict[str, int]:
-        """Return also the stamp of the last tool pose of a pass: the simulated robot does not run far ahead of it."""
-        read = {self._pose.topic_name: self.stamp_ns} if self.protocol.under_way else {}
-        return super().stamps() | read
 
     def _on_start(self, stamp: int | None) -> None:
         """Begin a pass at the stamp of the robot's own message."""

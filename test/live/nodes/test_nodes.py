@@ -35,7 +35,6 @@ from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import stamp_from_ns
-from kr270_milling.live.ros.status import Status
 from kr270_milling.physics.robot.errors import ReachError
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import stamp_of
@@ -127,19 +126,17 @@ def loop(world, short_cell, tmp_path):
 
 def test_a_pass_does_not_run_far_ahead_of_a_recorder_that_is_late(world, short_cell, ran, tmp_path, monkeypatch):
     """A pass of minutes lost poses where robot and cut were quicker than the recorder."""
-    monkeypatch.setattr("kr270_milling.live.nodes.compliant_robot.MOST_EXCHANGES", 20)
-    monkeypatch.setattr("kr270_milling.live.nodes.compliant_robot.FRESH", 2.0)
+    monkeypatch.setattr(compliant_robot, "CHECK", 20)
     loop = Loop(world, short_cell, tmp_path)
-    recorder = loop.ear.create_publisher(topics.STATUS.type, "recorder/status", topics.STATUS.qos)
     loop.start(cut=False)
-    world.until(recorder.get_subscription_count)
-    start = loop.robot.protocol.reference.start_ns
-    recorder.publish(Status(1, 0, "recording", stamps_ns={"/tool_pose": start}).to_msg())
+    outlet, late = loop.robot.outlets["tool_pose"], [True]
+    monkeypatch.setattr(type(outlet), "wait_for_all_acked", lambda self, _: self is not outlet or not late)
     loop.cut.trigger_activate()
-    world.until(lambda: len(loop.series["wrench"]) > 20)
-    world.step(0.5)
-    assert len(loop.series["wrench"]) < 40  # one exchange in 0.1 s
-    loop.matches(ran)  # the status of the recorder is too old now
+    world.until(lambda: len(loop.series["wrench"]) == 19)
+    world.step(0.3)
+    assert len(loop.series["wrench"]) == 19
+    late.clear()
+    loop.matches(ran)
 
 
 def test_a_paced_pass_gives_the_plain_loop_bit_for_bit_and_is_not_quicker(world, short_cell, tmp_path):
