@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import signal
@@ -58,24 +57,12 @@ def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
     """
     signals: list[int] = []
     before = {number: signal.signal(number, lambda caught, _: signals.append(caught)) for number in STOPS}
-    if args is None:
-        use_batch_scheduling()
     code = _run_nodes(makes, args, signals)
     if args is None:
         end_process(code)
     for number, handler in before.items():
         signal.signal(number, handler)
     return code
-
-
-def use_batch_scheduling() -> None:
-    """Set SCHED_BATCH, where the kernel has it, so that a process that wakes up does not interrupt its waker.
-
-    An exchange wakes every subscriber of its messages. On two cores each subscriber would interrupt the robot or the
-    cut, whose work all others wait for.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[int]) -> int:

@@ -62,7 +62,6 @@ def ended_here(monkeypatch, program: str, *words: str) -> int:
     """The exit code of a program in this process."""
     monkeypatch.setattr(sys, "argv", [program, *words])
     monkeypatch.setattr(spin, "end_process", sys.exit)
-    monkeypatch.setattr(spin, "use_batch_scheduling", lambda: None)
     handlers = {number: signal.getsignal(number) for number in STOPS}
     try:
         return start(program)
