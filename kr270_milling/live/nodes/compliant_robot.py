@@ -82,7 +82,7 @@ class CompliantRobot(ManagedNode):
         self._cut_active = bool(Status.from_text(text.text).values.get("active"))
 
     def _is_too_far_ahead(self) -> bool:
-        """Return whether a subscriber lacks poses; compensator and recorder do not take more than they can hold."""
+        """Return whether a subscriber lacks poses; one that is stopped, or has no room, confirms none."""
         self._exchanges += 1
         if self._exchanges < CHECK:
             return False
