@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
-from kr270_milling.cell.plant import Plant, imperfect_arm, imperfect_course, perturbed
+from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import PATH_DEVIATION, SURFACE_ERROR, Gauge
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
@@ -36,8 +35,6 @@ SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
-LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
-DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +178,6 @@ def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]
     return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
 
 
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 def plants_at_once(cell: Cell) -> int:
     """Number of plants that run at the same time: as many as there are cores, one where a pass is long.
 
@@ -322,22 +314,3 @@ def _errors(
     heights = None if gauge.ideal is None else cut.map_heights()[2]
     judged = gauge.measure(dataclasses.replace(ran, heights=heights))
     return judged.error, judged.share
-
-
-def coarser(cell: Cell) -> Cell:
-    """For the many passes along a tool path: a grid step of up to half the feed per tooth, at most three times its own,
-    and exchange periods and micro-steps of the spindle twice as long where they are short.
-
-    On the shipped test piece the largest deviation then moves by less than 1 %, far below the bands, and a pass takes
-    a quarter of the time.
-    """
-    turns = cell.tool.spindle_speed / (2.0 * math.pi)
-    fed = cell.fed_path
-    if fed is None or cell.by_engagement:
-        return cell
-    feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
-    step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
-    exchange = cell.exchange
-    if exchange.period <= LONG_PERIOD and exchange.micro_step <= LONG_STEP:
-        exchange = exchange.replace(period=2.0 * exchange.period, micro_step=2.0 * exchange.micro_step)
-    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=exchange)

@@ -26,3 +26,5 @@ class CellModels:
     predict: Callable[[Trajectory], PassRecord] | None = None
     #: target, times (k,) [ns], shifts (k, 3) [m] of the tool from the target -> wrenches of the modelled cut
     cut: Callable[[Trajectory, np.ndarray, np.ndarray], PassRecord] | None = None
+    #: target, reference -> the model first and then drawn robots: response, true pass along the reference
+    robots: Callable[[Trajectory, Trajectory], list[tuple[ArmResponse, PassRecord]]] | None = None
