@@ -206,7 +206,8 @@ def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[fl
     """Largest deviation across the feed [m] along each reference, by the linear response of the arm to it and to the
     wrench of the cut on the target: no pass is run, and the cut does not answer the motion of the tool."""
     settings = cell.compensation
-    learner = Learner.of_model(cell.target(), models_of(cell), settings.criterion, settings.smooth).expect()
+    models = dataclasses.replace(models_of(cell), arm=lambda target: robot_response(cell, target))
+    learner = Learner.of_model(cell.target(), models, settings.criterion, settings.smooth).expect()
     return [learner.predicted(reference) for reference in references]
 
 

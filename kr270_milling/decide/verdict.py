@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.stats import binom
 
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
@@ -32,7 +33,8 @@ SAMPLES = 32
 FEWEST = 8
 LEARNING = 8  #: time of the learning of a plant, as a multiple of that of its other passes
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
-FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
+FAILING = 0.05  #: share of robots that may fail or become worse on the compensated trajectory
+SURE = 0.9  #: confidence with which more than this share do: 2 of 10, 3 of 20, 4 of 32 robots, and never 1 of 3 or more
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
 
@@ -71,7 +73,7 @@ class Verdict:
     def text(self) -> str:
         """The word with the band of what the compensation leaves."""
         low, middle, high = (1e6 * value for value in self.band("compensated"))
-        return f"{self.word} ({len(self.original)} plants: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
+        return f"{self.word} ({len(self.original)} robots: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
 
     @property
     def within(self) -> int | None:
@@ -259,30 +261,39 @@ def judge_plants(
 ) -> tuple[str, str]:
     """The verdict and its reason from the errors [m], (n,), of the same plants on both trajectories.
 
-    In this order: more than 5 % of the plants fail on the compensated trajectory and not on the original: cannot be
-    trusted. 95 % of the originals stay below ``matters_above`` [m] and 95 % of the compensated as well: does not
-    matter. 90 % of the plants change by less than 10 %: does not matter. More than 5 % become worse: cannot be
-    trusted. Half of them gain less than 10 %: does not matter. Else it helps.
+    In this order: surely more than 5 % of the robots fail on the compensated trajectory and not on the original: cannot
+    be trusted. 95 % of the originals stay below ``matters_above`` [m] and 95 % of the compensated as well: does not
+    matter. 90 % of the robots change by less than 10 %: does not matter. Surely more than 5 % become worse: cannot be
+    trusted. Half of them gain less than 10 %: does not matter. Else it helps. See ``surely_more``.
     """
-    lost = float(np.mean(np.isnan(compensated) & np.isfinite(original)))
-    if lost > FAILING:
-        return UNTRUSTED, f"{100 * lost:.0f} % of the plants fail on the compensated trajectory"
+    lost = np.isnan(compensated) & np.isfinite(original)
+    if surely_more(int(lost.sum()), lost.size, FAILING):
+        return UNTRUSTED, f"{lost.sum()} of {lost.size} robots fail on the compensated trajectory"
     both = np.isfinite(original) & np.isfinite(compensated)
     if not both.any():
-        return UNTRUSTED, "no plant survives either trajectory"
+        return UNTRUSTED, "no robot survives either trajectory"
     before, after = original[both], compensated[both]
     worst = max(np.quantile(before, 0.95), np.quantile(after, 0.95))
     if worst < matters_above:
-        return INDIFFERENT, f"95 % of the plants stay below {1e6 * worst:.3g} um either way"
+        return INDIFFERENT, f"95 % of the robots stay below {1e6 * worst:.3g} um either way"
     low, middle, high = np.quantile(after / np.maximum(before, 1e-300), LEVELS)
     share = f"the {quantity} becomes {100 * middle:.0f} % of what it was ({100 * low:.0f} to {100 * high:.0f} %)"
     if low > 1.0 - SAME and high < 1.0 + SAME:
         return INDIFFERENT, share
-    if high >= 1.0:
-        return UNTRUSTED, f"{share}: more than 5 % of the plants become worse"
+    worse = int(np.sum(after >= before))
+    if surely_more(worse, after.size, FAILING):
+        return UNTRUSTED, f"{share}: {worse} of {after.size} robots become worse"
     if middle > 1.0 - SAME:
         return INDIFFERENT, share
     return HELPS, share
+
+
+def surely_more(hits: int, count: int, share: float) -> bool:
+    """Return whether the lower limit of the interval of Clopper and Pearson (``SURE``, one side) exceeds a share.
+
+    P(at least ``hits`` of ``count``) = 1 - SURE at the limit   [ClopperPearson1934]
+    """
+    return bool(binom.sf(hits - 1, count, share) < 1.0 - SURE)
 
 
 def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge) -> np.ndarray:

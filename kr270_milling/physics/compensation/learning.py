@@ -1,4 +1,4 @@
-"""The methods ``inverse``, ``learned`` and ``robust``: passes, the arm that explains the passes, and the correction that follows.
+"""The methods ``inverse``, ``learned`` and ``robust``: passes, the arm that explains them, and the correction.
 
 A pass is explained by deviation = displacement under wrench and inertia + response to the correction + rest. The next
 correction removes the modelled deviation of a tool that runs on its path. It also removes the share

@@ -276,7 +276,7 @@ class ArmResponse:
         return self.lag.pull(segments, pulled) if self.lag else pulled
 
     def _pull_swing(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
-        """Adjoint of ``swing``, backwards in time: the cost (2, r) by the state at the end of each segment comes first."""
+        """Adjoint of ``swing``, backwards in time: ``state`` (2, r) is the slope of the cost by u and u'."""
         pulled, jump = np.zeros((len(segments), 4, 3)), np.zeros((len(segments) + 1, 3))
         state = np.zeros((2, self.order))
         for part in reversed(list(segments.blocks())):
@@ -288,10 +288,10 @@ class ArmResponse:
             turn = np.swapaxes(arm.carry, 1, 2)[::-1]
             state = state @ arm.carry[-1]
             last = np.concatenate([turn[1:], np.eye(self.order)[None]])
-            steps = (
-                np.ascontiguousarray(rows) for rows in (free[::-1], added[::-1], np.zeros(added[:, 0].shape), last)
-            )
-            end, start = (rows[::-1] for rows in _march(*steps, 1, state))  # by the state at both ends of each segment
+            rows = free[::-1], added[::-1], np.zeros(added[:, 0].shape), last
+            end, start = (
+                v[::-1] for v in _march(*map(np.ascontiguousarray, rows), 1, state)
+            )  # at the ends of segments
             of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0] for f in arm.forced(duration))
             inside = [np.sum(f * u, axis=1) for f in arm.forced(place)[:2]]
             bend = inside[0] + of_bend * end[:, 0] + rate_of_bend * end[:, 1]
