@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import binom
 
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
@@ -293,6 +292,8 @@ def surely_more(hits: int, count: int, share: float) -> bool:
 
     P(at least ``hits`` of ``count``) = 1 - SURE at the limit   [ClopperPearson1934]
     """
+    from scipy.stats import binom  # takes longer to import than all else that a command needs
+
     return bool(binom.sf(hits - 1, count, share) < 1.0 - SURE)
 
 
