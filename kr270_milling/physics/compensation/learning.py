@@ -44,7 +44,7 @@ ALONG = 0.1  #: weight of deviations along the feed, which change the time and n
 SMOOTHNESS = 1e-5  #: weight of the roughness without noise: prevents neighbouring knots from cancelling each other
 ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against loads; noise beyond it is smoothed
 #: weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise, gains
-#: less than 1 % of the mean square and needs five times the correction (pocket of the tutorial)
+#: less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
 CAREFUL = 1.0
 SETTLED = 1e-4  #: of the cost of the path as programmed: a step of the search that gains less is the last
 MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
