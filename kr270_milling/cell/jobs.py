@@ -5,16 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.base.column import as_dict
+from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, low_frequency_of, modal_model_of, path_of
 from kr270_milling.cell.paths import CellPath
-from kr270_milling.cell.plant import Plant
+from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, perturbed
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.learning import Learner
@@ -22,10 +24,10 @@ from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import method_of
 from kr270_milling.physics.compensation.mirror import Mirror, mirror
 from kr270_milling.physics.compensation.models import CellModels
-from kr270_milling.physics.compensation.response import ArmResponse
+from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.dynamics import ArmFactors, ModalModel
-from kr270_milling.physics.motion.imperfections import Imperfections
+from kr270_milling.physics.motion.imperfections import SERVO_DAMPING, Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
 
@@ -35,6 +37,10 @@ __all__ = [
 ]  # fmt: skip
 
 LONG_PASS = 500_000  #: exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
+
+
+PLANNED = 16  #: simulated robots for which ``robust`` plans
+PLANNING_SEED = 1_000_000  #: of these robots: no verdict draws them, whose seeds are smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +143,38 @@ def models_of(cell: Cell) -> CellModels:
         arm=lambda target: arm_response(cell, target),
         predict=lambda reference, factors: predicted(cell, reference, factors),
         cut=lambda path: cut_along(cell, path),
+        robots=lambda target, reference: robot_passes(cell, target, reference),
     )
+
+
+def robot_passes(
+    cell: Cell, target: Trajectory, reference: Trajectory, count: int = PLANNED
+) -> list[tuple[ArmResponse, PassRecord]]:
+    """The model first, then robots drawn from ``cell.uncertainty``: response and true pass along a reference.
+
+    Repeatability shifts each pass by chance, so it is left out. A robot that is unstable is left out, too.
+    """
+    model, rng = coarser(cell), np.random.default_rng(PLANNING_SEED)
+    drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(count))]
+
+    def run(robot: Cell) -> tuple[ArmResponse, PassRecord] | None:
+        try:
+            ran = Plant(model, robot, robot.imperfections.replace(repeatability=0.0)).run(reference)
+        except MillingError:
+            return None
+        if np.abs(ran.actual - ran.reference).max() >= DIVERGED:
+            return None
+        return robot_response(robot, target), PassRecord(ran.time_ns, ran.actual)
+
+    with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
+        return [ran for ran in pool.map(run, drawn) if ran is not None]
+
+
+def robot_response(robot: Cell, target: Trajectory) -> ArmResponse:
+    """``arm_response`` of a simulated robot, with the lag and the dead time of its motors."""
+    assumed = robot.imperfections
+    lag = Lag.of(2.0 * np.pi * assumed.servo_frequency, SERVO_DAMPING, assumed.servo_delay)
+    return dataclasses.replace(arm_response(robot, target), lag=lag)
 
 
 def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
@@ -173,7 +210,8 @@ def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[fl
     """Largest deviation across the feed [m] along each reference, by the linear response of the arm to it and to the
     wrench of the cut on the target: no pass is run, and the cut does not answer the motion of the tool."""
     settings = cell.compensation
-    learner = Learner.of_model(path_of(cell).target, models_of(cell), settings.criterion, settings.smooth).expect()
+    models = dataclasses.replace(models_of(cell), arm=lambda target: robot_response(cell, target))
+    learner = Learner.of_model(path_of(cell).target, models, settings.criterion, settings.smooth).expect()
     return [learner.predicted(reference) for reference in references]
 
 

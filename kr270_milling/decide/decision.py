@@ -13,7 +13,7 @@ from kr270_milling.physics.compensation.methods import LEARNED
 __all__ = ["CAUTION", "ENOUGH", "NO", "YES", "Decision", "decided"]
 
 YES, CAUTION, NO = "yes", "caution", "no"
-ENOUGH = 0.9  #: share of the plants that must meet the tolerance for a ``yes``
+ENOUGH, HALF = 0.9, 0.5  #: shares of the robots that must meet the tolerance for ``yes`` and for ``caution``
 REDUCE = "reduce the uncertainty: identify compliances"
 NEEDS_TRACKER = "learned needs a tracker on the real machine: here it learned from simulated passes"
 
@@ -22,8 +22,8 @@ NEEDS_TRACKER = "learned needs a tracker on the real machine: here it learned fr
 class Decision:
     """Whether a compensated path is to be run.
 
-    ``yes``: no stop, and at least 90 % of the plants meet the tolerance. ``no``: a stop, or the model misses the
-    tolerance. ``caution``: everything else, also where the tolerance or the verdict is missing.
+    ``yes``: no stop, and at least 90 % of the robots meet the tolerance. ``no``: a stop, or the model or more than half
+    of the robots miss the tolerance. ``caution``: everything else, also where the tolerance or the verdict is missing.
     """
 
     as_programmed: Judgement
@@ -48,7 +48,8 @@ class Decision:
             return NO
         if self.verdict is None or self.verdict.within is None or self.compensated.passes is None:
             return CAUTION
-        return YES if self.verdict.within >= ENOUGH * len(self.verdict.compensated) else CAUTION
+        share = self.verdict.within / len(self.verdict.compensated)
+        return YES if share >= ENOUGH else CAUTION if share >= HALF else NO
 
     @property
     def exit_code(self) -> int:
@@ -88,7 +89,8 @@ class Decision:
         count, median = len(self.verdict.compensated), f"median {um_text(self.verdict.band('compensated')[1])}"
         if self.verdict.within is None:
             return f", {median} in {count} simulated robots"
-        return f" and in {self.verdict.within} of {count} simulated robots ({median})"
+        within = self.verdict.within
+        return f" and in {within} of {count} simulated robots ({100 * within / count:.0f} %, {median})"
 
     @property
     def text(self) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -24,7 +23,7 @@ from kr270_milling.cell.jobs import (
     simulate,
 )
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
-from kr270_milling.cell.plant import Plant, imperfect_arm, imperfect_course, perturbed
+from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import PATH_DEVIATION, SURFACE_ERROR, Gauge
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
@@ -42,11 +41,10 @@ SAMPLES = 32
 FEWEST = 8
 LEARNING = 8  #: time of the learning of a plant, as a multiple of that of its other passes
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
-FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
+FAILING = 0.05  #: share of robots that may fail or become worse on the compensated trajectory
+SURE = 0.9  #: confidence with which more than this share do: 2 of 10, 3 of 20, 4 of 32 robots, and never 1 of 3 or more
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
-LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
-DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ class Verdict:
     def text(self) -> str:
         """The word with the band of what the compensation leaves."""
         low, middle, high = (1e6 * value for value in self.band("compensated"))
-        return f"{self.word} ({len(self.original)} plants: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
+        return f"{self.word} ({len(self.original)} robots: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
 
     @property
     def within(self) -> int | None:
@@ -190,11 +188,6 @@ def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]
     return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
 
 
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 def plants_at_once(cell: Cell) -> int:
     """Number of plants that run at the same time: as many as there are cores, one where a pass is long.
 
@@ -276,30 +269,41 @@ def judge_plants(
 ) -> tuple[str, str]:
     """The verdict and its reason from the errors [m], (n,), of the same plants on both trajectories.
 
-    In this order: more than 5 % of the plants fail on the compensated trajectory and not on the original: cannot be
-    trusted. 95 % of the originals stay below ``matters_above`` [m] and 95 % of the compensated as well: does not
-    matter. 90 % of the plants change by less than 10 %: does not matter. More than 5 % become worse: cannot be
-    trusted. Half of them gain less than 10 %: does not matter. Else it helps.
+    In this order: surely more than 5 % of the robots fail on the compensated trajectory and not on the original: cannot
+    be trusted. 95 % of the originals stay below ``matters_above`` [m] and 95 % of the compensated as well: does not
+    matter. 90 % of the robots change by less than 10 %: does not matter. Surely more than 5 % become worse: cannot be
+    trusted. Half of them gain less than 10 %: does not matter. Else it helps. See ``surely_more``.
     """
-    lost = float(np.mean(np.isnan(compensated) & np.isfinite(original)))
-    if lost > FAILING:
-        return UNTRUSTED, f"{100 * lost:.0f} % of the plants fail on the compensated trajectory"
+    lost = np.isnan(compensated) & np.isfinite(original)
+    if surely_more(int(lost.sum()), lost.size, FAILING):
+        return UNTRUSTED, f"{lost.sum()} of {lost.size} robots fail on the compensated trajectory"
     both = np.isfinite(original) & np.isfinite(compensated)
     if not both.any():
-        return UNTRUSTED, "no plant survives either trajectory"
+        return UNTRUSTED, "no robot survives either trajectory"
     before, after = original[both], compensated[both]
     worst = max(np.quantile(before, 0.95), np.quantile(after, 0.95))
     if worst < matters_above:
-        return INDIFFERENT, f"95 % of the plants stay below {1e6 * worst:.3g} um either way"
+        return INDIFFERENT, f"95 % of the robots stay below {1e6 * worst:.3g} um either way"
     low, middle, high = np.quantile(after / np.maximum(before, 1e-300), LEVELS)
     share = f"the {quantity} becomes {100 * middle:.0f} % of what it was ({100 * low:.0f} to {100 * high:.0f} %)"
     if low > 1.0 - SAME and high < 1.0 + SAME:
         return INDIFFERENT, share
-    if high >= 1.0:
-        return UNTRUSTED, f"{share}: more than 5 % of the plants become worse"
+    worse = int(np.sum(after >= before))
+    if surely_more(worse, after.size, FAILING):
+        return UNTRUSTED, f"{share}: {worse} of {after.size} robots become worse"
     if middle > 1.0 - SAME:
         return INDIFFERENT, share
     return HELPS, share
+
+
+def surely_more(hits: int, count: int, share: float) -> bool:
+    """Return whether the lower limit of the interval of Clopper and Pearson (``SURE``, one side) exceeds a share.
+
+    P(at least ``hits`` of ``count``) = 1 - SURE at the limit   [ClopperPearson1934]
+    """
+    from scipy.stats import binom  # takes longer to import than all else that a command needs
+
+    return bool(binom.sf(hits - 1, count, share) < 1.0 - SURE)
 
 
 def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge) -> np.ndarray:
@@ -331,22 +335,3 @@ def _errors(
     heights = None if gauge.ideal is None else cut.map_heights()[2]
     judged = gauge.measure(dataclasses.replace(ran, heights=heights))
     return judged.error, judged.share
-
-
-def coarser(cell: Cell) -> Cell:
-    """For the many passes along a tool path: a grid step of up to half the feed per tooth, at most three times its own,
-    and exchange periods and micro-steps of the spindle twice as long where they are short.
-
-    On the shipped test piece the largest deviation then moves by less than 1 %, far below the bands, and a pass takes
-    a quarter of the time.
-    """
-    turns = cell.tool.spindle_speed / (2.0 * math.pi)
-    fed = path_of(cell).fed
-    if fed is None or cell.cutting.by_engagement:
-        return cell
-    feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
-    step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
-    exchange = cell.exchange
-    if exchange.period <= LONG_PERIOD and exchange.micro_step <= LONG_STEP:
-        exchange = exchange.replace(period=2.0 * exchange.period, micro_step=2.0 * exchange.micro_step)
-    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=exchange)

@@ -25,7 +25,7 @@ class NotRecorded(MillingError):
         super().__init__(reason)
 
 
-EXPERIENCED = ("learned", "inverse")  # methods whose revision follows from all passes before
+EXPERIENCED = ("learned", "inverse", "robust")  # methods whose revision follows from all passes before
 ELSEWHERE = "the reference trajectory follows from passes in other recordings"
 
 

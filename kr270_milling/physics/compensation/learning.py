@@ -1,9 +1,16 @@
-"""The methods ``inverse`` and ``learned``: passes, the arm that explains the passes, and the correction that follows.
+"""The methods ``inverse``, ``learned`` and ``robust``: passes, the arm that explains them, and the correction.
 
 A pass is explained by deviation = displacement under wrench and inertia + response to the correction + rest. The next
 correction removes the modelled deviation of a tool that runs on its path. It also removes the share
 g = max(0, 1 - noise^2 / rest^2) of the rest, averaged over the passes and, if noisy, over the distance of two knots:
 nothing of a rest below the stated noise of the measurement, all of a rest without noise.
+
+``robust`` changes the correction of ``inverse`` by the c with the least mean square over simulated robots:
+
+    E_k |d_k + H_k c|^2 + S c^2 -> min,   d_k = d_model + (pass of robot k - pass of the model)
+
+The mean over a sample stands for the expectation [Kleywegt2002]. Both passes run along the reference of ``inverse``, so
+d_k contains backlash and the answer of the cut; H_k is the response of the robot: arm, base, servo lag and delay.
 """
 
 from __future__ import annotations
@@ -20,7 +27,13 @@ from kr270_milling.physics.compensation.arm_fit import Evidence, Identified, fit
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
-from kr270_milling.physics.compensation.revision import KnotsError, PassRecord, RevisionError, resting_segments
+from kr270_milling.physics.compensation.revision import (
+    KnotsError,
+    PassRecord,
+    RevisionError,
+    corrected,
+    resting_segments,
+)
 
 __all__ = ["Learner"]
 
@@ -29,6 +42,10 @@ FREE = 0.3  #: their weight in the fit of the arm: a tool without load separates
 ALONG = 0.1  #: weight of deviations along the feed, which change the time and not the part
 SMOOTHNESS = 1e-5  #: weight of the roughness without noise: prevents neighbouring knots from cancelling each other
 ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against loads; noise beyond it is smoothed
+#: weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise, gains
+#: less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
+CAREFUL = 1.0
+SETTLED = 1e-4  #: of the cost of the path as programmed: a step of the search that gains less is the last
 MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
 
 
@@ -51,8 +68,9 @@ class Learner:
         self.arm = arm  #: as the passes show it
         self.conditions = conditions
         self.criterion = criterion
-        self._predict = models.predict
-        self._cut = models.cut
+        self._predict, self._cut, self._robots = models.predict, models.cut, models.robots
+        #: simulated robots: response and deviation [m] on the path without a correction, (m, parts, 3)
+        self.ensemble: list[tuple[ArmResponse, np.ndarray]] = []
         self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
@@ -102,7 +120,7 @@ class Learner:
 
     def forget(self) -> None:
         """Drop the passes, of which an hour of machining fills 170 MB each; arm and expectation stay."""
-        self.passes, self._ideal = (), None
+        self.passes, self._ideal, self.ensemble = (), None, []
 
     def expect(self) -> Learner:
         """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""
@@ -199,6 +217,26 @@ class Learner:
             solution = lifted.least_squares(base, self._weight(), smoothness)
         return solution.knots(self.segments)
 
+    def robust_correction(self) -> np.ndarray:
+        """Values [m] at the knots, (k, 3), for the simulated robots; that of the model where there are none."""
+        offset = self.correction()
+        if self._robots is None:
+            return offset
+        segments, weight = self.segments, self._weight()
+        reference, _ = corrected(self.target, offset, self.conditions.smooth)
+        passes = [
+            (arm, segments.middle(ran.time_ns, ran.position - self.target.sample(ran.time_ns)))
+            for arm, ran in self._robots(self.target, reference)
+        ]
+        left, (_, model), cubic = self._with(reference), passes[0], self.cubic(reference)
+        drawn = [(arm, left + deviation - model) for arm, deviation in passes[1:]]
+        if not drawn:
+            return offset
+        self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
+        settled = SETTLED * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
+        lifted = Lifted(self.arm, segments, self.conditions)
+        return offset + lifted.least_mean_square(drawn, weight, CAREFUL, settled).knots(segments)
+
     def _with(self, reference: Trajectory) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs along ``reference`` without the feedback of the cut."""
         return self.expected + self.arm.follow(self.segments, self.cubic(reference))
@@ -217,7 +255,12 @@ class Learner:
         return float(np.linalg.norm(swing[self.segments.part_of(np.array([round(time * 1e9)]))[0]]))
 
     def predicted(self, reference: Trajectory) -> float:
-        """Largest deviation across the feed [m] that the model expects along ``reference`` where it is scored."""
-        left = self._with(reference)
-        size = np.einsum("kpi,kpij,kpj->kp", left, self._weight(), left)[self.scored]
-        return float(np.sqrt(size.max(initial=0.0)))
+        """Largest deviation across the feed [m] that the model expects along ``reference`` where it is scored.
+
+        With an ensemble of robots the root mean square of their largest deviations.
+        """
+        cubic, weight = self.cubic(reference), self._weight()
+        robots = self.ensemble or [(self.arm, self.expected)]
+        deviations = [expected + arm.follow(self.segments, cubic) for arm, expected in robots]
+        sizes = [np.einsum("kpi,kpij,kpj->kp", left, weight, left)[self.scored].max(initial=0.0) for left in deviations]
+        return float(np.sqrt(np.mean(sizes)))

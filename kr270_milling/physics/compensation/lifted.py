@@ -15,6 +15,7 @@ free; where the target stops the correction has no slope; straight lines have a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -27,6 +28,7 @@ __all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitio
 
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
 ROUNDS = 40  #: most reweightings
+STEPS = 30  #: most conjugate gradients
 CLOSE = 1.02  #: the largest deviation is within 2 % of the least possible one: it is good enough
 TINY = 1e-12  #: of the trace: keeps what no sample sees from making a matrix singular
 
@@ -76,11 +78,13 @@ class Lifted:
             self._made = part.start, (outputs(arm, segments) * self._unit, step, *chosen)
         return self._made[1]
 
-    def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> LiftedCorrection:
+    def least_squares(
+        self, deviation: np.ndarray, weight: np.ndarray, smoothness: float, pull: np.ndarray | None = None
+    ) -> LiftedCorrection:
         """The best correction of deviations d0 [m], (m, parts, 3), under weights W (m, parts, 3, 3).
 
         smoothness: weight of the change of the correction's third (of straight lines: second) difference over a
-        segment of the usual length.
+        segment of the usual length; pull: further slopes of half the cost by the cubics, (m, 4, 3).
         """
         m, size, r = len(self._segments), 2 * self.order + 9, self.order
         later, linear = np.zeros((size, size)), np.zeros(size)
@@ -97,6 +101,8 @@ class Lifted:
             weighted = np.swapaxes(output, -1, -2) @ weight[part]
             cost = np.sum(weighted @ output, axis=1)
             slope = np.sum(weighted @ deviation[part, ..., None], axis=1)[..., 0]
+            if pull is not None:
+                slope[:, 2 * r :] += pull[part].reshape(-1, 12) * self._unit[2 * r :]
             if self.smooth:  # weight of j
                 cost[:, 2 * r + 9 :, 2 * r + 9 :] += smoothness * np.eye(3)
             policy, push = np.zeros((len(step), CONTROLS, size)), np.zeros((len(step), CONTROLS))
@@ -121,6 +127,53 @@ class Lifted:
             left[part] += (output @ local[:, None, :, None])[..., 0]
             cubic[part] = (local * self._unit)[:, 2 * r :].reshape(-1, 4, 3)
         return LiftedCorrection(cubic, left)
+
+    def least_mean_square(
+        self, plants: Sequence[tuple[ArmResponse, np.ndarray]], weight: np.ndarray, smoothness: float, settled: float
+    ) -> LiftedCorrection:
+        """The correction with the least mean cost of n plants, each with its response H_k and deviation d_k.
+
+        sum_k H_k^T W (d_k + H_k c) / n + S c = 0   where the mean of (d_k + H_k c)^T W (d_k + H_k c) is least
+
+        Conjugate gradients [HestenesStiefel1952] among the corrections that the knots allow, preconditioned by
+        ``least_squares`` with the response of the model. They end where a step gains less than ``settled`` [m^2], so
+        plants without a deviation leave no correction. Memory and time are linear in the length of the path and in n.
+        """
+        segments, n = self._segments, len(plants)
+
+        def slope(cubic: np.ndarray, share: float) -> np.ndarray:
+            """Of half the cost by the cubics, with this share of the deviations."""
+            total = self._roughness(cubic, smoothness)
+            for arm, deviation in plants:
+                left = share * deviation + arm.follow(segments, cubic)
+                total += arm.pull(segments, (weight @ left[..., None])[..., 0]) / n
+            return total
+
+        mean = np.mean([deviation for _, deviation in plants], axis=0)
+        cubic, zero = np.zeros((len(segments), 4, 3)), np.zeros_like(mean)
+        rest, direction, before = slope(cubic, 1.0), cubic, np.inf
+        for _ in range(STEPS):
+            better = self.least_squares(zero, weight, smoothness, rest).cubic
+            gain = -float(np.sum(rest * better))
+            if not gain > settled:
+                break
+            direction = better + gain / before * direction
+            bent = slope(direction, 0.0)
+            step = gain / np.sum(direction * bent)
+            cubic, rest, before = cubic + step * direction, rest + step * bent, gain
+        return LiftedCorrection(cubic, mean + self._arm.follow(segments, cubic))
+
+    def _roughness(self, cubic: np.ndarray, smoothness: float) -> np.ndarray:
+        """Slopes of half the cost of the smoothness, (m, 4, 3)."""
+        slope, unit = np.zeros_like(cubic), self._unit[2 * self.order + 3 :: 3]
+        if self.smooth:
+            slope[:, 3] = smoothness / unit[2] ** 2 * cubic[:, 3]
+            return slope
+        bend = smoothness / unit[0] ** 2 * np.diff(cubic[:, 1], axis=0)
+        bend[self._conditions.fixed[1:]] = 0.0
+        slope[1:, 1] += bend
+        slope[:-1, 1] -= bend
+        return slope
 
     def min_max(self, deviation, weight, smoothness: float, scored: np.ndarray) -> LiftedCorrection:
         """As ``least_squares``, but with the least largest deviation in the parts ``scored`` (m, parts).

@@ -50,7 +50,8 @@ class ResponseMethod:
     """Weighted least squares over the response of the arm to every knot, the arm as the passes show it."""
 
     name: str
-    repeats: bool
+    repeats: bool = False
+    robust: bool = False  #: in the mean of simulated robots, and not for the model alone
     smooth: bool = True
     recommended: bool = True
 
@@ -59,7 +60,8 @@ class ResponseMethod:
 
         learner = task.learner or Learner.of_model(task.target, task.models, task.criterion, task.smooth)
         learner = learner.with_pass(task.ran, task.reference)
-        return Correction(learner.correction(), task.smooth, learner=learner)
+        offset = learner.robust_correction() if self.robust else learner.correction()
+        return Correction(offset, task.smooth, learner=learner)
 
 
 BEST = "best"  #: in place of a method: a comparison chooses the method
@@ -73,7 +75,8 @@ METHODS: dict[str, Method] = {
         SampledMethod("spline", smooth=True),
         LEARNED,
         MirrorMethod("mirror"),
-        ResponseMethod("inverse", repeats=False),
+        ResponseMethod("inverse"),
+        ResponseMethod("robust", robust=True),
     )
 }
 

@@ -27,3 +27,5 @@ class CellModels:
     predict: Callable[[Trajectory, ArmFactors | None], PassRecord] | None = None
     #: path of a tool that does not deviate -> wrenches of the modelled cut
     cut: Callable[[Trajectory], PassRecord] | None = None
+    #: target, reference -> the model first and then drawn robots: response, true pass along the reference
+    robots: Callable[[Trajectory, Trajectory], list[tuple[ArmResponse, PassRecord]]] | None = None

@@ -9,6 +9,10 @@ The correction is a cubic c + v t + a t^2 / 2 + j t^3 / 6 between two knots. The
 (p of the tool, q of the reference) obeys u'' + 2 zeta omega u' + omega^2 u = -q'' = -(a + j t), which is solved by
 u = h11 u0 + h12 u0' + (h11 - 1) a / omega^2 + (2 zeta / omega (1 - h11) + h12 - t) j / omega^2, where h11 and h12 are
 the free vibrations from u0 = 1 and from u0' = 1. At a corner of the reference p' is steady, so u' jumps by -dv.
+
+The motors of a plant may follow the correction late: y'' + 2 zeta w y' + w^2 y = w^2 (c + v t + a t^2 / 2 + j t^3 / 6).
+A polynomial p0 + p1 t + p2 t^2 / 2 + p3 t^3 / 6 solves this for p3 = j, p2 = a - 2 zeta / w p3,
+p1 = v - 2 zeta / w p2 - p3 / w^2, p0 = c - 2 zeta / w p1 - p2 / w^2; the rest y - p is a free vibration.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from scipy.interpolate import CubicSpline
 from kr270_milling.base.blocks import blocks
 from kr270_milling.physics.motion.dynamics import ArmFactors
 
-__all__ = ["ArmResponse", "Segments", "cubic_coefficients"]
+__all__ = ["ArmResponse", "Lag", "Segments", "cubic_coefficients"]
 
 MOST_DAMPING = 0.95
 LEAST_DAMPING = 1e-4
@@ -128,6 +132,64 @@ def cubic_coefficients(time_ns: np.ndarray, value: np.ndarray, rate: np.ndarray 
     return np.stack([value[:-1], first, bend, jerk], axis=1)
 
 
+@dataclass(frozen=True)
+class Lag:
+    """Second order with which the motors follow a correction, at rest before the pass."""
+
+    frequency: float  #: w [rad/s]
+    damping: float
+
+    @classmethod
+    def of(cls, frequency: float, damping: float, delay: float) -> Lag | None:
+        """A lag of ``frequency`` [rad/s] (0: none) after a dead time [s], as one second order; None without both.
+
+        Equal up to s^2: exp(-T s) / (1 + 2 zeta s / w + s^2 / w^2) = 1 / (1 + b s + c s^2 + ...).
+        """
+        slope, bend = (2.0 * damping / frequency, 1.0 / frequency**2) if frequency else (0.0, 0.0)
+        b, c = slope + delay, bend + slope * delay + delay**2 / 2.0
+        return cls(c**-0.5, 0.5 * b * c**-0.5) if c else None
+
+    def _matrices(self, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of segments (m,) [s]: (y, y') at the end from those at the start (m, 2, 2) and from a cubic (m, 2, 4);
+        the cubic from (y, y') at both ends, (m, 4, 4)."""
+        w, z, t = self.frequency, self.damping, duration
+        solved = np.eye(4)  # p from c, v, a, j
+        for row in (2, 1, 0):
+            solved[row] -= 2.0 * z / w * solved[row + 1] + (solved[row + 2] / w**2 if row < 2 else 0.0)
+        free = np.stack(_free(w, z, t), axis=-1).reshape(-1, 2, 2)
+        one, zero = np.ones_like(t), np.zeros_like(t)
+        ahead = np.stack([one, t, t**2 / 2.0, t**3 / 6.0, zero, one, t, t**2 / 2.0], axis=-1).reshape(-1, 2, 4)
+        hermite = [one, zero, zero, zero, zero, one, zero, zero, -6.0 / t**2, -4.0 / t, 6.0 / t**2, -2.0 / t]
+        hermite += [12.0 / t**3, 6.0 / t**2, -12.0 / t**3, 6.0 / t**2]
+        driven = (ahead - np.concatenate([free, np.zeros_like(free)], axis=-1)) @ solved
+        return free, driven, np.stack(hermite, axis=-1).reshape(-1, 4, 4)
+
+    def follow(self, segments: Segments, cubic: np.ndarray) -> np.ndarray:
+        """Cubics (m, 4, 3) of the motors that follow cubics (m, 4, 3), equal at the knots."""
+        free, driven, hermite = self._matrices(segments.duration)
+        state = np.stack([cubic[0, 0], np.zeros(3)])
+        start, end = _run(free, driven @ cubic, state)
+        return hermite @ np.concatenate([start, end], axis=1)
+
+    def pull(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
+        """Adjoint of ``follow``: slopes (m, 4, 3) of a cost by its result to those by its cubics."""
+        free, driven, hermite = self._matrices(segments.duration)
+        ends = np.swapaxes(hermite, 1, 2) @ slope  # by (y, y') at both ends
+        ends[:-1, 2:] += ends[1:, :2]  # all but the first by that at the end of a segment
+        added = np.concatenate([ends[:-1, 2:][::-1], ends[:1, :2]])
+        end, start = _run(np.swapaxes(free, 1, 2)[::-1], added, ends[-1, 2:].copy())
+        pulled = np.swapaxes(driven, 1, 2) @ end[::-1]
+        pulled[0, 0] += start[-1, 0]
+        return pulled
+
+
+def _run(free: np.ndarray, added: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States (m, 2, r) before and after each step x' = F x + b; free (m, 2, 2), added (m, 2, r), state (2, r)."""
+    n, _, r = added.shape
+    wide = np.ascontiguousarray(np.repeat(free.reshape(n, 4, 1), r, axis=2))
+    return _march(wide, np.ascontiguousarray(added), np.zeros((n, r)), np.eye(r)[None], n, state)
+
+
 @dataclass(frozen=True, eq=False)
 class ArmResponse:
     """Modes of the arm on each of the m segments; no modes (r = 0): the tool follows the reference at once.
@@ -147,6 +209,7 @@ class ArmResponse:
     tool: np.ndarray | None = None  #: compliance of the tool tip against the spindle [m/N], (n, 3, 3); None: rigid
     softness: float = 1.0  #: factor of the displacement under the wrench
     posture: np.ndarray | None = None  #: number of the posture of each segment, (m,); None: each has its own
+    lag: Lag | None = None  #: of the motors behind a correction; None: they follow at once
 
     @classmethod
     def rigid(cls, segments: int) -> ArmResponse:
@@ -193,12 +256,7 @@ class ArmResponse:
 
     def free(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
         """h11, h12, h21, h22, (m, t, r), at times (m, t) [s] from the start of each segment."""
-        w, z = self.frequency[:, None], self.damping[:, None]
-        time = time[..., None]
-        damped = w * np.sqrt(1.0 - z * z)
-        decay = np.exp(-z * w * time)
-        cosine, sine = decay * np.cos(damped * time), decay * np.sin(damped * time) / damped
-        return cosine + z * w * sine, sine, -w * w * sine, cosine - z * w * sine
+        return _free(self.frequency[:, None], self.damping[:, None], time[..., None])
 
     def forced(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
         """u of a = 1, u of j = 1, u' of a = 1, u' of j = 1, (m, t, r), from rest."""
@@ -212,7 +270,45 @@ class ArmResponse:
 
         Before the pass the tool is on the correction's first value and does not move with it.
         """
+        cubic = self.lag.follow(segments, cubic) if self.lag else cubic
         return self.gain * (segments.powers @ cubic + self.swing(segments, cubic, np.zeros(3)))
+
+    def pull(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
+        """Adjoint of ``follow``: slopes (m, parts, 3) of a cost by the motion of the tool to those by cubics."""
+        slope = self.gain * slope
+        pulled = np.swapaxes(segments.powers, 1, 2) @ slope
+        if self.order and self.moves:
+            pulled += self._pull_swing(segments, slope)
+        return self.lag.pull(segments, pulled) if self.lag else pulled
+
+    def _pull_swing(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
+        """Adjoint of ``swing``, backwards in time: ``state`` (2, r) is the slope of the cost by u and u'."""
+        pulled, jump = np.zeros((len(segments), 4, 3)), np.zeros((len(segments) + 1, 3))
+        state = np.zeros((2, self.order))
+        for part in reversed(list(segments.blocks())):
+            arm, block = self.cut(part), segments.cut(part)
+            duration, place = block.duration[:, None], block.place
+            u = slope[part] @ arm.outward  # by u in each part
+            added = np.stack([np.sum(h * u, axis=1) for h in arm.free(place)[:2]], axis=1)
+            free = np.stack([h[:, 0] for h in arm.free(duration)], axis=1)[:, [0, 2, 1, 3]]
+            turn = np.swapaxes(arm.carry, 1, 2)[::-1]
+            state = state @ arm.carry[-1]
+            last = np.concatenate([turn[1:], np.eye(self.order)[None]])
+            backward = [np.ascontiguousarray(rows) for rows in (free[::-1], added[::-1], last)]
+            ends = _march(backward[0], backward[1], np.zeros(added[:, 0].shape), backward[2], 1, state)
+            end, start = (rows[::-1] for rows in ends)  # at the ends of segments
+            of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0] for f in arm.forced(duration))
+            inside = [np.sum(f * u, axis=1) for f in arm.forced(place)[:2]]
+            bend = inside[0] + of_bend * end[:, 0] + rate_of_bend * end[:, 1]
+            jerk = inside[1] + of_jerk * end[:, 0] + rate_of_jerk * end[:, 1]
+            for row, values in ((2, bend), (3, jerk)):
+                pulled[part, row] = np.einsum("mr,mrd->md", values, arm.inward)
+            jump[part] = np.einsum("mr,mrd->md", start[:, 1], arm.inward)  # by the corner before each segment
+        before, t = jump[1:], segments.duration[:, None]
+        pulled[:, 1] += before - jump[:-1]
+        pulled[:, 2] += t * before
+        pulled[:, 3] += t**2 / 2.0 * before
+        return pulled
 
     def swing(self, segments: Segments, cubic: np.ndarray, approach: np.ndarray) -> np.ndarray:
         """Displacement delta [m], (m, parts, 3), by the inertia of an arm that follows cubics (m, 4, 3).
@@ -261,6 +357,14 @@ class ArmResponse:
             if arm.tool is not None:
                 moved[part] += self.softness * wrench[part, :, :3] @ arm.tool
         return moved
+
+
+def _free(w, z, time) -> tuple[np.ndarray, ...]:
+    """h11, h12, h21, h22 of modes w [rad/s], zeta after times [s]."""
+    damped = w * np.sqrt(1.0 - z * z)
+    decay = np.exp(-z * w * time)
+    cosine, sine = decay * np.cos(damped * time), decay * np.sin(damped * time) / damped
+    return cosine + z * w * sine, sine, -w * w * sine, cosine - z * w * sine
 
 
 def _end_speed(duration: np.ndarray, cubic: np.ndarray) -> np.ndarray:

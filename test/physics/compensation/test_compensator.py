@@ -18,6 +18,7 @@ from kr270_milling.cell.jobs import compensated, cut_along, record_of, simulate
 from kr270_milling.cell.models import modal_model_of, path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.cli import main
+from kr270_milling.decide.verdict import monte_carlo
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, noise_floor, remaining_error
 from kr270_milling.physics.compensation.method import Correction
@@ -253,6 +254,25 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
         for ran in (original, simulate(cell, by.reference))
     )
     assert before.min() > 30 * UM and after.max() < 1 * UM
+
+
+def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_other_robots(cell):
+    """Robots with a soft base and a lag of 10 to 20 Hz, other ones than it planned for."""
+    moving = cell.replace(compensation=cell.compensation.replace(criterion="least_squares"))
+    numbers = {k: 0.0 for k, v in vars(cell.uncertainty).items() if isinstance(v, float) and k != "reference_inertia"}
+    exact = cell.uncertainty.replace(servo_frequency=np.array([]), end_share=np.array([]), **numbers)
+    ran = record_of(moving, simulate(moving))
+
+    def revised(uncertainty, method):
+        planned = moving.replace(uncertainty=uncertainty)
+        return jobs.compensator(planned, planned.target(), method).revise(ran)
+
+    inverse, same = revised(exact, "inverse"), revised(exact, "robust")
+    assert same.position == pytest.approx(inverse.position, abs=1e-9)
+    lagging = exact.replace(servo_frequency=np.array([10.0, 20.0]), base_compliance=0.08e-6)
+    robust, judged = revised(lagging, "robust"), moving.replace(uncertainty=lagging)
+    errors = np.array([monte_carlo(judged, run, 6, 1).compensated for run in (inverse, robust)])
+    assert np.mean(errors[1] ** 2) < 0.5 * np.mean(errors[0] ** 2)
 
 
 def test_lines_between_the_knots_a_missing_wrench_and_noise_of_the_pose_leave_little(cell, learned):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from time import process_time
 from timeit import timeit
 
@@ -20,7 +21,7 @@ from kr270_milling.physics.compensation import arm_fit, response
 from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.physics.compensation.limiting import Limited
-from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
+from kr270_milling.physics.compensation.response import ArmResponse, Lag, Segments, cubic_coefficients
 
 OMEGA, ZETA = 42.0, 0.04
 KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
@@ -52,6 +53,54 @@ def test_lifted_response(kind, damping):
     assert obtained[..., 0] == pytest.approx(run.sample(SEGMENTS.middle_ns)[..., 0], abs=1e-18)  # rigid there
     middle = np.interp(SEGMENTS.middle_ns.ravel(), FINE, expected)
     return 0.0, np.abs(obtained[..., 1].ravel() - middle).max(), 1e-9  # 50 us steps of lsim: 2e-5 of 50 um
+
+
+def test_motors_follow_a_correction_late():
+    """Second order of 10 Hz, against lsim. A dead time T is exact up to s^2; at s = 2 pi i the s^3 leaves 4e-4."""
+    w, run = 2 * np.pi * 10.0, correction(True)
+    shift = run.sample(FINE)
+    rest = [lsim(([w * w], [1.0, 1.4 * w, w * w]), axis - axis[0], FINE * 1e-9)[1] + axis[0] for axis in shift.T]
+    expected = np.stack([np.interp(KNOTS[:-1], FINE, axis) for axis in rest], axis=1)
+    cubic = cubic_coefficients(KNOTS, run.position, run.velocity)
+    assert np.abs(Lag.of(w, 0.7, 0.0).follow(SEGMENTS, cubic)[:, 0] - expected).max() < 1e-9
+    late, s = Lag.of(w, 0.7, 5e-3), 2j * np.pi
+    obtained, exact = ((1 + 2 * z * s / v + (s / v) ** 2) for v, z in ((late.frequency, late.damping), (w, 0.7)))
+    assert abs(1.0 / obtained - np.exp(-5e-3 * s) / exact) < 5e-4
+    assert Lag.of(0.0, 0.7, 0.0) is None
+
+
+def test_the_adjoint_of_the_response_has_the_same_inner_product():
+    """<y, H c> = <H^T y, c> for arms whose modes turn from posture to posture, with and without a lag."""
+    rng, (m, n, r) = np.random.default_rng(3), (len(SEGMENTS), 4, 3)
+    posture, carry = np.arange(m) * n // m, np.eye(r) + 0.1 * rng.normal(size=(n, r, r))
+    shapes = rng.normal(size=(n, r, 3)), rng.normal(size=(n, 3, r)), np.zeros((n, r, 6))
+    arm = ArmResponse(rng.uniform(30, 90, (n, r)), np.full((n, r), 0.05), *shapes, carry, gain=0.9, posture=posture)
+    cubic, slope = rng.normal(size=(m, 4, 3)) * [[1.0], [1e1], [1e2], [1e3]], rng.normal(size=(m, 16, 3))
+    for one in (arm, dataclasses.replace(arm, lag=Lag(60.0, 0.7)), ArmResponse.rigid(m)):
+        assert np.sum(slope * one.follow(SEGMENTS, cubic)) == pytest.approx(np.sum(cubic * one.pull(SEGMENTS, slope)))
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_the_least_mean_square_over_robots_has_no_slope_in_any_direction_that_the_knots_allow(smooth):
+    """Three robots with other modes and lags. The cost is quadratic, so its differences to both sides are equal."""
+    rng, m = np.random.default_rng(5), len(SEGMENTS)
+    conditions = KnotConditions(smooth, np.zeros(m + 1, bool), np.zeros(m, bool))
+    deviations = rng.normal(50e-6, 20e-6, (3, 1, 1, 3)) * np.ones((3, m, 16, 1))
+    arms = [dataclasses.replace(one_mode(w), lag=Lag(3.0 * w, 0.7)) for w in (36.0, 42.0, 50.0)]
+    weight, lifted = np.broadcast_to(np.eye(3), (m, 16, 3, 3)), Lifted(one_mode(), SEGMENTS, conditions)
+    robots = list(zip(arms, deviations, strict=True))
+    best = lifted.least_mean_square(robots, weight, 1e-3, 1e-24).cubic
+
+    def cost(cubic):
+        left = np.mean([np.sum((d + arm.follow(SEGMENTS, cubic)) ** 2) for arm, d in robots])
+        return left + np.sum(lifted._roughness(cubic, 1e-3) * cubic)
+
+    least = cost(best)
+    assert least < 0.8 * cost(np.zeros_like(best))
+    for _ in range(8):
+        way = lifted.least_squares(rng.normal(0.0, 20e-6, (m, 16, 3)), weight, 1e-3).cubic
+        ahead, behind = cost(best + way) - least, cost(best - way) - least
+        assert min(ahead, behind) > 0.0 and abs(ahead - behind) < 1e-3 * (ahead + behind)
 
 
 def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last_by_its_compliance():
