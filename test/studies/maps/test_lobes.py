@@ -62,7 +62,7 @@ def random_loop(rng):
     entry = (-np.pi / 2, np.pi / 2 - arc, -arc / 2)[rng.integers(3)]
     k_t = rng.uniform(3e8, 25e8)
     stiffness = k_t * np.array([1.0, rng.uniform(0.1, 0.6), rng.uniform(-0.3, 0.3)])
-    k = int(max(60, 40 * delay * hertz.max()))
+    k = int(max(60, 40 * delay * hertz.max(), 24 * 2 * np.pi / teeth / arc))  # 24 intervals on the arc
     fine = (np.arange(200 * k) + 0.5) / k / 200
     b = np.zeros((k, 3, 2))
     for tooth in range(teeth):
