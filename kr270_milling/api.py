@@ -14,9 +14,9 @@ from kr270_milling.base.column import TextTable, as_dict, columns_of, fixed, tab
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell import cell as cells
-from kr270_milling.cell import jobs
+from kr270_milling.cell import cell_file, jobs
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance
 from kr270_milling.decide import decision as decisions
@@ -96,12 +96,12 @@ class Pass(Shown, jobs.ScoredPass):
 
     def to_frame(self) -> pandas.DataFrame:
         """Every series as a pandas frame, units in the column names; raises MissingExtra without pandas."""
-        rows = series_rows(self.result, self.cell.target())
+        rows = series_rows(self.result, path_of(self.cell).target)
         return _pandas().DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
 
     def to_csv(self, path) -> Path:
         """Write every series as CSV; returns the path."""
-        write_files({Path(path): series_lines(self.result, self.cell.target())})
+        write_files({Path(path): series_lines(self.result, path_of(self.cell).target)})
         return Path(path)
 
     def plot(self) -> plotly.graph_objects.Figure:
@@ -110,9 +110,7 @@ class Pass(Shown, jobs.ScoredPass):
 
     def report(self, path) -> Path:
         """Write the report of the pass as one HTML page; returns the path."""
-        return _write_report(
-            path, self.cell, (self,), f"{self.cell.programmed.file_name or 'straight cut'}: {self.name}"
-        )
+        return _write_report(path, self.cell, (self,), f"{self.cell.path.file_name or 'straight cut'}: {self.name}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,9 +143,7 @@ class Compensation(Shown):
     def report(self, path) -> Path:
         """Write the report of both passes as one HTML page, the decision first; returns the path."""
         passes, cell = (self.original, self.compensated), self.original.cell
-        title = (
-            f"{cell.programmed.file_name or 'straight cut'}: before and after compensation ({self.compensated.name})"
-        )
+        title = f"{cell.path.file_name or 'straight cut'}: before and after compensation ({self.compensated.name})"
         return _write_report(path, cell, passes, title, decision=self.decision, checked=self.checked)
 
 
@@ -222,7 +218,7 @@ def read_cell(path, *assignments: str) -> Cell:
 
     >>> cell = read_cell("paper.yaml", "path.length_mm=30", "tool.teeth=2")
     """
-    return cells.read_cell(find_file(str(path)), assignments)
+    return cell_file.read_cell(find_file(str(path)), assignments)
 
 
 def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
@@ -299,8 +295,9 @@ def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, to
     >>> placements(cell, x_mm=range(1200, 1801, 100)).query("feasible").nsmallest(5, "error_max_um")
     """
     frames = _pandas()
-    axes = grid_axes(cell, (x_mm, y_mm, z_mm, turn_deg, tool_turn_deg))
-    grid = Placements(cell, path_places(cell), axes)
+    axes = grid_axes(cell.workpiece, (x_mm, y_mm, z_mm, turn_deg, tool_turn_deg))
+    places = path_places(path_of(cell), jobs.simulate(cell).result)
+    grid = Placements(arm_of(cell), cell.uncertainty.left, places, axes)
     return frames.DataFrame(grid.columns(0, len(grid)))
 
 
@@ -335,7 +332,7 @@ def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True)
     for one in passes:
         which = f" {one.name}" if len(passes) > 1 else ""
-        series = dict(zip(COLUMNS[1:], series_rows(one.result, one.cell.target()).T, strict=True))
+        series = dict(zip(COLUMNS[1:], series_rows(one.result, path_of(one.cell).target).T, strict=True))
         deviation = series["path_deviation_um"]
         figure.add_scatter(x=one.result.time, y=deviation, name=f"deviation{which}", row=1, col=1)
         for axis in "xyz":
@@ -348,8 +345,6 @@ def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
 
 
 def _write_report(path, cell: Cell, passes: Sequence[Pass], title: str, **more) -> Path:
-    text = report_text(
-        cell, passes, title=title, source=cell.programmed.file_name, command="Python", date=now(), **more
-    )
+    text = report_text(cell, passes, title=title, source=cell.path.file_name, command="Python", date=now(), **more)
     write_files({Path(path): (text,)})
     return Path(path)

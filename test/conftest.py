@@ -27,6 +27,7 @@ from json_keys import every_answer_is_in_the_table
 from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import cut_of, path_of
 
 #: every process that a test starts runs this checkout, not an installed package
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
@@ -66,17 +67,17 @@ def compile_learning() -> None:
 
 def compile_cut(detail: str) -> Cell:
     """Compile the pass, the cut along a path and a single step; returns the cell."""
-    from small_part import GCODE, small_part
+    from samples.small_part import GCODE, small_part
 
     from kr270_milling.cell.jobs import simulate
 
     with tempfile.TemporaryDirectory() as directory:
         cell = small_part(Path(directory), GCODE, f"cutting.detail={detail}")
-        cell.target()
+        assert path_of(cell).target
     simulate(cell)
     places = np.zeros((2, 3))
-    cell.cut().along(places, np.array([0, 1]))
-    cell.cut().sweep(*places, 0, 1)
+    cut_of(cell).along(places, np.array([0, 1]))
+    cut_of(cell).sweep(*places, 0, 1)
     return cell
 
 
@@ -150,7 +151,7 @@ def every_json_answer():
 @pytest.fixture(scope="session")
 def short_cell():
     from kr270_milling.base.parameter_file import find_file
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
 
     return read_cell(find_file("paper.yaml"), [*SHORT, "publish.every=1"])
 

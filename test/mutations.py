@@ -146,7 +146,7 @@ MUTATIONS = [
     ("lifted corner", LIFTED, "given[corner, rate, v] = <<-|>>jump[corner]"),
     ("lifted cost to go", LIFTED, "gradient[:size] <<+|->> coupling @ push[k]"),
     ("lifted policy", LIFTED, "to_go = total[:size, :size] <<+|->> coupling"),
-    ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> deviated)"),
+    ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> modelled)"),
     ("repeatability", IMPERFECTIONS, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),
     ("flank", BACKLASH, "lost = 0.5 * width[j] * (flank <<-|+>> first)"),
     ("friction", BACKLASH, "if torque < <<-|>>friction"),

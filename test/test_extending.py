@@ -72,6 +72,7 @@ import numpy as np
 from kr270_milling import read_cell
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.samples import WrenchSample
+from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.path.cam.readers import read_toolpath
@@ -100,10 +101,10 @@ assert "rigid_pose" in {topic.name for topic in published_by("compliant_robot")}
 assert topic_table() in Path("kr270_milling/live/nodes/README.md").read_text(encoding="utf-8")
 cell = read_cell("paper.yaml", "path.length_mm=4")
 robot = RobotProtocol(cell)
-robot.reference = cell.target()
+robot.reference = path_of(cell).target
 robot.start()
 published = dict(robot.wrench(WrenchSample(0, "workpiece", np.zeros(6))))
-assert np.allclose(published["rigid_pose"].position, cell.target().position[0])
+assert np.allclose(published["rigid_pose"].position, path_of(cell).target.position[0])
 assert to_bytes(published["rigid_pose"])
 
 # the reader

@@ -11,7 +11,7 @@ from pages import PAGES, ROOT, blocks, differences, directory_of, run_page, upda
 
 from kr270_milling.api import compensate
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import COMMANDS, _parser, main
 from kr270_milling.physics.compensation.methods import METHODS

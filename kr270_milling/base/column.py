@@ -29,9 +29,9 @@ CONVERGED = 1e-7
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """How a field is written and shown; the value of the field is in SI."""
+    """Name, unit and format of a field in files and tables; the value of the field is in SI."""
 
-    name: str  #: of the field
+    name: str  #: field of the record
     key: str  #: in JSON and CSV, ends in its unit; "": the field is not written
     factor: float  #: SI -> unit of the key
     title: str  #: in the report; "": the field is not shown there
@@ -84,9 +84,9 @@ def computed(*about, **more) -> Callable[[Callable], Any]:
     """Return a decorator that makes a property with its column; about, more: as of ``column``."""
 
     def decorate(function: Callable) -> property:
-        made = _Computed(function)
-        made.about = _about(*about, **more)
-        return made
+        computed = _Computed(function)
+        computed.about = _about(*about, **more)
+        return computed
 
     return decorate
 

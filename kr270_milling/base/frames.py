@@ -24,7 +24,7 @@ JOINT_NAMES = tuple(f"joint_{i}" for i in range(1, 7))  #: as in the drivers of 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """One pose or a stack of poses: coordinates in the moving frame map to ``rotation @ p + position``."""
+    """A pose or a stack of poses: coordinates in the moving frame map to ``rotation @ p + position``."""
 
     position: np.ndarray  #: [m], (..., 3)
     rotation: np.ndarray  #: (..., 3, 3)

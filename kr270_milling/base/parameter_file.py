@@ -192,14 +192,14 @@ def _strict_loader():
             return super().compose_node(parent, index)
 
         def construct_mapping(self, node, deep=False):
-            seen = set()
+            keys = set()
             for name, _ in node.value:
                 key = self.construct_object(name, deep=True)
                 if not isinstance(key, str):
                     raise yaml.YAMLError(f"the key in line {name.start_mark.line + 1} is not a text")
-                if key in seen:
+                if key in keys:
                     raise yaml.YAMLError(f"the key {key!r} occurs twice, again in line {name.start_mark.line + 1}")
-                seen.add(key)
+                keys.add(key)
             return super().construct_mapping(node, deep)
 
         def construct_scalar(self, node):

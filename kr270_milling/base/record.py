@@ -12,6 +12,7 @@ In a file it reads ``diameter_mm: 20.0``; in code ``tool.diameter`` is 0.020 [m]
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import numbers
 import typing
@@ -23,9 +24,20 @@ from kr270_milling.base.parameter_file import find_file, merge, override, read_t
 from kr270_milling.base.units import UNITS
 
 __all__ = [
-    "Record", "Spec", "derived", "parameter", "specs", "build", "flatten", "tree_of", "read_tree", "merge", "override",
+    "Record",
+    "Spec",
+    "build",
+    "derived",
     "find_file",
-]  # fmt: skip
+    "flatten",
+    "merge",
+    "override",
+    "parameter",
+    "read_tree",
+    "section",
+    "specs",
+    "tree_of",
+]
 
 #: key of an earlier version -> what its user must know
 MOVED = {
@@ -52,10 +64,10 @@ class Spec:
     above: float = -math.inf  # exclusive lower bound
     choices: tuple[str, ...] = ()
     size: int | None = None  # of an array; None: any
+    key: str = ""  # in a file; empty: from name and unit
 
-    @property
-    def key(self) -> str:
-        return f"{self.name}_{self.unit}" if self.unit else self.name
+    def __post_init__(self):
+        object.__setattr__(self, "key", self.key or (f"{self.name}_{self.unit}" if self.unit else self.name))
 
     @property
     def scale(self) -> float:
@@ -63,7 +75,7 @@ class Spec:
 
     @property
     def optional(self) -> bool:
-        """Whether the value may be missing: NaN in the record, and no key in a file."""
+        """Return whether the value may be missing: NaN in the record, and no key in a file."""
         return self.kind is float and isinstance(self.default, float) and math.isnan(self.default)
 
     @property
@@ -168,11 +180,17 @@ def parameter(default=dataclasses.MISSING, **about):
     return dataclasses.field(default=default, metadata=about)
 
 
+def section(record: type, key: str = ""):
+    """Return a dataclass field for a section that a file may leave out; key: in the file, if not the field's name."""
+    return dataclasses.field(default_factory=record, metadata={"key": key})
+
+
 def derived(default):
     """A dataclass field that no parameter file sets."""
     return dataclasses.field(default=default, metadata={"derived": True})
 
 
+R = typing.TypeVar("R", bound="Record")
 _SPECS: dict[type, tuple[Spec, ...]] = {}  # cache, one entry for each record class
 
 
@@ -180,14 +198,14 @@ def specs(record: type[Record]) -> tuple[Spec, ...]:
     """Return the parameters of a record class in their order; ``kind`` of a nested record is its class."""
     if record not in _SPECS:
         hints = typing.get_type_hints(record)
-        made = []
+        result = []
         for field in dataclasses.fields(record):
             if "derived" in field.metadata:  # no parameter
                 continue
             default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
             kind = typing.get_origin(hints[field.name]) or hints[field.name]
-            made.append(Spec(field.name, kind, default, **field.metadata))
-        _SPECS[record] = tuple(made)
+            result.append(Spec(field.name, kind, default, **field.metadata))
+        _SPECS[record] = tuple(result)
     return _SPECS[record]
 
 
@@ -196,7 +214,8 @@ class Record:
     """Base of the parameter dataclasses: checks every value on construction and makes arrays read-only.
 
     Raises ParameterError with key and value in the file's unit. A record from a parameter file stores the numbers of
-    the file, so that ``tree_of`` returns them unchanged.
+    the file, so that ``tree_of`` returns them unchanged. Records with the same values are equal, so that what is
+    computed from them is cached by their values.
     """
 
     def __post_init__(self):
@@ -208,15 +227,40 @@ class Record:
     def check(self) -> None:
         """Check conditions between several values; a child class raises ParameterError."""
 
-    def replace(self, **changes):
+    @functools.cached_property
+    def _values(self) -> tuple:
+        return tuple(_hashable(getattr(self, field.name)) for field in dataclasses.fields(self))
+
+    @functools.cached_property
+    def _hash(self) -> int:
+        return hash(self._values)
+
+    def __eq__(self, other) -> bool:
+        return self is other or (type(other) is type(self) and other._values == self._values)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __getstate__(self) -> dict:
+        """Return the state without the hash, which differs from process to process."""
+        return {name: value for name, value in vars(self).items() if name not in ("_values", "_hash")}
+
+    def replace(self: R, **changes) -> R:
         """Return a copy with some values (SI) replaced."""
         copy = dataclasses.replace(self, **changes)
         return _keep(copy, {name: value for name, value in _given(self).items() if name not in changes})
 
 
-def _keep(record, given: dict):
+def _hashable(value):
+    """Return an array as bytes and NaN, a value that is not given, as None."""
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _keep(record, from_file: dict):
     """Store name -> value of the file, in the file's units, in the record, and return the record."""
-    object.__setattr__(record, "_in_file_units", given)
+    object.__setattr__(record, "_in_file_units", from_file)
     return record
 
 
@@ -238,35 +282,35 @@ def build(record: type[Record], tree: dict, file="", prefix: str = ""):
                 raise ConfigError(file, f"{prefix}{key}", None, MOVED[prefix + key])
             hint = nearest(str(key), known, f"; known here: {', '.join(known)}")
             raise ConfigError(file, f"{prefix}{key}", None, "is not a known key" + hint)
-    values, given = {}, {}
+    values, from_file = {}, {}
     for key, spec in known.items():
         if issubclass(spec.kind, Record):
             if key in tree or spec.default is dataclasses.MISSING:
                 values[spec.name] = build(spec.kind, tree.get(key, {}), file, f"{prefix}{key}.")
         elif key in tree:
             try:
-                given[spec.name] = spec.read(tree[key])
+                from_file[spec.name] = spec.read(tree[key])
             except ValueError:
                 raise refusal(file, prefix + key, tree[key], spec.allowed) from None
-            values[spec.name] = spec.to_si(given[spec.name])
+            values[spec.name] = spec.to_si(from_file[spec.name])
         elif spec.default is dataclasses.MISSING:
             raise ConfigError(file, prefix + key, None, f"is missing; it must be {spec.allowed} ({spec.text})")
     try:
-        return _keep(record(**values), given)
+        return _keep(record(**values), from_file)
     except ParameterError as error:
         raise refusal(file, prefix + error.key, error.value, error.allowed) from None
 
 
 def tree_of(record: Record) -> dict:
     """Return the nested dict of a parameter file, in file units; numbers that come from a file are unchanged."""
-    given = _given(record)
+    from_file = _given(record)
     tree: dict[str, typing.Any] = {}
     for spec in specs(type(record)):
         value = getattr(record, spec.name)
         if issubclass(spec.kind, Record):
             tree[spec.key] = tree_of(value)
         elif not (spec.optional and math.isnan(value)):
-            tree[spec.key] = given[spec.name] if spec.name in given else spec.to_file(value)
+            tree[spec.key] = from_file[spec.name] if spec.name in from_file else spec.to_file(value)
     return tree
 
 

@@ -100,7 +100,7 @@ class Text(Sample):
 
 @dataclass(frozen=True, eq=False)
 class JointProgram(Sample):
-    """What a joint controller runs (trajectory_msgs/JointTrajectory); a row of NaN: the point has no such values."""
+    """Trajectory of a joint controller (trajectory_msgs/JointTrajectory); NaN: the point has no such values."""
 
     stamp: int  #: start [ns]; 0: at once
     frame: str
@@ -126,7 +126,7 @@ class LearnedRecording(NamedTuple):
     """A pass from which the compensator computed a reference trajectory."""
 
     recording: str  #: file of the pass with its directory, such as original/original.mcap; empty: not recorded
-    fingerprint: str  #: of all poses and wrenches that the compensator received
+    fingerprint: str  #: stamps of all poses and wrenches that the compensator received
     poses: int
     wrenches: int
 

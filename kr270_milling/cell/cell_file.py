@@ -1,27 +1,205 @@
-"""Write a cell as a parameter file that a node and ``read_cell`` read back bit for bit."""
+"""Read the cell of a parameter file; write a cell as a file that a node and ``read_cell`` read back bit for bit."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import contextlib
+import pathlib
+import re
+from collections.abc import Sequence
 
+import numpy as np
 import yaml
 
-from kr270_milling.base.record import tree_of
+from kr270_milling.base.errors import ConfigError, InputError, ParameterError
+from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
+from kr270_milling.base.parameter_file import merge
+from kr270_milling.base.record import build, override, read_tree, specs, tree_of
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import removal_of
+from kr270_milling.cell.paths import StraightCut
+from kr270_milling.cell.sections import Workpiece
+from kr270_milling.cell.stage import Stage
+from kr270_milling.path.cam.readers import find_tool_path
+from kr270_milling.path.source_program import SourceProgram
+from kr270_milling.physics.robot import pose
 
-__all__ = ["cell_text", "write_cell_file"]
+__all__ = ["cell_text", "read_cell", "read_cells", "write_cell_file"]
+
+SAME_PLACE = 1e-3  #: [mm], [deg]
+LONG_CUTTING = 60.0  #: [s]; programs that cut longer are not swept tooth by tooth where cutting.detail is auto
+#: sections that a tool may override; its other keys are those of ``tool``
+SECTIONS = ("compensation", "cutting", "dynamics", "exchange", "limits", "mount", "part", "program", "stock", "timing")
+
+
+def read_cell(path, assignments=()) -> Cell:
+    """The cell of a parameter file, with ``key=value`` texts on top; raises ConfigError, InputError.
+
+    What a program says and the file does not, the spindle speed, is taken from the program. A file with ``tools``
+    gives the cell of ``path.tool``.
+    """
+    cells = read_cells(path, assignments)
+    if len(cells) > 1:
+        advice = f"choose one with --set path.tool={cells[0].path.tool}"
+        raise ConfigError(path, "tools", None, f"has {len(cells)} tools, and one cell is wanted: {advice}")
+    return cells[0]
+
+
+def read_cells(path, assignments=()) -> tuple[Cell, ...]:
+    """The cells of all ``tools`` of a parameter file, in the order of the program; one cell without ``tools``.
+
+    ``path.tool`` chooses one of the tools. The earlier tools leave their programmed part until ``Cell.after`` states
+    their passes. Raises ConfigError, InputError.
+    """
+    below = read_tree(path)
+    tree, assigned = override(below, assignments)
+    name = tree.get("path", {}).get("file") if isinstance(tree.get("path"), dict) else None
+    if isinstance(name, str) and name:
+        tree["path"]["file"] = str(find_tool_path(name, pathlib.Path(path).parent))
+    if "tools" not in tree:
+        return (_one_cell(tree, assigned, path),)
+    chosen = tree.get("path", {}).get("tool", "") if isinstance(tree.get("path"), dict) else ""
+    by_tool = {name: _cell_of_tool(name, one, assigned, path) for name, one in _tool_trees(tree, path).items()}
+    order = _in_program_order(tuple(by_tool), next(iter(by_tool.values())).path.source, path)
+    cells = [by_tool[name] for name in order]
+    cut = [removal_of(cell) for cell in cells]
+    tips = [cell.mount.xyz.tolist() for cell in cells]
+    stages = [
+        Stage(order[k], k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :]), tips[k] in tips[:k])
+        for k in range(len(cells))
+    ]
+    staged = [_staged(cell, stage, path) for cell, stage in zip(cells, stages, strict=True)]
+    return tuple(cell for cell in staged if chosen in ("", cell.path.tool))
+
+
+def _staged(cell: Cell, stage: Stage, path) -> Cell:
+    """The cell of one of several tools, with the name of the tool in that of the robot program."""
+    try:
+        krl = cell.krl.replace(name=cell.krl.name + stage.suffix)
+    except ParameterError as error:
+        raise ConfigError(path, "program.name", error.value, f"{error.allowed}, with the tool") from None
+    return cell.replace(stage=stage, krl=krl)
+
+
+def _cell_of_tool(name: str, tree: dict, assigned: frozenset, path) -> Cell:
+    try:
+        return _one_cell(tree, assigned, path)
+    except ConfigError as error:
+        key = re.sub(r"^tool\.", f"tools.{name}.", error.key)
+        raise ConfigError(path, key, error.value, error.allowed) from None
+
+
+def _one_cell(tree: dict, assigned: frozenset, path) -> Cell:
+    """The placed cell of one tree, with its program, the spindle speed that it states and the cut that it needs."""
+    cell = _placed(build(Cell, tree, path), assigned, path)
+    cell = cell.replace(path=cell.path.loaded())  # an error appears where the path is used
+    try:
+        return _with_cut_model(_with_spindle(cell))
+    except ParameterError as error:
+        raise ConfigError(path, error.key, error.value, error.allowed) from None
+
+
+def _with_spindle(cell: Cell) -> Cell:
+    if cell.tool.spindle_speed > 0.0:
+        return cell
+    speeds = cell.path.source.spindle_speeds
+    if not speeds:
+        raise ParameterError("tool.spindle_speed_rpm", 0.0, "above 0: the program in path.file has no spindle speed S")
+    return cell.replace(tool=cell.tool.replace(spindle_speed=abs(speeds[0])))
+
+
+def _with_cut_model(cell: Cell) -> Cell:
+    """Return the cell with ``cutting.detail`` as teeth or engagement; engagement: with its period and its grid.
+
+    A program that cannot be read leaves ``auto``: the error appears where the path is used.
+    """
+    detail = cell.cutting.detail
+    if detail == "auto":
+        with contextlib.suppress(InputError):
+            detail = "engagement" if cell.path.cutting_time > LONG_CUTTING else "teeth"
+    if detail != "engagement":
+        return cell.replace(cutting=cell.cutting.replace(detail=detail)) if detail != cell.cutting.detail else cell
+    return cell.replace(
+        cutting=cell.cutting.replace(detail=detail),
+        exchange=cell.exchange.for_engagement(cell.tool.spindle_speed),
+        stock=cell.stock.for_engagement(float(cell.tool.radii.max())),
+    )
+
+
+def _placed(cell: Cell, assigned: frozenset, path) -> Cell:
+    """Return the cell with its workpiece where the start joints put the tool at the start of the straight cut.
+
+    A place in the file must agree with this place; a place of the command line moves the workpiece.
+    """
+    workpiece = cell.workpiece
+    if not workpiece.at_start_joints:
+        return cell
+    cut = StraightCut(cell.path, cell.stock, cell.tool, cell.timing, cell.exchange).target
+    start = Pose(cut.position[0], rotation_from_quaternion(cut.quaternion[0]))
+    derived = pose(cell.arm, cell.mount, cell.start_joints) @ start.inverse()
+    place = {"xyz": derived.position, "abc": abc_from_rotation(derived.rotation)}
+    moved = False
+    for spec in (spec for spec in specs(Workpiece) if spec.name in place):
+        given = getattr(workpiece, spec.name)
+        if assigned & {f"workpiece.{spec.key}", "workpiece.base_kuka"}:
+            moved = True
+        elif given.size and not np.allclose(given, place[spec.name], rtol=0.0, atol=SAME_PLACE * spec.scale):
+            value = tree_of(workpiece)[spec.key]
+            raise ConfigError(path, f"workpiece.{spec.key}", value, "left out: at_start_joints places the workpiece")
+        if given.size:
+            del place[spec.name]
+    return cell.replace(workpiece=workpiece.replace(at_start_joints=not moved, **place))
+
+
+def _tool_trees(tree: dict, file) -> dict[str, dict]:
+    """The trees of a cell for each of its ``tools``, by name; raises ConfigError."""
+    tools, path = tree["tools"], tree.get("path")
+    if not isinstance(tools, dict) or not tools or not all(isinstance(entry, dict) for entry in tools.values()):
+        raise ConfigError(file, "tools", None, "must have a group of keys for each tool, for example T1: {teeth: 2}")
+    if not isinstance(path, dict) or not path.get("file"):
+        raise ConfigError(file, "tools", None, "needs a program in path.file")
+    chosen = path.get("tool", "")
+    if chosen and chosen not in tools:
+        raise ConfigError(file, "path.tool", chosen, f"one of {', '.join(tools)}")
+    return {name: _tree_of_tool(tree, name, file) for name in tools}
+
+
+def _tree_of_tool(tree: dict, name: str, file) -> dict:
+    entry = tree["tools"][name]
+    if isinstance(entry.get("stock"), dict) and {"min_mm", "max_mm"} & set(entry["stock"]):
+        raise ConfigError(file, f"tools.{name}.stock", None, "must not have min_mm, max_mm: the tools share one stock")
+    sections = {key: value for key, value in entry.items() if key in SECTIONS}
+    tool = {key: value for key, value in entry.items() if key not in SECTIONS}
+    above = {**sections, "tool": tool, "path": {"tool": name}}
+    return merge({key: value for key, value in tree.items() if key != "tools"}, above)
+
+
+def _in_program_order(names: Sequence[str], program: SourceProgram, file) -> list[str]:
+    """The names of the tools by their first line in the program; file: of the cell.
+
+    Raises ConfigError where the program cuts with a tool that has no name here, or where a tool cuts again after
+    another one.
+    """
+    cutters = sorted((tool for tool in program.tools if tool.cuts), key=lambda tool: tool.line)
+    for tool in cutters:
+        if tool.name not in names:
+            raise ConfigError(file, f"tools.{tool.name}", None, f"is missing: the program cuts with {tool.label}")
+    for tool, following in zip(cutters, cutters[1:], strict=False):
+        if tool.last_cut > following.line:
+            reason = f"cuts again in line {tool.last_cut}, after {following.name}: post a program that uses it once"
+            raise ConfigError(file, f"tools.{tool.name}", None, reason)
+    return [tool.name for tool in cutters]
 
 
 def cell_text(cell: Cell) -> str:
     """Return the cell as YAML text; its numbers are read back bit for bit."""
     tree = _without_empty(tree_of(cell))
-    for file in cell.programmed.files:
+    for file in cell.path.files:
         tree["path"]["file"] = str(file)
     text = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None, width=110)
     return "# Written by kr270_milling: the cell of this run.\n" + text
 
 
-def write_cell_file(cell: Cell, path: Path) -> None:
+def write_cell_file(cell: Cell, path: pathlib.Path) -> None:
     path.write_text(cell_text(cell), encoding="utf-8")
 
 

@@ -14,6 +14,8 @@ from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, low_frequency_of, modal_model_of, path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, perturbed
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -24,17 +26,17 @@ from kr270_milling.physics.compensation.mirror import Mirror, mirror
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
-from kr270_milling.physics.motion.dynamics import ModalModel
+from kr270_milling.physics.motion.dynamics import ArmFactors, ModalModel
 from kr270_milling.physics.motion.imperfections import SERVO_DAMPING, Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
 
 __all__ = [
     "ScoredPass", "arm_response", "commanded_joints", "compensated", "compensator", "expected_deviations",
-    "joint_ranges", "mean_force", "pass_record", "record_of", "scored", "simulate",
+    "joint_ranges", "long_pass", "mean_force", "pass_record", "record_of", "scored", "simulate",
 ]  # fmt: skip
 
-
+LONG_PASS = 500_000  #: exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
 PLANNED = 16  #: simulated robots for which ``robust`` plans
 PLANNING_SEED = 1_000_000  #: of these robots: no verdict draws them, whose seeds are smaller
 
@@ -62,20 +64,20 @@ def simulate(
 
     most_rows: of the result, see ``PassResult.every``.
     """
-    target = cell.target()
+    target = path_of(cell).target
     reference = target if reference is None else reference
     if plant is not None:
         result, number = plant.run(reference, progress), plant.passes - 1
         record = pass_record(
             cell, result.time_ns, _measured(cell, result), result.wrench, plant.cell.imperfections, number
         )
-        return ScoredPass(name, reference, result, scored(cell, result, plant.cell.low_frequency), record)
-    cut = cell.cut()
+        return ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant.cell)), record)
+    cut = cut_of(cell)
     result = run_pass(
-        cell.arm_model(reference), cut, cell.clock, target, reference, cell.exchange.iterations, progress,
-        cell.programmed.drilling_at, most_rows,
+        arm_model_of(cell, reference), cut, path_of(cell).clock, target, reference, cell.exchange.iterations, progress,
+        path_of(cell).drilling_at, most_rows,
     )  # fmt: skip
-    if not cell.programmed.straight:  # its sweep takes long, so the assessment of the part uses this workpiece
+    if not path_of(cell).straight:  # its sweep takes long, so the assessment of the part uses this workpiece
         result = dataclasses.replace(result, heights=cut.map_heights()[2])
     return ScoredPass(name, reference, result, scored(cell, result))
 
@@ -87,11 +89,11 @@ def scored(
 
     low_frequency [Hz]: of the arm that ran, where that is another one.
     """
-    feed = (target or cell.target()).sample_velocity(result.time_ns)
-    lowest = cell.low_frequency if low_frequency is None else low_frequency
+    feed = (target or path_of(cell).target).sample_velocity(result.time_ns)
+    lowest = low_frequency_of(cell) if low_frequency is None else low_frequency
     return score(
-        result.time, result.actual, result.target, feed, cell.full_engagement, lowest, result.deflection[:, 1],
-        straight=cell.programmed.straight,
+        result.time, result.actual, result.target, feed, path_of(cell).full_engagement, lowest, result.deflection[:, 1],
+        straight=path_of(cell).straight,
     )  # fmt: skip
 
 
@@ -108,7 +110,7 @@ def _measured(cell: Cell, result: PassResult) -> np.ndarray:
 
     At an entry the prediction over 4 ms is off by some um, which a method must not learn.
     """
-    return result.actual if cell.by_engagement else result.tool
+    return result.actual if cell.cutting.by_engagement else result.tool
 
 
 def pass_record(
@@ -124,7 +126,7 @@ def pass_record(
     noise = (tracker or cell.imperfections).pose_noise
     sensed = wrench if tracker is None else tracker.sensed(wrench, number)
     tool = tool if tracker is None else tracker.measured(tool, number)
-    return PassRecord(time_ns, tool, cell.scored_from_ns, sensed, revolution, noise)
+    return PassRecord(time_ns, tool, round(path_of(cell).full_engagement * 1e9), sensed, revolution, noise)
 
 
 def compensator(cell: Cell, target: Trajectory, method: str | Method | None = None) -> Compensator:
@@ -137,8 +139,8 @@ def models_of(cell: Cell) -> CellModels:
     return CellModels(
         mirror=lambda target, wrench: mirrored(cell, target, wrench),
         arm=lambda target: arm_response(cell, target),
-        predict=lambda reference: record_of(cell, simulate(cell, reference)),
-        cut=lambda target, time_ns, shift: deviated_cut(cell, target, time_ns, shift),
+        predict=lambda reference, factors: predicted(cell, reference, factors),
+        cut=lambda path: cut_along(cell, path),
         robots=lambda target, reference: robot_passes(cell, target, reference),
     )
 
@@ -162,7 +164,7 @@ def robot_passes(
             return None
         return robot_response(robot, target), PassRecord(ran.time_ns, ran.actual)
 
-    with ThreadPoolExecutor(1 if model.long_pass else cores()) as pool:
+    with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
         return [ran for ran in pool.map(run, drawn) if ran is not None]
 
 
@@ -175,13 +177,13 @@ def robot_response(robot: Cell, target: Trajectory) -> ArmResponse:
 
 def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
     """The modes of the arm on each segment of the target, at one posture or along the path, as the pass has them."""
-    models, posture = [cell.modal_model], np.zeros(len(target) - 1, int)  # posture: number of a segment's model
+    models, posture = [modal_model_of(cell)], np.zeros(len(target) - 1, int)  # posture: number of a segment's model
     if cell.dynamics.follow_pose:
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])
         place = np.rint(0.5 * (way[1:] + way[:-1]) / cell.dynamics.posture_spacing).astype(int)
         _, first, posture = np.unique(place, return_index=True, return_inverse=True)
         middle = (target.time_ns[1:] + target.time_ns[:-1])[first] // 2
-        models = cell.modes_at(cell.joints_along(target, middle))
+        models = arm_of(cell).modes_at(arm_of(cell).joints_along(target, middle))
     return ArmResponse(
         frequency=np.stack([model.frequency for model in models]),
         damping=np.stack([model.ratios(cell.dynamics.damping_ratio) for model in models]),
@@ -207,18 +209,32 @@ def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[fl
     wrench of the cut on the target: no pass is run, and the cut does not answer the motion of the tool."""
     settings = cell.compensation
     models = dataclasses.replace(models_of(cell), arm=lambda target: robot_response(cell, target))
-    learner = Learner.of_model(cell.target(), models, settings.criterion, settings.smooth).expect()
+    learner = Learner.of_model(path_of(cell).target, models, settings.criterion, settings.smooth).expect()
     return [learner.predicted(reference) for reference in references]
 
 
-def deviated_cut(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:
-    """The cut alone, along a path that deviates from the target by shifts (k, 3) [m] at times (k,) [ns]."""
-    steps = np.arange(cell.clock.steps(target.duration_ns) + 1)
-    stamps = cell.clock.stamp(steps)
-    tool = target.sample(stamps) + np.column_stack([np.interp(stamps, time_ns, axis) for axis in shift.T])
-    wrench, _, _ = cell.cut().along(tool, steps * cell.clock.micro_steps)
-    wrench = np.where(cell.programmed.drilling_at(stamps)[:, None], 0.0, wrench)
+def cut_along(cell: Cell, path: Trajectory) -> PassRecord:
+    """The cut alone, by a tool that runs on ``path``."""
+    steps = np.arange(path_of(cell).clock.steps(path.duration_ns) + 1)
+    stamps = path_of(cell).clock.stamp(steps)
+    tool = path.sample(stamps)
+    wrench, _, _ = cut_of(cell).along(tool, steps * path_of(cell).clock.micro_steps)
+    wrench = np.where(path_of(cell).drilling_at(stamps)[:, None], 0.0, wrench)
     return pass_record(cell, stamps, tool, wrench)
+
+
+def predicted(cell: Cell, reference: Trajectory, factors: ArmFactors | None = None) -> PassRecord:
+    """The pass that the model predicts along ``reference``; factors: of an identified arm on the modelled arm."""
+    path, driven = path_of(cell), reference
+    target = path.target
+    if factors is not None and factors.gain != 1.0:
+        velocity = reference.velocity
+        if velocity is not None and target.velocity is not None:
+            velocity = target.velocity + factors.gain * (velocity - target.velocity)
+        driven = target.with_position(target.position + factors.gain * (reference.position - target.position), velocity)
+    arm, iterations = arm_model_of(cell, reference, factors), cell.exchange.iterations
+    result = run_pass(arm, cut_of(cell), path.clock, target, driven, iterations, silent=path.drilling_at)
+    return record_of(cell, result)
 
 
 def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
@@ -238,7 +254,7 @@ def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
     Where the controller does not compensate the sag under the link weights, they do.
     """
     if cell.compensation.sag_compensated:
-        return cell.joints(reference)
+        return arm_of(cell).joints(reference)
     return _mirror(cell, reference, np.zeros((len(reference), 6)), False).joints
 
 
@@ -251,9 +267,14 @@ def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
 def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
     tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
     return mirror(
-        cell.arm, cell.mount, tool, wrench_in_base, cell.posture, tool_compliance=cell.tool.lateral_compliance,
+        cell.arm, cell.mount, tool, wrench_in_base, arm_of(cell).posture, tool_compliance=cell.tool.lateral_compliance,
         relaxation=cell.compensation.relaxation, sag_compensated=sag_compensated,
     )  # fmt: skip
+
+
+def long_pass(path: CellPath) -> bool:
+    """Whether the series of a pass along a path fill so much memory that few of them are stored."""
+    return path.clock.steps(path.target.duration_ns) > LONG_PASS
 
 
 def compensated(
@@ -265,8 +286,9 @@ def compensated(
     by: a compensator to do it with; plant: what runs the passes, the original one included.
     """
     passes: dict[int, ScoredPass] = {}
-    by = by or compensator(cell, cell.target(), method)
-    large = plant is None and cell.long_pass  # its series fill 200 MB an hour: the pass of the result is run again
+    by = by or compensator(cell, path_of(cell).target, method)
+    # its series fill 200 MB an hour: the pass of the result is run again
+    large = plant is None and long_pass(path_of(cell))
     name = method_of(method).name
 
     def run(reference: Trajectory) -> PassRecord:

@@ -16,7 +16,7 @@ from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Stock, Tool
-from kr270_milling.physics.motion.exchange import Exchange
+from kr270_milling.physics.motion.periods import Exchange
 
 __all__ = [
     "MOST_STEPS",

@@ -4,59 +4,50 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import os
-import pathlib
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError, ParameterError
-from kr270_milling.cell.path import MOST_STEPS, check_duration, check_effort, check_feed, check_path
-from kr270_milling.cell.sections import Path
-from kr270_milling.path.cam.readers import read_path_file
-from kr270_milling.path.source_program import SourceProgram
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.cell.path import MOST_STEPS, check_duration, check_effort, check_path
+from kr270_milling.cell.sections import PathSection
 from kr270_milling.path.timing import TimedPath, Timing, limit_by_joints, time_path
-from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Stock, Tool
-from kr270_milling.physics.motion.exchange import Exchange
-from kr270_milling.physics.robot import Arm
+from kr270_milling.physics.motion.periods import Clock, Exchange
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
-__all__ = ["ProgramPath", "StraightCut"]
+__all__ = ["CellPath", "ProgramPath", "StraightCut"]
 
 SLOW = 0.1  #: share of the time of the milling moves, for ``slow_feed``
 WIDE = 5.0  #: ratio of the widths of path and stock above which the unit is probably wrong
 
 
 @dataclass(frozen=True, eq=False)
-class StraightCut:
-    """A cut along +x of the workpiece frame, described by the keys of ``path``."""
-
-    path: Path
+class _Programmed:
+    path: PathSection
     stock: Stock
     tool: Tool
     timing: Timing
     exchange: Exchange
 
+    @functools.cached_property
+    def clock(self) -> Clock:
+        return self.exchange.clock(self.tool.spindle_speed)
+
+
+@dataclass(frozen=True, eq=False)
+class StraightCut(_Programmed):
+    """A cut along +x of the workpiece frame, described by the keys of ``path``."""
+
     #: the path is one line: its scores are those of the paper, and its feed has one direction
     straight = True
-    file_name = ""
-    files = ()  #: that a copy of the cell needs
-    sha256 = ""  #: of the file
-    program = SourceProgram()
-    spindle_speed_needed = True  #: no program states the spindle speed
-    cutting_time = 0.0  #: [s], of a program
+    by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
     drills = False  #: whether the program has a drilling cycle
     mills = True  #: whether the program cuts in more than drilling cycles
-
-    @property
-    def name(self) -> str:
-        return f"straight cut of {1e3 * self.path.length:g} mm"
 
     @property
     def description(self) -> str:
@@ -83,7 +74,7 @@ class StraightCut:
         """[s], when the middle of a tool that enters along x reaches the border of the stock."""
         return max(0.0, float(self.stock.min[0] - self.path.start[0])) / self.path.feed_rate
 
-    @property
+    @functools.cached_property
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip, knots at the controller step."""
         start = [*self.path.start, self.stock.max[2] - self.path.depth_of_cut]
@@ -118,47 +109,21 @@ class StraightCut:
 
 
 @dataclass(frozen=True, eq=False)
-class ProgramPath:
+class ProgramPath(_Programmed):
     """The tool path of ``path.file``: G-code, APT, a CSV of points or a recording."""
 
-    path: Path
-    stock: Stock
-    tool: Tool
-    timing: Timing
-    exchange: Exchange
-    arm: Arm
-    joints: Callable[[Trajectory], np.ndarray]  #: trajectory -> joint positions [rad], (n, 6), at its knots
+    arm: PlacedArm
     by_teeth: bool = True  #: each tooth is swept
 
     straight = False
     full_engagement = 0.0  #: [s], the whole path is scored where it cuts
 
     @property
-    def name(self) -> str:
-        return self.path.file.rpartition("/")[2]
-
-    file_name = name
-
-    @property
     def description(self) -> str:
         """The path as the object of a sentence."""
         seconds = self.target.duration_ns * 1e-9
         shown = f"{seconds:.3g}" if seconds < 1000 else f"{seconds:.0f}"
-        return f"{self.name} ({self.length:.3g} m of path in {shown} s)"
-
-    @property
-    def files(self) -> tuple[pathlib.Path, ...]:
-        """The absolute path of the file, since nodes run in another directory."""
-        return (pathlib.Path(self.path.file).resolve(),)
-
-    @property
-    def sha256(self) -> str:
-        """Of the file."""
-        with open(self.path.file, "rb") as stream:
-            digest = hashlib.sha256()
-            while block := stream.read(1 << 20):
-                digest.update(block)
-        return digest.hexdigest()
+        return f"{self.path.name} ({self.length:.3g} m of path in {shown} s)"
 
     @property
     def length(self) -> float:
@@ -182,26 +147,6 @@ class ProgramPath:
         time = np.cumsum(path.block_length[milling] / path.feed[milling])
         return float(path.feed[milling[np.searchsorted(time, SLOW * time[-1])]]) if milling.size else 0.0
 
-    @property
-    def spindle_speed_needed(self) -> bool:
-        """Whether no program can state the spindle speed."""
-        return self.path.recorded
-
-    @property
-    def program(self) -> SourceProgram:
-        """The statements of the program beside its moves; empty for a recording."""
-        read = self.fed.toolpath if self.tool.spindle_speed > 0.0 else self._read()
-        return SourceProgram() if isinstance(read, TimedPath) else read.program
-
-    @property
-    def cutting_time(self) -> float:
-        """[s], of the cutting moves at their programmed feeds; of a recording: its duration."""
-        read = self._read()
-        if isinstance(read, TimedPath):
-            return read.trajectory.duration_ns * 1e-9
-        cutting = ~read.rapid & (read.feed > 0.0)  # a recorded path may begin with a block without a feed
-        return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
-
     @functools.cached_property
     def fed(self) -> TimedPath:
         """The tool path under the limits of the controller alone; a recorded trajectory keeps its times.
@@ -209,7 +154,7 @@ class ProgramPath:
         Raises InputError where the file cannot be read, the pass would take days, or the path does not belong to tool
         and stock.
         """
-        read = self._read()
+        read = self.path.read()
         timed = read if isinstance(read, TimedPath) else time_path(read, self.timing)
         check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock, self.by_teeth)
         check_path(self.path.file, timed, self.tool, self.stock)
@@ -222,12 +167,12 @@ class ProgramPath:
         Raises InputError where a point is out of reach.
         """
         try:
-            joints = self.joints(self.fed.trajectory)
+            joints = self.arm.joints(self.fed.trajectory)
         except (ReachError, JointLimitError, SingularityError) as error:
             raise self._unreachable(error) from None
         if self.fed.timed_by_source:
             return self.fed
-        speed, acceleration = self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
+        speed, acceleration = self.arm.arm.joint_speed_limit, self.arm.arm.joint_acceleration_limit
         return dataclasses.replace(
             self.fed, trajectory=limit_by_joints(self.fed.trajectory, joints, speed, acceleration)
         )
@@ -236,9 +181,6 @@ class ProgramPath:
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip, knots at the controller step."""
         return self.timed.trajectory
-
-    def check(self) -> None:
-        """The file is read and checked when it is used."""
 
     @property
     def knot_source(self) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -269,17 +211,6 @@ class ProgramPath:
         drilling = self.timed.toolpath.drilling
         return drilling[self.timed.block_at(time_ns)] if drilling.any() else np.zeros(time_ns.size, bool)
 
-    def _read(self) -> Toolpath | TimedPath:
-        path = self.path
-        try:
-            state = os.stat(path.file)
-        except (OSError, ValueError) as error:
-            raise InputError(path.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
-        read = _read_once(path.file, path.tool, path.topic, path.feed_rate, (state.st_mtime_ns, state.st_size))
-        if not (path.length or path.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
-            check_feed(path.file, read, path.feed_rate)
-        return read
-
     def _unreachable(self, error: ReachError | JointLimitError | SingularityError) -> InputError:
         """The error of the arm with point and line, and a hint where the path is far larger than the stock."""
         point = error.index[0] if error.index else 0
@@ -293,7 +224,4 @@ class ProgramPath:
         return InputError(self.path.file, f"point {point + 1} of the path: {reason}", line)
 
 
-@functools.lru_cache(maxsize=8)
-def _read_once(file: str, tool: str, topic: str, feed: float, stamp: tuple) -> Toolpath | TimedPath:
-    """The tool path of a file, read once for each tool as long as its stamp is the same."""
-    return read_path_file(file, tool, topic, feed)
+CellPath = StraightCut | ProgramPath

@@ -8,7 +8,10 @@ import os
 
 import numpy as np
 
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.path.controller_motion import other_motion
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Tool
@@ -38,11 +41,10 @@ class Plant:
 
     def __init__(self, model: Cell, cell: Cell, imperfections: Imperfections | None = None):
         programmed = {
-            name: getattr(model, name)
-            for name in ("path", "timing", "start_joints", "compensation", "stage", "program")
+            name: getattr(model, name) for name in ("path", "timing", "start_joints", "compensation", "stage", "krl")
         }
         self.cell = cell.replace(imperfections=imperfections or cell.imperfections, **programmed)
-        self.target = model.target()
+        self.target = path_of(model).target
         self.passes = 0  #: run so far
 
     def run(self, reference: Trajectory, progress=None) -> PassResult:
@@ -55,9 +57,9 @@ class Plant:
         self.passes += 1
         course = imperfect_course(cell, reference, number, self.target)
         iterations = cell.exchange.iterations
-        model = imperfect_arm(cell, reference, cell.arm_model(reference))
-        silent = cell.programmed.drilling_at
-        return run_pass(model, cell.cut(), cell.clock, self.target, course, iterations, progress, silent)
+        model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
+        silent = path_of(cell).drilling_at
+        return run_pass(model, cut_of(cell), path_of(cell).clock, self.target, course, iterations, progress, silent)
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Trajectory | None = None) -> Trajectory:
@@ -66,9 +68,9 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Tra
     target: the programmed trajectory; None: that of the cell.
     """
     assumed = cell.imperfections
-    target = cell.target() if target is None else target
+    target = path_of(cell).target if target is None else target
     if assumed.joining:
-        reference = other_motion(reference, target, assumed.joining, cell.program.blend_distance)
+        reference = other_motion(reference, target, assumed.joining, cell.krl.blend_distance)
     if assumed.servo_frequency or assumed.servo_delay:
         reference = assumed.lagged(reference, target)
     if not assumed.repeatability:
@@ -79,31 +81,35 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Tra
 def imperfect_arm(cell: Cell, reference: Trajectory, model: ArmModel) -> ArmModel:
     """Return the arm of a plant that follows ``reference``: its model, with the backlash of its joints."""
     width = cell.imperfections.backlash
-    return dataclasses.replace(model, gaps=joint_gaps(cell, reference, width)) if width.any() else model
+    if not width.any():
+        return model
+    return dataclasses.replace(model, gaps=joint_gaps(arm_of(cell), path_of(cell), reference, width))
 
 
-def joint_gaps(cell: Cell, reference: Trajectory, width: np.ndarray, periods: int = 1) -> Gaps:
+def joint_gaps(arm: PlacedArm, path: CellPath, reference: Trajectory, width: np.ndarray, periods: int = 1) -> Gaps:
     """Return the gaps of joints with a backlash ``width`` [rad], (6,), along a reference, one knot a controller step.
 
     periods: exchange periods that count as one step.
 
     tau = J_G^T G - M_theta q''   weight (6) and inertia of rigid links; q'' from differences of the joint positions
     """
-    every = max(cell.steps_of(cell.timing.controller_step), -(-cell.clock.steps(reference.duration_ns) // MOST_KNOTS))
-    knots = np.arange(max(3, -(-cell.clock.steps(reference.duration_ns) // every) + 1))
-    joints = cell.joints_along(reference, np.minimum(cell.clock.stamp(knots * every), reference.duration_ns))
-    frames = forward(cell.arm, cell.mount, joints)
-    loads = link_loads(cell.arm, cell.mount, GRAVITY if cell.dynamics.gravity else 0.0)
-    inner = np.diff(joints, 2, axis=0) / (every * cell.clock.period) ** 2
+    clock = path.clock
+    steps = clock.steps(reference.duration_ns)
+    every = max(path.exchange.steps_of(path.timing.controller_step), -(-steps // MOST_KNOTS))
+    knots = np.arange(max(3, -(-steps // every) + 1))
+    joints = arm.joints_along(reference, np.minimum(clock.stamp(knots * every), reference.duration_ns))
+    frames = forward(arm.arm, arm.mount, joints)
+    loads = link_loads(arm.arm, arm.mount, GRAVITY if arm.dynamics.gravity else 0.0)
+    inner = np.diff(joints, 2, axis=0) / (every * clock.period) ** 2
     acceleration = np.concatenate([inner[:1], inner, inner[-1:]])
-    inertia = np.einsum("nij,nj->ni", rigid_joint_mass(cell.arm, cell.mount, joints), acceleration)
-    to_workpiece = np.kron(np.eye(2), cell.workpiece.pose.rotation.T)
+    inertia = np.einsum("nij,nj->ni", rigid_joint_mass(arm.arm, arm.mount, joints), acceleration)
+    to_workpiece = np.kron(np.eye(2), arm.place.rotation.T)
     return Gaps(
         torque=load_torque(frames, np.zeros(6), loads) - inertia,
         jacobian=np.ascontiguousarray(to_workpiece @ jacobian_at(frames, frames.tool.position)),
-        friction=np.array(cell.arm.friction_torque),
+        friction=np.array(arm.arm.friction_torque),
         width=np.array(width, float),
-        share=1.0 - float(np.exp(-periods * cell.clock.period * cell.tool.spindle_speed / (2.0 * np.pi))),
+        share=1.0 - float(np.exp(-periods * clock.period * path.tool.spindle_speed / (2.0 * np.pi))),
         steps_per_knot=every / periods,
     )
 
@@ -189,8 +195,8 @@ def coarser(cell: Cell) -> Cell:
     a quarter of the time.
     """
     turns = cell.tool.spindle_speed / (2.0 * math.pi)
-    fed = cell.fed_path
-    if fed is None or cell.by_engagement:
+    fed = path_of(cell).fed
+    if fed is None or cell.cutting.by_engagement:
         return cell
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import hashlib
 import math
+import os
+import pathlib
 import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.record import Record, parameter, specs
-from kr270_milling.path.cam.readers import known_reader
+from kr270_milling.base.record import Record, derived, parameter, specs
+from kr270_milling.cell.path import check_feed
+from kr270_milling.path.cam.readers import known_reader, read_path_file
+from kr270_milling.path.source_program import SourceProgram
+from kr270_milling.path.timing import TimedPath
+from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.motion.imperfections import LEAST_SERVO_FREQUENCY
 
-__all__ = ["Limits", "Path", "Program", "Tolerances", "Uncertainty", "Workpiece"]
+__all__ = ["Limits", "PathSection", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +72,7 @@ class Workpiece(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Path(Record):
+class PathSection(Record):
     """YAML ``path``: a tool path file, or a straight cut along +x of the workpiece frame."""
 
     file: str = parameter(
@@ -88,19 +97,96 @@ class Path(Record):
         "slot", choices=("slot", "up", "down"), text="lobes over speed: sense of a cut that is no slot"
     )
 
+    content: Toolpath | TimedPath | None = derived(None)  #: of ``file``, once it is read
+
     @property
     def recorded(self) -> bool:
         """Whether ``file`` is a recording."""
         reader = known_reader(self.file)
         return reader is not None and reader.recorded
 
+    @property
+    def file_name(self) -> str:
+        return self.file.rpartition("/")[2]
+
+    @property
+    def name(self) -> str:
+        return self.file_name or f"straight cut of {1e3 * self.length:g} mm"
+
+    @property
+    def files(self) -> tuple[pathlib.Path, ...]:
+        """Absolute paths of the files that a copy of the cell needs, since nodes run in another directory."""
+        return (pathlib.Path(self.file).resolve(),) if self.file else ()
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the file; empty for a straight cut."""
+        if not self.file:
+            return ""
+        with open(self.file, "rb") as stream:
+            digest = hashlib.sha256()
+            while block := stream.read(1 << 20):
+                digest.update(block)
+        return digest.hexdigest()
+
+    @property
+    def source(self) -> SourceProgram:
+        """Statements of the program beside its moves; empty for a straight cut and a recording."""
+        read = self.read() if self.file else None
+        return read.program if isinstance(read, Toolpath) else SourceProgram()
+
+    @property
+    def cutting_time(self) -> float:
+        """Time of the cutting moves at their programmed feeds [s]; of a recording: its duration; 0: no program."""
+        if not self.file:
+            return 0.0
+        read = self.read()
+        if isinstance(read, TimedPath):
+            return read.trajectory.duration_ns * 1e-9
+        cutting = ~read.rapid & (read.feed > 0.0)  # a recorded path may begin with a block without a feed
+        return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
+
+    def read(self) -> Toolpath | TimedPath:
+        """Return the content of ``file``; raises InputError where it cannot be read or has another feed than the cell.
+
+        A section with its content keeps it, also when the file changes later.
+        """
+        if self.content is not None:
+            return self.content
+        try:
+            state = os.stat(self.file)
+        except (OSError, ValueError) as error:
+            raise InputError(self.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, (state.st_mtime_ns, state.st_size))
+        if not (self.length or self.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
+            check_feed(self.file, read, self.feed_rate)
+        return read
+
+    def loaded(self) -> PathSection:
+        """Return the section with the content of its file; unchanged where the file cannot be read."""
+        if not self.file or self.content is not None:
+            return self
+        with contextlib.suppress(InputError):
+            return self.replace(content=self.read())
+        return self
+
+    def replace(self, **changes) -> PathSection:
+        """Return a copy with some values (SI) replaced; its file is read anew."""
+        return super().replace(**{"content": None, **changes})
+
     def check(self) -> None:
         if self.topic and not self.recorded:
             raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
-        for spec in () if self.file else specs(Path):
+        for spec in () if self.file else specs(PathSection):
             if spec.kind is float and not getattr(self, spec.name) > 0.0:
                 value = getattr(self, spec.name) / spec.scale
                 raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
+
+
+@functools.lru_cache(maxsize=8)
+def _read_once(file: str, tool: str, topic: str, feed: float, stamp: tuple) -> Toolpath | TimedPath:
+    """Return the tool path of a file, read once for each tool as long as its stamp is the same."""
+    return read_path_file(file, tool, topic, feed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,6 +395,11 @@ class Uncertainty(Record):
         for key, span in (("servo_frequency_hz", self.servo_frequency), ("end_share", self.end_share)):
             if span.size not in (0, 2) or np.any(np.diff(span) < 0.0):
                 raise ParameterError(key, span.tolist(), "empty, or lowest and highest")
+
+    @property
+    def left(self) -> float:
+        """Share of an error that compensation leaves, one standard deviation of joints and forces."""
+        return math.hypot(self.joint_compliance, self.force_coefficient)
 
     def of_compliances(self) -> np.ndarray:
         """Of the six compliances, (6,)."""

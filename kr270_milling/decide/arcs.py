@@ -6,13 +6,14 @@ The tool runs without deflection through a coarse height map. At a place the map
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.paths import CellPath
+from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map
 
 __all__ = ["Arcs", "arcs_along"]
@@ -45,12 +46,17 @@ class Arcs:
     spacing: float  #: [m], from place to place on the path
 
 
-def arcs_along(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Arcs:
-    """The engagements of the programmed path, without rapid moves and steep ways down; progress(done, total)."""
-    radius = float(cell.tool.radii.max())
-    timed, target = cell.timed_path, cell.target()
-    length = timed.toolpath.length if timed else cell.path.length
-    area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
+def arcs_along(
+    path: CellPath, earlier: Sequence[Removal] = (), progress: Callable[[int, int], None] | None = None
+) -> Arcs:
+    """The engagements of the programmed path, without rapid moves and steep ways down.
+
+    earlier: material that other tools remove before; progress(done, total).
+    """
+    radius = float(path.tool.radii.max())
+    timed, target, stock = path.timed, path.target, path.stock
+    length = path.length
+    area = float(np.prod((stock.max - stock.min)[:2]))
     step = max(
         radius / NODES_PER_RADIUS,
         (VISITS * length * radius / MOST_VISITS) ** 0.5,
@@ -58,25 +64,25 @@ def arcs_along(cell: Cell, progress: Callable[[int, int], None] | None = None) -
     )
     distance = np.linspace(0.0, length, 2 + int(length / step))
     if timed:
-        path, swept = timed.toolpath, timed.toolpath.position_at(distance)
+        toolpath, swept = timed.toolpath, timed.toolpath.position_at(distance)
         distance = distance[::EVERY]
-        block, (position, tangent, _) = path.block_at(distance), path.on_path(distance)
+        block, (position, tangent, _) = toolpath.block_at(distance), toolpath.on_path(distance)
         time = np.interp(distance, timed.distance, target.time)
-        rapid, feed, feature = path.rapid[block], path.feed[block], path.feature[block]
-        features = tuple(name or "unnamed" for name in path.features)
+        rapid, feed, feature = toolpath.rapid[block], toolpath.feed[block], toolpath.feature[block]
+        features = tuple(name or "unnamed" for name in toolpath.features)
     else:
         time = np.linspace(0.0, target.time[-1], distance.size)
         swept = target.sample(np.round(1e9 * time).astype(np.int64))
         time, position, distance = time[::EVERY], swept[::EVERY], distance[::EVERY]
         along = target.position[-1] - target.position[0]
         tangent = np.tile(along / np.linalg.norm(along), (distance.size, 1))
-        rapid, feed = np.zeros(distance.size, bool), np.full(distance.size, cell.path.feed_rate)
+        rapid, feed = np.zeros(distance.size, bool), np.full(distance.size, path.feed_rate)
         feature, features = np.zeros(distance.size, np.int64), ("straight cut",)
     level = np.hypot(tangent[:, 0], tangent[:, 1])
     heading = np.arctan2(tangent[:, 1], tangent[:, 0])
     look = ~rapid & (level > STEEP)
-    grid = height_map(cell.stock, step, swept, radius)
-    for removal in cell.stage.earlier if cell.stage else ():
+    grid = height_map(stock, step, swept, radius)
+    for removal in earlier:
         lower_along(grid, removal.radius, on_map(removal.programmed))
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
     swept = on_map(swept)
@@ -90,7 +96,7 @@ def arcs_along(cell: Cell, progress: Callable[[int, int], None] | None = None) -
         np.arcsin(np.clip((least[some] - step / 2) / radius, -1, 1)),
         np.arcsin(np.clip((most[some] + step / 2) / radius, -1, 1)),
     )
-    entry, leave = left if cell.tool.sense > 0.0 else (-left[1], -left[0])
+    entry, leave = left if path.tool.sense > 0.0 else (-left[1], -left[0])
     return Arcs(
         position[some], time[some], heading[some], feed[some], feature[some], features, depth[some], entry, leave,
         EVERY * step,

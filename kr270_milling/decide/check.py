@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
 from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
@@ -130,47 +131,47 @@ def check(
     context that yields a function for the progress of a step. Where the arm cannot make the path, nothing is simulated.
     Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
     """
-    fed = cell.fed_path
-    programmed = cell.target() if fed is None else fed.trajectory
+    fed = path_of(cell).fed
+    programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
-    results, joints = arm_violations(cell, run)
+    results, joints = arm_violations(arm_of(cell), cell.limits, run)
     stability = residue = rapid_moves = exchange = reversals = program_size = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in results)
     del joints  # of a long program they take 100 MB
     if reachable and reference is None and fed is not None:
-        run = cell.target()  # slowed down to what the joints can do
-        results, _ = arm_violations(cell, run)
+        run = path_of(cell).target  # slowed down to what the joints can do
+        results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
-        target = cell.target()
+        target = path_of(cell).target
         straight = run.velocity is None and target.velocity is not None
-        robot_program = cell.program.replace(motion=motion or ("LIN" if straight else cell.program.motion))
+        robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, target, run, robot_program)
         program_size = program_blocks(robot_program, target, run)
         ran, cut = _cut(cell, run, ran, progress)
         results += cut
         if ran:
-            jumps = load_reversals(cell, run, ran)
+            jumps = load_reversals(arm_of(cell), path_of(cell), run, ran)
             results += jumps
-            reversals = separate(cell, run, "load reversal", jumps)
-        rapid_moves = separate(cell, run, "rapid in material", cut)
+            reversals = separate(path_of(cell), run, "load reversal", jumps)
+        rapid_moves = separate(path_of(cell), run, "rapid in material", cut)
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             with progress("stability") as report:
                 stability = stability_statement(cell, report)
             results += chatter_violations(stability, run.time)
         residue = residue_of(cell, ran.result) if ran else None
         if ran:
-            exchange = exchange_share(cell, ran)
+            exchange = exchange_share(path_of(cell), ran)
             results += exchange.violations()
         if residue and residue.word == "grows":
-            if stability and stability.word_at(cell, residue.time) == "stable":
+            if stability and stability.word_at(path_of(cell), residue.time) == "stable":
                 residue = dataclasses.replace(residue, word="remains")
             point = int(np.clip(np.searchsorted(run.time, residue.time), 0, len(run) - 1)) + 1
             kind = "growing vibration" if residue.word == "grows" else "remaining vibration"
             results.append(violation(kind, residue.residue, residue.limit, point, percent=100 * residue.residue))
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(
-        gathered(cell, run, results),
+        gathered(path_of(cell), run, results),
         len(run),
         ran if reachable else None,
         program,

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.findings import Violation, stretches, violation, violations
 from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map
 from kr270_milling.path.trajectory import Trajectory
@@ -37,7 +38,7 @@ SAME_AXIS = 1e-9  #: [m], sideways, of a move along the tool axis
 PLUNGE = math.sin(math.radians(20.0))  # [Kyocera2021]: 20 deg at 25 mm, 16, 12.5, 11, 8.5, 6 deg at 28 to 50 mm
 SOLID_RAMP = math.tan(math.radians(5.0))  #: solid end mills take 2 to 5 deg (carbide-tooling.com, ramping angle)
 INSERT_RAMP = math.tan(math.radians(20.0))
-LEAST_INSERTS = 16e-3  #: [m], assumed: a smaller cutter has no room for inserts
+LEAST_INSERTS = 16e-3  #: [m], assumed: a smaller cutter with inserts is taken as a solid one
 #: [m], [Kyocera2021]: a bore of 2 D - 16 mm at least, so that the inserts cut 8 mm of the radius. A ramp at the angles
 #: above sinks 3.3 to 3.7 mm while the core passes a place (3.5 mm a turn are allowed): the depth of the hollow
 INSERT_WIDTH, HOLLOW = 8e-3, 3.7e-3
@@ -97,7 +98,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     inertia may bend the arm by more than the cut did.
     """
     position, time, block, step = _places(cell)
-    timed = cell.timed_path
+    timed = path_of(cell).timed
     rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, volume, sunk, shank, holder = met = np.zeros((6, len(position)))
@@ -186,9 +187,9 @@ def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
 
 def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Tool tips, times and blocks half a node step apart, and the node step [m]."""
-    target, timed = cell.target(), cell.timed_path
+    target, timed = path_of(cell).target, path_of(cell).timed
     radius = float(cell.tool.radii.max())
-    length = cell.programmed.length
+    length = path_of(cell).length
     area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
     # length / (step / 2) places of pi (radius / step)^2 nodes each are to stay below MOST_VISITS
     step = max(
@@ -219,7 +220,7 @@ def spring_back(cell: Cell, ran: ScoredPass) -> float:
     as much from a wall."""
     result = ran.result
     cutting = result.volume > 0.0
-    cutting &= ~cell.programmed.rapid_at(result.time_ns)
+    cutting &= ~path_of(cell).rapid_at(result.time_ns)
     return float(np.max(np.linalg.norm(result.deflection[cutting, :3], axis=1), initial=0.0))
 
 
@@ -244,7 +245,7 @@ def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     if tool.max_cutting_speed and speed > tool.max_cutting_speed:
         results.append(violation("cutting speed", speed, tool.max_cutting_speed))
     # one tooth in a slot feels K f a, K of tangent and radius; the mean of all is K f a teeth / 4
-    peak = max(1.0, 4.0 / tool.teeth) if cell.by_engagement else 1.0
+    peak = max(1.0, 4.0 / tool.teeth) if cell.cutting.by_engagement else 1.0
     stress = peak * tool.bending_stress * np.linalg.norm(ran.result.wrench[:, :2], axis=1)
     limit = CARBIDE_STRENGTH if tool.modulus > CARBIDE_MODULUS else STEEL_STRENGTH
     return results + violations("tool bending", _by_points(run, ran, stress), limit)
@@ -256,7 +257,7 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     Where its rapid moves meet no material, the simulated pass ``ran`` decides: its rapid moves must not enter the
     material that its cutting moves leave, further than the arm springs back.
     """
-    margin, timed = cell.limits.rapid_contact, cell.timed_path
+    margin, timed = cell.limits.rapid_contact, path_of(cell).timed
     contacts, results = _along_path(cell, run, margin)  # its places are released here
     if not contacts and ran is not None and timed is not None and timed.toolpath.rapid.any():
         earlier = cell.stage.earlier if cell.stage else ()
@@ -302,8 +303,8 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
 
 def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
     """Programmed feeds per tooth, where the tool cuts, beyond what its maker or any maker gives."""
-    tool, timed, source = cell.tool, cell.timed_path, "by what makers give for aluminium"
-    programmed = cell.feed_rate if timed is None else timed.toolpath.feed[met.block]
+    tool, timed, source = cell.tool, path_of(cell).timed, "by what makers give for aluminium"
+    programmed = path_of(cell).feed_rate if timed is None else timed.toolpath.feed[met.block]
     feed = programmed * 2.0 * np.pi / tool.spindle_speed / tool.teeth * ((met.depth > ROUNDING) & ~met.rapid)
     units = timed.toolpath.program.feed_units if timed else ()
     cause = f"; F is read in {' and '.join(units)}" if units else ""
@@ -373,7 +374,9 @@ def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]
     results = violations("plunge", met.sunk, 0.0, steep, part="cutter plunges", most="", **where)
     core = core_radius(tool.radius)
     solid, part = 2.0 * core * SOLID_RAMP, f"middle of the cutter, {2e3 * core:.3g} mm wide, sinks"
-    limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if tool.diameter >= LEAST_INSERTS else solid
+    program = path_of(cell).timed.toolpath.program.current if cell.timed_path else None
+    inserts = tool.type == "indexable" or (tool.type == "program" and program is not None and program.inserts)
+    limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if inserts and tool.diameter >= LEAST_INSERTS else solid
     for allowed, severity in ((limit, "stop"), (solid, "warning")):
         if not results:
             most = f"; makers allow {1e3 * allowed:.2g} mm"
@@ -418,11 +421,11 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     which teeth leave the material. Medians leave out entries, exits and corners, after which the arm swings for a few
     teeth. What swings slower than a tenth of the tooth frequency is left to the deviation.
     """
-    if cell.by_engagement:
+    if cell.cutting.by_engagement:
         return Residue("no statement", np.nan, teeth=False)
     tool = cell.tool
     period = 2.0 * np.pi / (tool.spindle_speed * tool.teeth)
-    feed_per_tooth = cell.feed_rate * period
+    feed_per_tooth = path_of(cell).feed_rate * period
     limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))
     unequal = tool.teeth if np.ptp(tool.radii) > 0.0 or not has_uniform_pitch(tool) else 0
     worst, grows, seconds = (-1.0, 0.0), False, result.time  # residue, time of its place

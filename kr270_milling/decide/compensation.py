@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
+from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, long_pass, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import Decision, decided
@@ -73,7 +74,7 @@ def compensate(
     progress(name, passes at most, text): a context that yields a function for the progress of a step. Other methods
     are compared where none was compared before, unless the pass is long: that keeps its series, 180 MB an hour.
     """
-    method, robots = (method or cell.compensation.method, robots) if cell.programmed.mills else (NO_METHOD, 0)
+    method, robots = (method or cell.compensation.method, robots) if path_of(cell).mills else (NO_METHOD, 0)
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
     comparison = None
@@ -81,8 +82,8 @@ def compensate(
         with progress("comparison"):
             comparison = compare_methods(cell, original)
         method = comparison.best
-    by = compensator(cell, cell.target(), None if method == NO_METHOD else method)
-    motions = tuple(motions) or (cell.program.motion if by.chosen.smooth else "LIN",)
+    by = compensator(cell, path_of(cell).target, None if method == NO_METHOD else method)
+    motions = tuple(motions) or (cell.krl.motion if by.chosen.smooth else "LIN",)
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
     planned = revised = original
     if method != NO_METHOD:
@@ -94,26 +95,26 @@ def compensate(
         programmed = written_pass(cell, original, motion, plant, report)
     if method == NO_METHOD:
         planned = revised = replace(programmed, name=NO_METHOD)
-    compared = original if robots and comparison is None and not cell.long_pass else None
+    compared = original if robots and comparison is None and not long_pass(path_of(cell)) else None
     plan = planned.scores
     by.first = None
     del original, planned
     with progress("surfaces"):
-        parts = () if cell.programmed.straight else assess_all(cell, (programmed, revised))
+        parts = () if path_of(cell).straight else assess_all(cell, (programmed, revised))
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited
     ]
     checked = check(
         cell, revised.reference, motion, revised, progress,
-        [*limited, *unlike(plan, revised.scores, cell.program.tolerance)],
+        [*limited, *unlike(plan, revised.scores, cell.krl.tolerance)],
     )  # fmt: skip
     judged: Verdict | None = None
     if robots:
         with progress("verdict") as report:
             judged = _verdict(cell, compared, revised, robots, seed, report, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
-    backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
+    backlash = backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
     return JudgedCompensation(programmed, plan, revised, by, parts, checked, decision, motions)
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.findings import Violation, violation
 
 __all__ = ["ExchangeShare", "exchange_share"]
@@ -42,21 +42,21 @@ class ExchangeShare:
         return [violation("exchange", self.share, self.stop, self.point, scale=self.scale)]
 
 
-def exchange_share(cell: Cell, ran: ScoredPass) -> ExchangeShare:
+def exchange_share(path: CellPath, ran: ScoredPass) -> ExchangeShare:
     """Return the largest correction of the poses that the arm predicted in a pass, as a share of the chip's length.
 
     The sweep of the teeth compares each correction with the feed per tooth. The mean force compares the root mean
     square over WINDOW with the feed of a period, or with that of a tooth where this is longer: material that one period
     missed is removed in the next, so that a single step of the force, as at an entry, changes one period alone.
     """
-    scale = cell.feed_rate * 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    scale = path.feed_rate * 2.0 * np.pi / (path.tool.spindle_speed * path.tool.teeth)
     correction, name, period = ran.result.correction, "feed per tooth", "exchange.period_ms"
-    if cell.by_engagement:
-        periods = max(1, round(WINDOW / cell.exchange.period))
+    if not path.by_teeth:
+        periods = max(1, round(WINDOW / path.exchange.period))
         correction = np.sqrt(np.convolve(correction**2, np.full(periods, 1.0 / periods), mode="same"))
         name, period = "feed per tooth or period, over 0.1 s", "exchange.engagement_period_ms"
-        scale = max(scale, cell.feed_rate * cell.exchange.period)
+        scale = max(scale, path.feed_rate * path.exchange.period)
     k = int(np.argmax(correction))
     point = int(np.searchsorted(ran.reference.time_ns, ran.result.time_ns[min(k, len(ran.result.time_ns) - 1)])) + 1
     share = float(correction[k]) / scale
-    return ExchangeShare(share, name, cell.exchange.warn_correction, cell.exchange.stop_correction, point, period)
+    return ExchangeShare(share, name, path.exchange.warn_correction, path.exchange.stop_correction, point, period)

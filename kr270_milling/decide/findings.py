@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
 
@@ -276,32 +276,32 @@ class Finding:
         return f"{self.sentence}{line}{times}. {self.advice}"
 
 
-def gathered(cell: Cell, run: Trajectory, results: Iterable[Violation]) -> tuple[Finding, ...]:
+def gathered(path: CellPath, run: Trajectory, results: Iterable[Violation]) -> tuple[Finding, ...]:
     """One finding for all violations of a kind, severity and subject, named by the worst; the worst severity first."""
     groups: dict[tuple[str, str, str], list[Violation]] = {}
     for one in results:
         groups.setdefault((one.severity, one.kind, one.subject), []).append(one)
-    findings = [_finding(cell, run, group) for group in groups.values()]
+    findings = [_finding(path, run, group) for group in groups.values()]
     return tuple(sorted(findings, key=lambda f: (SEVERITIES.index(f.severity), f.where.point or 0)))
 
 
-def separate(cell: Cell, run: Trajectory, kind: str, results: Iterable[Violation]) -> tuple[Finding, ...]:
+def separate(path: CellPath, run: Trajectory, kind: str, results: Iterable[Violation]) -> tuple[Finding, ...]:
     """One finding for each violation of a kind, in the order of the path."""
-    return tuple(_finding(cell, run, [one]) for one in results if one.kind == kind)
+    return tuple(_finding(path, run, [one]) for one in results if one.kind == kind)
 
 
-def _finding(cell: Cell, run: Trajectory, group: Sequence[Violation]) -> Finding:
+def _finding(path: CellPath, run: Trajectory, group: Sequence[Violation]) -> Finding:
     worst = max(group, key=lambda v: np.inf if np.isnan(v.value) else abs(v.value - v.limit))
     kind = KINDS[worst.kind]
     value, limit = worst.value * kind.scale, worst.limit * kind.scale
-    place = _place(cell, run, worst)
+    place = _place(path, run, worst)
     return Finding(worst.severity, worst.kind, place, value, limit, kind.unit, kind.advice, worst.sentence, len(group),
                    worst.amounts)  # fmt: skip
 
 
-def _place(cell: Cell, run: Trajectory, worst: Violation) -> Place:
+def _place(path: CellPath, run: Trajectory, worst: Violation) -> Place:
     """The place of a point of the program, of a block without a point, or of a line."""
-    fed, point, block = cell.fed_path, worst.point, worst.block
+    fed, point, block = path.fed, worst.point, worst.block
     if point is not None:
         position = run.position[min(point, len(run)) - 1]
     elif fed is not None and block is not None:

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.path.cam.comments import AXIAL_KINDS
 from kr270_milling.path.toolpath import Toolpath
@@ -80,7 +81,7 @@ def _placement(cell: Cell) -> list[Violation]:
 
 def _posture(cell: Cell) -> list[Violation]:
     """Joints outside the limits, or all so small that they must be radians."""
-    q, arm = np.asarray(cell.posture), cell.arm
+    q, arm = np.asarray(arm_of(cell).posture), cell.arm
     key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
     beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
     k = int(np.argmax(beyond))
@@ -116,14 +117,14 @@ def _material(cell: Cell) -> list[Violation]:
 
 def _program(cell: Cell) -> list[Violation]:
     """What contradicts the program of ``path.file``."""
-    fed = cell.fed_path
+    fed = path_of(cell).fed
     if fed is None:
         return []
     path = fed.toolpath
     findings = _outside(cell, path)
     tool = path.program.current
     silent = path.program.tools and not path.spindle_speed[~path.rapid].any()
-    if silent and not cell.program.spindle_on:
+    if silent and not cell.krl.spindle_on:
         block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
         findings.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block))
     if path.drilling.any():
@@ -142,7 +143,7 @@ def _program(cell: Cell) -> list[Violation]:
         x, y, z = 1e3 * cell.mount.xyz
         tip = f"[{x:g}, {y:g}, {z:g}]"
         findings.append(violation("tool length", 0.0, 0.0, line=tool.line, label=tool.label, tip=tip))
-    if tool.shape and cell.tool.type != "flat" and not (tool.shape in AXIAL_KINDS and _along_axis(cell, path)):
+    if tool.shape and cell.tool.type == "program" and not (tool.shape in AXIAL_KINDS and _along_axis(cell, path)):
         article = "an" if tool.shape[0] in "aeiou" else "a"
         findings.append(
             violation(

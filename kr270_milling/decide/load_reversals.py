@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import joint_gaps
 from kr270_milling.decide.findings import Finding, Violation, violation
 from kr270_milling.path.trajectory import Trajectory
@@ -21,18 +22,18 @@ LEAST_JUMP = 1e-7  #: [m], of the tool; a smaller jump shows nowhere
 ARCSEC = math.pi / 648000  # [rad]
 
 
-def load_reversals(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+def load_reversals(arm: PlacedArm, path: CellPath, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     """Each change of a flank under weight, inertia of the path and the cut of the simulated pass, in the order of time.
 
     The gaps are those of a plant whose joints have ``arm.backlash``; see ``physics.motion.backlash``.
     """
-    width, result = cell.arm.backlash, ran.result
+    width, result = arm.arm.backlash, ran.result
     places = []
-    for step, joint, jump in tool_jumps(joint_gaps(cell, run, width, result.every), result.wrench):
+    for step, joint, jump in tool_jumps(joint_gaps(arm, path, run, width, result.every), result.wrench):
         if jump < LEAST_JUMP:
             continue
         point = int(np.clip(np.searchsorted(run.time_ns, result.time_ns[step]), 0, len(run) - 1)) + 1
-        amounts = {"arcsec": float(width[joint] / ARCSEC), "friction_n_m": float(cell.arm.friction_torque[joint])}
+        amounts = {"arcsec": float(width[joint] / ARCSEC), "friction_n_m": float(arm.arm.friction_torque[joint])}
         source = " (assumed)" if math.isclose(width[joint], ASSUMED_BACKLASH[joint]) else " (arm.backlash_arcsec)"
         places.append(
             violation("load reversal", jump, 0.0, point, subject=f"axis {joint + 1}", amounts=amounts, source=source)
@@ -40,10 +41,13 @@ def load_reversals(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violati
     return places
 
 
-def backlash_statement(cell: Cell, reversals: Sequence[Finding] | None, drawn: bool) -> str:
-    """Return whether the decision includes the backlash; drawn: a verdict with plants was made."""
-    width = cell.uncertainty.backlash * cell.arm.backlash / ARCSEC
-    if not cell.arm.backlash.any():
+def backlash_statement(backlash: np.ndarray, share: float, reversals: Sequence[Finding] | None, drawn: bool) -> str:
+    """Return whether the decision includes the backlash [rad], (6,).
+
+    share: largest multiple of it in a plant; drawn: a verdict with plants was made.
+    """
+    width = share * backlash / ARCSEC
+    if not backlash.any():
         return "backlash: none (arm.backlash_arcsec is 0)"
     if drawn and width.any():
         return f"backlash: in the verdict only, 0 to {width.max():.3g} arcsec"

@@ -5,15 +5,18 @@ Knots that offend one after another make one violation, named by the worst of th
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.cell.sections import Limits
 from kr270_milling.decide.findings import Violation, violation, violations
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
-from kr270_milling.physics.robot import inverse_along, singularity_measures, status_turn
+from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
 from kr270_milling.physics.robot.errors import SingularityError
 from kr270_milling.physics.robot.inverse import branches
 
@@ -23,38 +26,39 @@ LEAST_ROUNDING = 1e-7  #: [m], of a corner; less is no matter
 MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
 
-def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
+def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
     """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
-    results = _reach(cell, run)
+    arm = placed.arm
+    results = _reach(placed, run)
     if results:
         return results, None
-    unlimited = cell.arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
+    unlimited = arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
     try:
-        place = cell.workpiece.pose
-        joints = inverse_along(unlimited, cell.mount, place, run.position, run.quaternion, cell.posture)
+        joints = dataclasses.replace(placed, arm=unlimited).joints(run)
     except SingularityError as error:
         point = error.index[0] + 1
         return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
-    limits = cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit
-    results = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
-    return results + _joint_rates(run.time, joints, *limits, at_rest), joints
+    results = _joint_limits(arm, joints) + _singularities(arm, limits, joints) + _flips(arm, joints)
+    rates = _joint_rates(run.time, joints, arm.joint_speed_limit, arm.joint_acceleration_limit, at_rest)
+    return results + rates, joints
 
 
-def _reach(cell: Cell, run: Trajectory) -> list[Violation]:
+def _reach(placed: PlacedArm, run: Trajectory) -> list[Violation]:
+    arm = placed.arm
     lost, nearest = np.zeros(len(run), bool), np.zeros(len(run))
     for part in blocks(len(run)):
         tool = Pose(run.position[part], rotation_from_quaternion(run.quaternion[part]))
-        angles, distance = branches(cell.arm, cell.mount, cell.workpiece.pose @ tool, cell.posture)
+        angles, distance = branches(arm, placed.mount, placed.place @ tool, placed.posture)
         lost[part], nearest[part] = ~np.isfinite(angles).all(-1).any(-1), distance.min(-1)
-    least, most = abs(cell.arm.a2 - cell.arm.forearm), cell.arm.a2 + cell.arm.forearm
+    least, most = abs(arm.a2 - arm.forearm), arm.a2 + arm.forearm
     worst = np.maximum(nearest - most, least - nearest)
     return violations("reach", nearest, most, lost, worst=worst, least=least)
 
 
-def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
+def _joint_limits(arm: Arm, joints: np.ndarray) -> list[Violation]:
     results = []
-    for axis, (low, high) in enumerate(zip(cell.arm.joint_lower, cell.arm.joint_upper, strict=True)):
+    for axis, (low, high) in enumerate(zip(arm.joint_lower, arm.joint_upper, strict=True)):
         angle = joints[:, axis]
         beyond = np.maximum(angle - high, low - angle)
         results += violations(
@@ -64,8 +68,7 @@ def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
     return results
 
 
-def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
-    arm, limits = cell.arm, cell.limits
+def _singularities(arm: Arm, limits: Limits, joints: np.ndarray) -> list[Violation]:
     parts = [singularity_measures(arm, joints[part]) for part in blocks(len(joints))]
     measures = np.concatenate(parts) * [arm.a2 + arm.forearm, 1.0, 1.0]
     elbow, wrist = np.arcsin(np.minimum(measures[:, 1:], 1.0)).T
@@ -81,8 +84,8 @@ def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
     return results
 
 
-def _flips(cell: Cell, joints: np.ndarray) -> list[Violation]:
-    status = np.concatenate([status_turn(cell.arm, joints[part])[0] for part in blocks(len(joints))])
+def _flips(arm: Arm, joints: np.ndarray) -> list[Violation]:
+    status = np.concatenate([status_turn(arm, joints[part])[0] for part in blocks(len(joints))])
     return [
         violation("configuration flip", int(status[k]), int(status[k - 1]), k + 1, before=k)
         for k in (np.flatnonzero(np.diff(status)) + 1).tolist()

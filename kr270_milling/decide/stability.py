@@ -15,6 +15,8 @@ from kr270_milling.base.column import as_dict, column
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_of, modal_model_of, path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.arcs import Arcs, arcs_along
 from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
@@ -90,9 +92,9 @@ class Stability:
         """ "stable", "near the limit", "chatter" or "unknown"."""
         return self.worst.word if self.worst else "unknown"
 
-    def word_at(self, cell: Cell, time: float) -> str:
+    def word_at(self, path: CellPath, time: float) -> str:
         """The word of the feature that is milled at a time [s], of the whole path where that feature has none."""
-        timed, name = cell.timed_path, "straight cut"
+        timed, name = path.timed, "straight cut"
         if timed:
             name = timed.toolpath.features[timed.toolpath.feature[int(timed.block_at(round(1e9 * time)))]] or "unnamed"
         return next((one.word for one in self.features if one.name == name), self.word)
@@ -154,7 +156,7 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
         raise ParameterError("tool.modes", [], "given where the arm is left out: there is no mode that could chatter")
     if not arm:
         return own
-    model = model or cell.modal_model
+    model = model or modal_model_of(cell)
     ratio = np.full(model.frequency.size, cell.dynamics.damping_ratio) if model.damping is None else model.damping
     return Modes(
         np.append(own.frequency, model.frequency),
@@ -173,8 +175,8 @@ def feature_limits(
     tool = cell.tool
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
-    arcs = arcs_along(cell, progress)
-    groups = _groups(arcs, FEWEST_TEETH * cell.feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
+    arcs = arcs_along(path_of(cell), cell.earlier, progress)
+    groups = _groups(arcs, FEWEST_TEETH * path_of(cell).feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
     limits: list[FeatureLimit] = []
     models: dict[tuple, ModalModel] = {}
     for number in dict.fromkeys(arcs.feature.tolist()):
@@ -242,10 +244,10 @@ def _limit_at(
     models = {} if models is None else models
     model = None
     if arm:
-        turn = cell.target().sample_orientation(np.array([round(1e9 * float(arcs.time[place]))]))
+        turn = path_of(cell).target.sample_orientation(np.array([round(1e9 * float(arcs.time[place]))]))
         key = tuple(np.rint(arcs.position[place] / POSTURES).tolist() + np.round(turn[0], 3).tolist())
         if key not in models:
-            models[key] = cell.modes_at(cell.joints_at(arcs.position[place][None], turn))[0]
+            models[key] = arm_of(cell).modes_at(arm_of(cell).joints_at(arcs.position[place][None], turn))[0]
         model = models[key]
     modes = modes_of(cell, arm, model)
     along = rotation_from_abc(np.array([arcs.heading[place], 0.0, 0.0]))

@@ -15,6 +15,8 @@ import numpy as np
 from kr270_milling.base.column import CONVERGED
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
 from kr270_milling.decide.part.course import Course, course
 from kr270_milling.decide.part.surface import IdealPart, ideal_part
@@ -90,18 +92,18 @@ class Gauge:
     @classmethod
     def of(cls, cell: Cell) -> Gauge:
         """Sweep the part of the rigid arm once."""
-        if cell.programmed.straight:
+        if path_of(cell).straight:
             return cls(cell, None)
-        target = cell.target()
-        stamps = cell.clock.stamp(np.arange(cell.clock.steps(target.duration_ns) + 1))
-        path = course(cell, stamps)
-        return cls(cell, ideal_part(cell, path, target.sample(stamps)), path)
+        path = path_of(cell)
+        stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
+        along = course(path, stamps)
+        return cls(cell, ideal_part(cell, along, path.target.sample(stamps)), along)
 
     def measure(self, result: PassResult) -> Judgement:
         """Judge one pass along the target; ``result.heights`` spares a sweep of the workpiece."""
         if self.ideal is None:
             return _judge_straight_cut(self.cell, result, _largest_deviation(self.cell, result))
-        return judge_part(self.cell, assess_result(self.cell, "", result, self.ideal, self.path))
+        return judge_part(self.cell.tolerances, assess_result(self.cell, "", result, self.ideal, self.path))
 
 
 def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:
@@ -109,33 +111,33 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
 
     part: its assessment, if it is known already.
     """
-    if cell.programmed.straight:
+    if path_of(cell).straight:
         return _judge_straight_cut(cell, ran.result, ran.scores.max_deviation)
-    return judge_part(cell, part or assess(cell, ran))
+    return judge_part(cell.tolerances, part or assess(cell, ran))
 
 
-def judge_part(cell: Cell, part: PartAssessment) -> Judgement:
+def judge_part(tolerances: Tolerances, part: PartAssessment) -> Judgement:
     """Walls and floors of every feature against its own tolerance."""
     rows: list[tuple[float, float, str | None]] = []
     for row in part.rows:
-        wall, floor = cell.part.of(row.name)
+        wall, floor = tolerances.of(row.name)
         rows += [(row.max_wall, wall, row.name), (row.max_floor, floor, row.name)]
     return _judge(part.whole.max_wall, part.whole.max_floor, rows, SURFACE_ERROR)
 
 
 def _largest_deviation(cell: Cell, result: PassResult) -> float:
     """Largest path deviation [m] from full engagement on, as in the scores of a straight cut."""
-    scored = result.time >= cell.full_engagement - 1e-9
+    scored = result.time >= path_of(cell).full_engagement - 1e-9
     scored[-1] = True
-    feed = cell.target().sample_velocity(result.time_ns)
+    feed = path_of(cell).target.sample_velocity(result.time_ns)
     return float(np.abs(path_deviation(result.actual, result.target, feed)[scored]).max())
 
 
 def _judge_straight_cut(cell: Cell, result: PassResult, largest: float) -> Judgement:
     """The fully engaged part: its side is the wall, its height the floor; largest: deviation to the side [m]."""
-    engaged = result.time >= cell.full_engagement - 1e-9
+    engaged = result.time >= path_of(cell).full_engagement - 1e-9
     floor = float(np.max(np.abs((result.actual - result.target)[engaged, 2]), initial=0.0))
-    wall_tolerance, floor_tolerance = cell.part.of()
+    wall_tolerance, floor_tolerance = cell.tolerances.of()
     rows = [(largest, wall_tolerance, None), (floor, floor_tolerance, None)]
     return _judge(largest, floor, rows, PATH_DEVIATION)
 

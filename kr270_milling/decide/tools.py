@@ -12,6 +12,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import removal_of
 from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.check_cut import spring_back
 from kr270_milling.decide.compensation import JudgedCompensation
@@ -44,7 +45,7 @@ def in_turn(
 
 def _removal(cell: Cell, ran: ScoredPass | None) -> Removal:
     """What the tool of a cell removes in a pass; None: on its programmed path."""
-    programmed = cell.programmed_removal
+    programmed = removal_of(cell)
     if ran is None:
         return programmed
     way = ran.result.actual

@@ -13,7 +13,16 @@ import numpy as np
 
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
+from kr270_milling.cell.jobs import (
+    ScoredPass,
+    compensated,
+    compensator,
+    expected_deviations,
+    long_pass,
+    record_of,
+    simulate,
+)
+from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import PATH_DEVIATION, SURFACE_ERROR, Gauge
 from kr270_milling.path.trajectory import Trajectory
@@ -134,7 +143,7 @@ def compare_methods(cell: Cell, original: ScoredPass) -> MethodComparison:
         why = f"{LEARNED.name}, because compensation.tracker is true: a tracker measures each pass, the best is used"
         return MethodComparison(LEARNED.name, why, {})
     references = _references(cell, original)
-    deviations = _expected(cell, {NO_METHOD: cell.target(), **references})
+    deviations = _expected(cell, {NO_METHOD: path_of(cell).target, **references})
     none = deviations[NO_METHOD]
     best = min(references, key=deviations.__getitem__, default=NO_METHOD)
     if best != NO_METHOD and deviations[best] > (1.0 - SAME) * none:
@@ -153,7 +162,7 @@ def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Tra
     Of a tool path, where each takes long: only the method that the linear model expects to leave the least on 8 plants.
     """
     references = _references(cell, original, method)
-    if cell.programmed.straight or not references:
+    if path_of(cell).straight or not references:
         return references
     deviations = _expected(cell, references)
     best = min(deviations, key=deviations.__getitem__)
@@ -166,7 +175,7 @@ def _references(cell: Cell, original: ScoredPass, without: str = "") -> dict[str
     for name, method in METHODS.items():
         if name != without and not method.repeats and getattr(method, "recommended", True):
             with contextlib.suppress(MillingError):
-                references[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
+                references[name] = compensator(cell, path_of(cell).target, name).revise(record_of(cell, original))
     return references
 
 
@@ -184,7 +193,7 @@ def plants_at_once(cell: Cell) -> int:
 
     A plant needs 0.5 GB an hour.
     """
-    return 1 if cell.long_pass else cores()
+    return 1 if long_pass(path_of(cell)) else cores()
 
 
 def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
@@ -217,7 +226,7 @@ def monte_carlo(
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     progress = progress or (lambda *_: None)
-    target, straight = cell.target(), cell.programmed.straight
+    target, straight = path_of(cell).target, path_of(cell).straight
     nominal = cell if straight else coarser(cell)
     threads = plants_at_once(nominal)
     gauge = Gauge.of(nominal)
@@ -305,7 +314,7 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
     """
     rows = np.full((len(references), 2), np.nan)
     with contextlib.suppress(MillingError):
-        model = plant.arm_model(target)
+        model = arm_model_of(plant, target)
         for k, reference in enumerate(references):
             rows[k] = _errors(plant, model, target, reference, k, gauge)
     return rows
@@ -315,11 +324,11 @@ def _errors(
     plant: Cell, model: ArmModel, target: Trajectory, reference: Trajectory, number: int, gauge: Gauge
 ) -> tuple[float, float]:
     """The error [m] of a pass, by its number, and its share of the tolerance; NaN where the plant is unstable."""
-    cut = plant.cut()
+    cut = cut_of(plant)
     ran = run_pass(
-        imperfect_arm(plant, reference, model), cut, plant.clock, target,
+        imperfect_arm(plant, reference, model), cut, path_of(plant).clock, target,
         imperfect_course(plant, reference, number, target), plant.exchange.iterations,
-        silent=plant.programmed.drilling_at,
+        silent=path_of(plant).drilling_at,
     )  # fmt: skip
     if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
         return math.nan, math.nan

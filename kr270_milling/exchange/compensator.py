@@ -11,6 +11,7 @@ from kr270_milling.base.errors import MessageError
 from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedRecording, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.inbox import PassInbox
 from kr270_milling.exchange.inputs import Output, WrenchFrames, checked_length, checked_pose, checked_wrench
 from kr270_milling.exchange.joint_program import joint_program
@@ -67,7 +68,7 @@ class CompensatorProtocol:
 
     def begin(self, target: Trajectory) -> list[Output]:
         """Continue along another target; raises MillingError where it is refused."""
-        checked_length(target, self.cell.clock)
+        checked_length(target, path_of(self.cell).clock)
         outputs = self._continue(compensator(self.cell, target), ())
         self._first = ()
         return outputs
@@ -100,7 +101,7 @@ class CompensatorProtocol:
             return []
         self.inbox.pose(sample)
         if self.inbox.started and not self.inbox.foreign:
-            self._free_ns = self.inbox.start_ns + self.inbox.end_ns + round(self.cell.clock.period * 1e9)
+            self._free_ns = self.inbox.start_ns + self.inbox.end_ns + round(path_of(self.cell).clock.period * 1e9)
         return self._revise() if self.inbox.complete else []
 
     def wrench(self, sample: WrenchSample) -> list[Output]:
@@ -149,7 +150,7 @@ class CompensatorProtocol:
         start, problem = max(self._now(), self._free_ns), self.inbox.problem
         end, iterations = end_of(self.cell, made.reference), self.cell.exchange.iterations
         self.inbox = PassInbox(
-            end, iterations, start, made.reference, self.cell.clock, self._frames, self._announced
+            end, iterations, start, made.reference, path_of(self.cell).clock, self._frames, self._announced
         )  # fmt: skip
         self.inbox.problem = problem
         state = CompensatorState(
@@ -161,4 +162,4 @@ class CompensatorProtocol:
 
 def end_of(cell: Cell, reference: Trajectory) -> int:
     """Return the stamp [ns] of the last exchange of a pass along a reference."""
-    return int(cell.clock.stamp(cell.clock.steps(reference.duration_ns)))
+    return int(path_of(cell).clock.stamp(path_of(cell).clock.steps(reference.duration_ns)))

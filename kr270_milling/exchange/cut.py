@@ -11,6 +11,7 @@ from kr270_milling.base.errors import MessageError
 from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_pose
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
@@ -39,7 +40,7 @@ class CutProtocol:
         self.start_ns = 0  #: stamp of the first exchange of the pass
         self._end_ns = 0  # of the pass, 0 where it is not known
         self.planned: tuple[int, int] | None = None  #: stamps of start and end of the next pass
-        self._clock = cell.clock
+        self._clock = path_of(cell).clock
 
     def reference(self, run: Trajectory) -> None:
         """Take the reference of the next pass, which states the start of the pass."""
@@ -47,7 +48,7 @@ class CutProtocol:
 
     def configure(self) -> list[Output]:
         """Create a fresh workpiece and return its map, so that late subscribers do not see the previous part."""
-        self.cut = self.cell.cut()
+        self.cut = cut_of(self.cell)
         self.cut.touch()
         self._silent = self._drilling()
         self.step, self.stamp_ns = -1, 0
@@ -60,7 +61,7 @@ class CutProtocol:
 
         Empty where the program does not drill: then the cut does not need the times of the path.
         """
-        programmed = self.cell.programmed
+        programmed = path_of(self.cell)
         if not programmed.drills:
             return np.zeros(0, bool)
         steps = self._clock.steps(programmed.target.duration_ns)

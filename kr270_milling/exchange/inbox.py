@@ -15,7 +15,7 @@ from kr270_milling.exchange.inputs import WrenchFrames, in_workpiece_axes
 from kr270_milling.exchange.start import BREAK_NS, StartSeeker, check_follows, is_far, lag
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.revision import PassRecord
-from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.physics.motion.periods import Clock
 
 __all__ = ["PassInbox", "ReceivedPass", "interpolated"]
 

@@ -12,7 +12,7 @@ from kr270_milling.base.frames import TOOL, TOOL0, WORKPIECE, Pose, rotation_fro
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.physics.motion.periods import Clock
 from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.sensor import moved_wrench
 

@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_model_of, arm_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_length, checked_wrench, in_workpiece_axes
 from kr270_milling.path.trajectory import Trajectory
@@ -40,9 +41,9 @@ class RobotProtocol:
         self.awaited_ns = 0  #: stamp of the next wrench
         self.correction = 0.0  #: [m], largest distance between corrected and predicted tool centre in this pass
         self._iterations = cell.exchange.iterations
-        self._deflection_every = deflection_every or cell.thinned_steps
-        self._joints_every = cell.thinned_steps
-        self._clock_every = cell.steps_of(CLOCK_PERIOD)
+        self._deflection_every = deflection_every or cell.publish.steps(cell.exchange)
+        self._joints_every = cell.publish.steps(cell.exchange)
+        self._clock_every = cell.exchange.steps_of(CLOCK_PERIOD)
 
     def describe(self) -> list[Output]:
         """Return the URDF for viewers."""
@@ -55,18 +56,19 @@ class RobotProtocol:
         cell, reference = self.cell, self.reference
         if reference is None:
             raise ExchangeError(0, "a pass needs a reference trajectory")
-        checked_length(reference, cell.clock)
+        checked_length(reference, path_of(cell).clock)
         course = imperfect_course(cell, reference, self.passes)
-        model = imperfect_arm(cell, reference, cell.arm_model(reference))
-        self.steps = cell.clock.steps(course.duration_ns)
-        stamps = cell.clock.stamp(np.arange(self.steps + 1))
+        model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
+        self.steps = path_of(cell).clock.steps(course.duration_ns)
+        stamps = path_of(cell).clock.stamp(np.arange(self.steps + 1))
         self.start_ns = reference.start_ns
         self._stamps: list[int] = (
             stamps + self.start_ns
         ).tolist()  # a list gives an item in a tenth of the time of an array
         self._unloaded = course.sample(stamps)  # [m], (steps + 1, 3)
         self._orientation = course.sample_orientation(stamps)  # (steps + 1, 4)
-        self._joints = cell.joints_along(reference, stamps[:: self._joints_every])  # the encoders are at the motors
+        # the encoders are at the motors
+        self._joints = arm_of(cell).joints_along(reference, stamps[:: self._joints_every])
         self._arm = CompliantArm(model, model.push(course, stamps))
         self._tool = self._unloaded[0]  # predicted tool centre [m], (3,)
         self._step = 0  # whose wrench is awaited

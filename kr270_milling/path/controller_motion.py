@@ -87,14 +87,14 @@ def places_on_program(run: Trajectory, knots: np.ndarray, points: np.ndarray, st
     the SPLINE blocks. A place is as far along the path as the knot is along the chords of the run. spline: the C2 cubic
     spline over that distance in each block, without curvature at its ends; else straight lines.
     """
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(run.position, axis=0), axis=1))])
-    step, move = np.diff(way[knots])[:, None], np.diff(points, axis=0)
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(run.position, axis=0), axis=1))])
+    step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
     first, last = step * _natural_slopes(step, move / step, stops) if spline else (move, move)
     place = np.empty(run.position.shape)
     for part in blocks(len(run)):
         span = np.searchsorted(knots, np.arange(part.start, part.stop), side="right") - 1
         span = np.clip(span, 0, len(knots) - 2)
-        u = (way[part] - way[knots[span]])[:, None] / step[span]
+        u = (travelled[part] - travelled[knots[span]])[:, None] / step[span]
         place[part] = _hermite(points[span], move[span], first[span], last[span], u)
     return place
 

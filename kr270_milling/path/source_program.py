@@ -27,8 +27,8 @@ class Refusal:
 
     line: int  #: from 1
     word: str
-    reason: str  #: what is wrong; "" where the advice says it
-    advice: str  #: what to do; "" where the reason says it
+    reason: str  #: fault; "" where the advice states it
+    advice: str  #: remedy; "" where the reason states it
 
     @property
     def sentence(self) -> str:
@@ -41,14 +41,15 @@ class ProgramTool:
     """A tool of the program, as far as its words and comments describe it."""
 
     name: str  #: as ``path.tool`` selects it, "T1"
-    description: str = ""  #: what its comment calls it
+    description: str = ""  #: name in its comment
     diameter: float = 0.0  #: [m], 0: the program does not say
     teeth: int = 0  #: 0: the program does not say
-    line: int = 0  #: of its first tool change
+    line: int = 0  #: line of its first tool change
     cuts: int = 0  #: cutting blocks that it makes
     last_cut: int = 0  #: line of the last of them
     corner_radius: float = 0.0  #: [m], 0: sharp corners, or the program does not say
     kind: str = ""  #: kind of a tool that is no flat end mill; "": a flat one, or the program does not say
+    inserts: bool = False  #: its comment names inserts, or a kind of mill that has inserts
     length_offset: bool = False  #: the program switches on a length for this tool (G43)
 
     @property
@@ -67,20 +68,20 @@ class ProgramTool:
 
     def completed(self, other: ProgramTool) -> ProgramTool:
         """Return this description, with missing values taken from another description of the same tool."""
-        names = "description", "kind", "diameter", "teeth", "corner_radius"
+        names = "description", "kind", "diameter", "teeth", "corner_radius", "inserts"
         return dataclasses.replace(self, **{name: getattr(self, name) or getattr(other, name) for name in names})
 
 
 @dataclass(frozen=True)
 class SourceProgram:
-    """What a program states in addition to its moves; empty for a path without a program."""
+    """Statements of a program in addition to its moves; empty for a path without a program."""
 
     title: str = ""
     tool: str = ""  #: the tool that runs the moves of the path; "" if the program names no tool
     tools: tuple[ProgramTool, ...] = ()  #: all tools of the program
     spindle_speeds: tuple[float, ...] = ()  #: [rad/s], of the cutting moves, negative counterclockwise; 0 is left out
     feeds: tuple[float, ...] = ()  #: [m/s], of the cutting moves
-    feed_units: tuple[str, ...] = ()  #: of the F words, such as "mm a minute"
+    feed_units: tuple[str, ...] = ()  #: unit of the F words, such as "mm a minute"
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[ReadOver, ...] = ()

@@ -250,9 +250,9 @@ class Ramps:
         slope = scale * np.minimum(1, np.minimum(u, rest) / edge)
         speed = np.where(u < edge, v**2 / (2 * edge), v - edge / 2) * scale
         speed = np.where(rest < edge, 1 - scale * rest**2 / (2 * edge), speed)
-        way = np.where(u < edge, v**3 / (6 * edge), edge**2 / 6 + (v - edge) * v / 2) * scale
-        way = np.where(rest < edge, u - 0.5 + scale * rest**3 / (6 * edge), way)
-        distance = travelled[k] + duration * (self.first[k] * u + change * way)
+        moved = np.where(u < edge, v**3 / (6 * edge), edge**2 / 6 + (v - edge) * v / 2) * scale
+        moved = np.where(rest < edge, u - 0.5 + scale * rest**3 / (6 * edge), moved)
+        distance = travelled[k] + duration * (self.first[k] * u + change * moved)
         return distance, self.first[k] + change * speed, change * slope / duration
 
 

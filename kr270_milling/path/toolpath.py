@@ -49,7 +49,7 @@ class Toolpath:
     drilling: np.ndarray = field(
         default_factory=lambda: np.zeros(0, bool)
     )  #: strokes of a cycle, (n,) bool; empty: none
-    program: SourceProgram = NO_PROGRAM  #: what the source states in addition to its moves
+    program: SourceProgram = NO_PROGRAM  #: statements of the source in addition to its moves
 
     def __post_init__(self):
         position = np.array(self.position, float)
@@ -99,11 +99,11 @@ class Toolpath:
         ends = np.cumsum(self.block_length)
         return np.clip(np.searchsorted(ends, distance, side="right"), 1, len(self) - 1)
 
-    def tangent(self, block: np.ndarray, way: np.ndarray) -> np.ndarray:
-        """Return the unit tangent, (m, 3), at the distance ``way`` [m], in the xy plane, from the start of a block."""
+    def tangent(self, block: np.ndarray, travelled: np.ndarray) -> np.ndarray:
+        """Return the unit tangent, (m, 3), ``travelled`` [m] in the xy plane from the start of a block."""
         move = self.position[block] - self.position[block - 1]
         plane = self.plane_length[block]
-        heading = np.arctan2(move[:, 1], move[:, 0]) + self.curvature[block] * (way - plane / 2)
+        heading = np.arctan2(move[:, 1], move[:, 0]) + self.curvature[block] * (travelled - plane / 2)
         flat = np.stack([plane * np.cos(heading), plane * np.sin(heading), move[:, 2]], axis=1)
         return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
@@ -115,7 +115,7 @@ class Toolpath:
         """Return position [m], unit tangent and quaternion at distances [m], (m,), on the true arcs of the path."""
         if distance.size > BLOCK:
             parts = [self.on_path(distance[part]) for part in blocks(distance.size)]
-            position, tangent, quaternion = (np.concatenate(one) for one in zip(*parts, strict=True))
+            position, tangent, quaternion = (np.concatenate(part) for part in zip(*parts, strict=True))
             return position, tangent, quaternion
         block, length = self.block_at(distance), self.block_length
         share = np.clip((distance - np.cumsum(length)[block - 1]) / length[block], 0, 1)
@@ -152,7 +152,7 @@ class PathBuilder:
         self.features: dict[str, int] = {"": 0}
         self.feature = 0  #: feature of the next moves
         self.spindle_speed = 0.0  #: [rad/s]
-        self.drilling = False  #: whether the moves belong to a drilling cycle
+        self.drilling = False  #: True for moves of a drilling cycle
         self.quaternion = TOOL_DOWN
         self.last: tuple[float, float, float] | None = None  #: end of the last move
         self._last_quaternion = TOOL_DOWN

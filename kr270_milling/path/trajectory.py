@@ -58,8 +58,8 @@ class Trajectory:
         quaternion = np.array(self.quaternion, float)
         if quaternion.shape == (time.size, 4) and (quaternion == quaternion[0]).all():
             quaternion = quaternion[0]
-        one = quaternion.shape == (4,)  # one row for all knots takes no memory
-        quaternion = _rows("quaternion", np.atleast_2d(quaternion), 1 if one else time.size, 4)
+        same = quaternion.shape == (4,)  # one row for all knots takes no memory
+        quaternion = _rows("quaternion", np.atleast_2d(quaternion), 1 if same else time.size, 4)
         length = np.linalg.norm(quaternion, axis=1)
         _refuse(~(np.abs(length - 1) < 1e-3), "its quaternion is not of length 1")
         self._keep("time_ns", time)

@@ -26,7 +26,7 @@ TYPES = {topic.name: topic.type for topic in TOPICS}
 
 
 class StepClock(Protocol):
-    """The steps of the exchange; ``physics.motion.exchange.Clock`` is one."""
+    """The steps of the exchange; ``physics.motion.periods.Clock`` is one."""
 
     @property
     def period(self) -> float: ...  # [s]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from campaigns import MODES, covered_compliances, covered_forces, ring_down
+from samples.campaigns import MODES, covered_compliances, covered_forces, ring_down
 
 from kr270_milling.studies.identification.modes import find_modes
 

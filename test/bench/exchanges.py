@@ -26,6 +26,7 @@ from rclpy.node import Node
 
 from kr270_milling import read_cell
 from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph
@@ -103,7 +104,7 @@ def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float
     with tempfile.TemporaryDirectory() as directory, kind(cell, Path(directory), composed=composed) as graph:
         for number in range(passes):
             ran = graph.run_pass(f"pass_{number + 1}")
-            rates.append(cell.clock.steps(cell.target().duration_ns) / ran.wall_s)
+            rates.append(path_of(cell).clock.steps(path_of(cell).target.duration_ns) / ran.wall_s)
             if kind is Graph:
                 lost = pass_from_recording(ran.recording)[1].messages_lost
                 again = None if number else recompute(ran.recording)

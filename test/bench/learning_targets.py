@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from kr270_milling import read_cell
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 
 INERTIA = ("dynamics.reference_inertia=true",)
@@ -83,7 +84,7 @@ def main() -> int:
         cell = row.cell
         cell = cell.replace(compensation=cell.compensation.replace(max_passes=row.passes))
         plant = row.plant(cell)
-        original, by = simulate(cell, plant=plant), compensator(cell, cell.target(), "learned")
+        original, by = simulate(cell, plant=plant), compensator(cell, path_of(cell).target, "learned")
         passes = (
             original,
             compensated(cell, original, "inverse", plant=plant),

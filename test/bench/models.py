@@ -22,6 +22,7 @@ from kr270_milling import read_cell
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.robot import equilibrium, stiffness
 from kr270_milling.physics.robot.analysis import read_arm
@@ -36,8 +37,8 @@ def plain_pass(cell: Cell, steps: int) -> tuple[np.ndarray, np.ndarray]:
     grid = np.ones((int(cell.path.length / spacing) + 10, int(2.4 * tool.radius / spacing)), np.uint8)
     springs, mass = 1.0 / np.array([0.6369e-6, 0.7168e-6]), 790.4
     moved = _plain_pass(
-        grid, spacing, tool.radius, tool.teeth, tool.spindle_speed, cell.feed_rate, steps,
-        cell.clock.period / cell.clock.micro_steps, 5e9 * cell.path.depth_of_cut, springs, mass,
+        grid, spacing, tool.radius, tool.teeth, tool.spindle_speed, path_of(cell).feed_rate, steps,
+        path_of(cell).clock.period / path_of(cell).clock.micro_steps, 5e9 * cell.path.depth_of_cut, springs, mass,
         0.38 * np.sqrt(springs * mass),
     )  # fmt: skip
     return grid, moved
@@ -157,8 +158,8 @@ def bench_models(rounds: int = 5) -> dict[str, float]:
 def bench_test_piece(rounds: int) -> dict[str, float]:
     """Machining time per processor time over the shipped test piece, by both models of the cut in turns."""
     cells = [read_cell("test_piece.yaml", f"cutting.detail={detail}") for detail in PASSES]
-    target = cells[0].target()
-    models = [cell.arm_model(target) for cell in cells]
+    target = path_of(cells[0]).target
+    models = [arm_model_of(cell, target) for cell in cells]
     factors = []
     for _ in range(rounds + 1):  # the first round may compile
         of_round = []
@@ -166,7 +167,7 @@ def bench_test_piece(rounds: int) -> dict[str, float]:
             times = []
             for _ in range(passes):
                 start = time.process_time()
-                run_pass(model, cell.cut(), cell.clock, target, target, cell.exchange.iterations)
+                run_pass(model, cut_of(cell), path_of(cell).clock, target, target, cell.exchange.iterations)
                 times.append(time.process_time() - start)
             of_round.append(target.duration_ns * 1e-9 / statistics.median(times))
         factors.append(of_round)

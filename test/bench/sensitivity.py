@@ -10,6 +10,7 @@ from unittest import mock
 
 from bench.learning_targets import Row
 from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.physics.compensation import arm_fit, learning
 
 MODEL = ("dynamics.damping_ratio=0.08", "dynamics.follow_pose=true", "stock.grid_step_um=20")
@@ -38,7 +39,7 @@ def main() -> None:
     def left() -> list[float]:
         results = []
         for (cell, plant), original in zip(plants, originals, strict=True):
-            by = compensator(cell, cell.target(), "learned")
+            by = compensator(cell, path_of(cell).target, "learned")
             plant.passes = 1  # the noise of each row is that of the first learning
             ran = compensated(cell, original, "learned", by=by, plant=plant)
             results.append(1e6 * ran.scores.max_deviation)

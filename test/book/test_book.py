@@ -16,6 +16,7 @@ from book import check
 
 from kr270_milling import read_cell
 from kr270_milling.cell.jobs import compensated, mean_force, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.show.report.tables import TABLE_2
 
 FOLDER = Path(__file__).resolve().parent
@@ -92,7 +93,7 @@ def test_same_frequency():
 @check("high frequency of the force", "8000 rpm x 4 teeth = 533.3 Hz (the paper says about 700) [derived]", "Hz")
 def test_tooth_passing():
     ran = _pass("original").result
-    force = ran.wrench[ran.time > _cell().full_engagement, 1]
+    force = ran.wrench[ran.time > path_of(_cell()).full_engagement, 1]
     spectrum = np.abs(np.fft.rfft((force - force.mean()) * np.hanning(force.size), 16 * force.size))
     peak = np.fft.rfftfreq(16 * force.size, _cell().exchange.period)[np.argmax(spectrum)]
     return 8000 / 60 * 4, peak, 0.5

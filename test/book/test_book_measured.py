@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from arm_oracle import PAPER
 from book import check
-from cuttings import PAPER_LAW
+from samples.cuttings import PAPER_LAW
 
 from kr270_milling import read_cell
 from kr270_milling.api import simulate

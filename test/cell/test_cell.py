@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
+from samples.small_part import GCODE, small_part
 from scipy.spatial.transform import Rotation
-from small_part import GCODE, small_part
 
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError, InputError, MillingError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.jobs import commanded_joints, simulate
+from kr270_milling.cell.models import arm_model_of, arm_of, low_frequency_of, path_of
 from kr270_milling.cell.path import MOST_VISITS, check_effort, check_postures, sinking
 from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.physics.robot import Mount, equilibrium, pose
@@ -21,7 +24,7 @@ PAPER = read_cell(FILE)
 
 # --- the cell ---
 def test_the_target_is_the_papers_line_from_where_the_start_joints_put_the_tool_and_the_joints_command_its_knots():
-    target, joints = PAPER.target(), PAPER.joints(PAPER.target())
+    target, joints = path_of(PAPER).target, arm_of(PAPER).joints(path_of(PAPER).target)
     assert target.duration_ns == 1_200_000_000 and set(np.diff(target.time_ns)) == {50_000_000}
     np.testing.assert_allclose(target.position[-1] - target.position[0], [0.080, 0.0, 0.0], atol=1e-15)
     assert target.position[0, 2] == pytest.approx(-PAPER.path.depth_of_cut)
@@ -30,7 +33,7 @@ def test_the_target_is_the_papers_line_from_where_the_start_joints_put_the_tool_
     tool = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, joints)
     np.testing.assert_allclose(tool.position, target.position, atol=1e-12)
     np.testing.assert_allclose(tool.rotation[0], np.diag([1.0, -1.0, -1.0]), atol=1e-9)  # tcp in the workpiece
-    assert PAPER.steps_of(0.01) == 20 and PAPER.steps_of(0.0101) == 21 and PAPER.steps_of(1e-6) == 1  # of messages
+    assert [PAPER.exchange.steps_of(seconds) for seconds in (0.01, 0.0101, 1e-6)] == [20, 21, 1]  # of messages
 
 
 ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: {}, B: {}, C: {}}}"
@@ -91,12 +94,12 @@ def test_a_file_with_the_frame_of_the_display_replaces_the_place_of_the_file_tha
 def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
     spindle = Mount(mass=60.0)
     sagging = PAPER.replace(compensation=PAPER.compensation.replace(sag_compensated=False), mount=spindle)
-    target = PAPER.target()
+    target = path_of(PAPER).target
     joints = commanded_joints(sagging, target)
     tool = sagging.workpiece.pose.inverse() @ equilibrium(sagging.arm, spindle, joints, gravity=True).pose
     np.testing.assert_allclose(tool.position, target.position, atol=1e-9)
     plain = PAPER.replace(mount=spindle)
-    np.testing.assert_array_equal(commanded_joints(plain, target), plain.joints(target))
+    np.testing.assert_array_equal(commanded_joints(plain, target), arm_of(plain).joints(target))
 
 
 @pytest.mark.parametrize(("assignments", "key", "text"), [
@@ -124,18 +127,20 @@ def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border_and_a_too
     for start, diameter, seconds in ((-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)):
         words = [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"]
         cell = read_cell(FILE, *words)
-        assert cell.full_engagement == pytest.approx(seconds, abs=1e-12) and cell.scored_from_ns == round(1e9 * seconds)
+        assert path_of(cell).full_engagement == pytest.approx(seconds, abs=1e-12)
     file = tmp_path / "turned.nc"
     file.write_text("G21 G90 S8000 M3\nG0 X0 Y-15 Z5\nG1 Z-0.5 F1000\nG1 Y15 F4000\n")
     cell = read_cell("test_piece.yaml", f"path.file={file}")
-    assert np.isnan(cell.low_frequency)
+    assert np.isnan(low_frequency_of(cell))
 
 
 # --- where the workpiece is ---
 def test_the_start_joints_place_the_workpiece_and_numbers_may_move_it_without_a_contradiction(tmp_path):
     q = "start_joints_deg=[80,-50,120,180,25,180]"
     turned = read_cell(FILE, q)
-    np.testing.assert_allclose(np.degrees(turned.joints(turned.target())[0]), [80, -50, 120, 180, 25, 180], atol=1e-6)
+    np.testing.assert_allclose(
+        np.degrees(arm_of(turned).joints(path_of(turned).target)[0]), [80, -50, 120, 180, 25, 180], atol=1e-6
+    )
     moved = read_cell(FILE, "workpiece.xyz_mm=[0,-1600,500]")
     np.testing.assert_allclose(moved.workpiece.xyz, [0.0, -1.6, 0.5])
     np.testing.assert_allclose(moved.workpiece.pose.rotation, PAPER.workpiece.pose.rotation, atol=1e-12)
@@ -161,27 +166,45 @@ def programmed(folder, program, *sets):
 def test_speed_and_feed_come_from_program_or_cell_and_may_not_contradict_each_other(tmp_path):
     cell = programmed(tmp_path, PROGRAM, *SILENT)
     assert cell.tool.spindle_speed == pytest.approx(200 * np.pi)
-    assert cell.programmed.program.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
+    assert cell.path.source.feeds == pytest.approx((0.015,)) and path_of(cell).feed_rate == pytest.approx(0.015)
     with pytest.raises(ConfigError, match="no spindle speed S"):
         programmed(tmp_path, PROGRAM.replace("M3 S6000", "M3"), *SILENT)
     silent = GCODE.replace(" S8000 M3", "").replace("M5\n", "")
-    assert len(small_part(tmp_path, silent, "tool.rotation=counterclockwise").target()) > 10
+    assert len(path_of(small_part(tmp_path, silent, "tool.rotation=counterclockwise")).target) > 10
     other = ("path.feed_rate_m_per_min=1.2", "tool.spindle_speed_rpm=6000")
-    assert programmed(tmp_path, PROGRAM.replace(" F900", ""), *other).feed_rate == pytest.approx(0.02)
+    assert path_of(programmed(tmp_path, PROGRAM.replace(" F900", ""), *other)).feed_rate == pytest.approx(0.02)
     with pytest.raises(InputError, match="its feed is 900 mm/min, but path.feed_rate_m_per_min of the cell says 1200"):
-        _ = programmed(tmp_path, PROGRAM, *other).fed_path
+        _ = path_of(programmed(tmp_path, PROGRAM, *other)).fed
 
 
 def test_a_straight_cut_and_a_program_answer_the_same_questions(tmp_path):
-    program, straight = programmed(tmp_path, PROGRAM, *SILENT).programmed, PAPER.programmed
+    cell = programmed(tmp_path, PROGRAM, *SILENT)
+    program, straight = path_of(cell), path_of(PAPER)
     stamps = np.linspace(0, program.target.duration_ns, 50).astype(np.int64)
-    of_line = (straight.straight, straight.name, straight.files, straight.length, straight.sha256)
+    of_line = (straight.straight, PAPER.path.name, PAPER.path.files, straight.length, PAPER.path.sha256)
     assert of_line == (True, "straight cut of 80 mm", (), 0.08, "")
-    of_program = (program.straight, program.name, program.files, len(program.sha256))
+    of_program = (program.straight, cell.path.name, cell.path.files, len(cell.path.sha256))
     assert of_program == (False, "part.nc", (tmp_path / "part.nc",), 64) and program.length == pytest.approx(0.092)
     assert not straight.line_at(stamps).any() and not straight.rapid_at(stamps).any()
     assert set(program.line_at(stamps)) == {4, 5, 6}
     assert np.array_equal(program.rapid_at(stamps), program.line_at(stamps) != 5)
+
+
+def test_equal_cells_share_their_path_and_a_cell_keeps_the_program_that_it_has_read(tmp_path):
+    cell = programmed(tmp_path, PROGRAM, *SILENT)
+    again = read_cell("test_piece.yaml", f"path.file={tmp_path / 'part.nc'}", *SILENT)
+    copy = pickle.loads(pickle.dumps(PAPER))
+    assert copy == PAPER and hash(copy) == hash(PAPER) and path_of(copy) is path_of(PAPER)
+    assert cell == again and path_of(cell) is path_of(again)
+    assert path_of(cell.replace(limits=cell.limits.replace(rapid_contact=0.0))) is path_of(cell)
+    assert path_of(cell.replace(timing=cell.timing.replace(jerk=1.0))) is not path_of(cell)
+    length = path_of(cell).length
+    (tmp_path / "part.nc").write_text(PROGRAM.replace("X40", "X30"))
+    assert path_of(cell.replace(stock=cell.stock.replace(grid_step=1e-4))).length == length
+    (tmp_path / "part.nc").unlink()
+    assert path_of(cell.replace(stock=cell.stock.replace(grid_step=2e-4))).length == length
+    with pytest.raises(InputError, match="cannot be read"):
+        path_of(cell.replace(path=cell.path.replace(tool="T2"))).target  # noqa: B018
 
 
 # --- effort ---
@@ -191,18 +214,20 @@ HEAD = "G21 G90 S8000 M3\n"
 def test_the_effort_of_a_path_file_is_reckoned_with_its_ramps_and_postures(tmp_path):
     slow = HEAD + "G0 X-14 Y0 Z2\nG0 Z-1\nG1 X28 F0.005\n"
     with pytest.raises(MillingError, match="exchange periods"):
-        small_part(tmp_path, slow, "timing.controller_step_ms=1000.0").target()
+        assert path_of(small_part(tmp_path, slow, "timing.controller_step_ms=1000.0")).target
     fine = ["exchange.micro_step_deg=0.01", "tool.teeth=50", "exchange.iterations=20", "cutting.detail=teeth"]
     with pytest.raises(ParameterError, match=r"micro_step_deg.*larger"):
-        small_part(tmp_path, slow.replace("F0.005", "F4"), *fine).target()
+        assert path_of(small_part(tmp_path, slow.replace("F0.005", "F4"), *fine)).target
     ramp = HEAD + "G0 X2 Y0 Z0\n" + "".join(f"G1 X{20 + 10 * (-1) ** k} Z{-k / 100} F100\n" for k in range(1, 60))
-    small_part(tmp_path, ramp).target()
+    assert path_of(small_part(tmp_path, ramp)).target
     with pytest.raises(ParameterError, match=r"grid_step_um.*sinking"):
-        small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5", "cutting.detail=teeth").target()
+        assert path_of(
+            small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5", "cutting.detail=teeth")
+        ).target
     slow = ["dynamics.follow_pose=true", "dynamics.posture_spacing_mm=1e-9", "path.feed_rate_m_per_min=0.05"]
     cell = read_cell(FILE, *slow)
     with pytest.raises(ParameterError, match="posture_spacing_mm"):
-        cell.arm_model(cell.target())
+        arm_model_of(cell, path_of(cell).target)
     check_postures(100_000, 1e-3)
 
 
@@ -244,13 +269,13 @@ def table(directory, a=0.0, b=0.0, c=180.0):
 ])  # fmt: skip
 def test_a_program_whose_spindle_or_moves_cannot_be_meant_is_refused(tmp_path, program, rotation, reason, line):
     with pytest.raises(InputError, match=reason) as caught:
-        small_part(tmp_path, program, f"tool.rotation={rotation}").target()
+        assert path_of(small_part(tmp_path, program, f"tool.rotation={rotation}")).target
     assert line is None or caught.value.line == line
 
 
 def test_a_tilted_tool_is_refused_with_its_tilt_and_one_within_a_degree_or_turned_about_its_axis_is_taken(tmp_path):
     for turned, tilt in ((dict(c=210.0), 30), (dict(b=2.0), 2), (dict(c=0.0), 180)):
         with pytest.raises(InputError, match=f"tilted by {tilt} deg") as caught:
-            table(tmp_path, **turned).target()
+            assert path_of(table(tmp_path, **turned)).target
         assert caught.value.line in (2, 3)
-    assert np.ptp(table(tmp_path, a=30.0, c=180.9).target().position[:, 0]) == pytest.approx(32e-3)
+    assert np.ptp(path_of(table(tmp_path, a=30.0, c=180.9)).target.position[:, 0]) == pytest.approx(32e-3)

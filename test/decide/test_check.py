@@ -11,14 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from cuttings import SET_ALUMINIUM
 from hostile import answered, ask, settings
-from small_part import assignments, small_part
+from samples.cuttings import SET_ALUMINIUM
+from samples.small_part import assignments, small_part
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
 from kr270_milling.decide.findings import violations
@@ -50,14 +52,14 @@ def along_joints(cell, joints):
     """The findings of the trajectory whose inverse kinematics gives these joint positions [rad], one every 50 ms."""
     tool = cell.workpiece.pose.inverse() @ pose(cell.arm, cell.mount, joints)
     run = Trajectory(np.arange(len(joints)) * 50_000_000, tool.position, tool.quaternion)
-    results, solved = arm_violations(cell, run)
+    results, solved = arm_violations(arm_of(cell), cell.limits, run)
     assert solved == pytest.approx(joints, abs=1e-9)
     return results
 
 
 def test_out_of_reach_names_all_points_that_are(cell):
     far = Trajectory(np.arange(9) * 10**9, np.outer(np.linspace(0, 2, 9), [-1.0, 0.0, 0.0]), TOOL_DOWN)
-    (finding,), joints = arm_violations(cell, far)
+    (finding,), joints = arm_violations(arm_of(cell), cell.limits, far)
     tool, arm = cell.workpiece.pose.apply(far.position), cell.arm  # -x leads away from the arm and up
     centre = tool + arm.d6 * cell.workpiece.pose.rotation[:, 2]  # no tool: the flange is d6 in front of the wrist
     away = np.hypot(np.hypot(*centre[:, :2].T) - arm.a1, centre[:, 2] - arm.d1)
@@ -68,12 +70,12 @@ def test_out_of_reach_names_all_points_that_are(cell):
 
 
 def test_a_joint_beyond_its_range_or_too_fast_or_hard_is_named_with_its_worst_point(cell):
-    q = np.tile(cell.posture, (5, 1))
+    q = np.tile(arm_of(cell).posture, (5, 1))
     q[:, 4] = np.radians([110, 120, 126, 128, 121])  # A5 has +-125 deg
     (limit,) = [f for f in along_joints(cell, q) if f.kind == "joint limit"]
     assert limit.point == 4 and limit.severity == "stop" and "axis 5" in limit.sentence
     assert "points 3 to 4" in limit.sentence
-    q = np.tile(cell.posture, (6, 1))
+    q = np.tile(arm_of(cell).posture, (6, 1))
     q[3:, 0] += np.radians(6.0)  # 120 deg/s within one step of 50 ms, where 110 are allowed
     fast, hard = (f for f in along_joints(cell, q) if f.severity == "stop")
     assert fast.kind == "joint speed" and hard.kind == "joint acceleration" and hard.point in (3, 4)
@@ -82,20 +84,20 @@ def test_a_joint_beyond_its_range_or_too_fast_or_hard_is_named_with_its_worst_po
 
 
 def test_singularities_of_wrist_elbow_and_shoulder_and_a_flip_of_the_wrist_have_their_points(cell):
-    q = np.tile(cell.posture, (9, 1))
+    q = np.tile(arm_of(cell).posture, (9, 1))
     q[:, 4] = np.radians(np.linspace(8, -8.5, 9))
     results = along_joints(cell, q)
     assert [f.point for f in results if f.kind == "configuration flip"] == [5]
     (near,) = [f for f in results if f.kind == "singularity"]
     assert np.degrees(near.value) == pytest.approx(np.abs(np.linspace(8, -8.5, 9)).min(), abs=1e-6)
     assert near.point == 5 and "wrist" in near.sentence
-    q = np.tile(cell.posture, (3, 1))
+    q = np.tile(arm_of(cell).posture, (3, 1))
     q[:, 2] = cell.arm.elbow_offset + np.radians([8, 6, 4])  # the stretched arm at elbow_offset
     (near,) = [f for f in along_joints(cell, q) if f.kind == "singularity"]
     assert near.point == 3 and "elbow" in near.sentence and np.degrees(near.value) == pytest.approx(4, abs=1e-6)
-    results = along_joints(with_limits(cell, shoulder_distance=5.0), np.tile(cell.posture, (3, 1)))
+    results = along_joints(with_limits(cell, shoulder_distance=5.0), np.tile(arm_of(cell).posture, (3, 1)))
     (near,) = [f for f in results if f.kind == "singularity"]
-    wrist = pose(cell.arm, cell.mount, cell.posture)  # no tool: the flange is d6 in front of the wrist centre
+    wrist = pose(cell.arm, cell.mount, arm_of(cell).posture)  # no tool: the flange is d6 in front of the wrist centre
     centre = wrist.position - cell.arm.d6 * wrist.rotation[:, 2]
     assert near.value == pytest.approx(np.hypot(*centre[:2]), abs=1e-9) and "axis 1" in near.sentence
 
@@ -140,7 +142,7 @@ def test_blending_rounds_a_corner_as_a_parabola_does_unless_the_tool_stops():
 
 
 def test_a_large_or_hasty_correction_must_not_be_run_and_a_reference_of_another_path_is_refused(cell, ran):
-    target, most = cell.target(), cell.compensation.max_correction
+    target, most = path_of(cell).target, cell.compensation.max_correction
     checked = check(cell, shifted(target, 1.01 * most * (np.arange(len(target)) == 40)), ran=ran)
     stops = {f.what: f for f in checked.findings if f.severity == "stop"}
     assert stops["correction size"].where.point == 41 and stops["correction per tick"].where.point in (41, 42)
@@ -151,7 +153,7 @@ def test_a_large_or_hasty_correction_must_not_be_run_and_a_reference_of_another_
 
 
 def test_blending_is_only_a_matter_of_lin_motions(cell, ran):
-    target, strict = cell.target(), with_limits(cell, blending_share=1e-9)
+    target, strict = path_of(cell).target, with_limits(cell, blending_share=1e-9)
     smooth = shifted(target, np.linspace(0.0, 1e-4, len(target)))
     straight = target.with_position(smooth.position)
     for revised, motion, blended in (
@@ -180,7 +182,7 @@ def test_the_spindle_is_compared_with_what_the_pass_asks_for_at_a_line_of_the_pr
     assert first.value == pytest.approx(1e-3 * power) and first.unit == "kW"
     assert first.where.line in (6, 7, 9) and first.where.feature in ("leg", "arc")  # the cutting moves of the file
     assert f"(line {first.where.line})" in first.text
-    place = cell.target().position[first.where.point - 1]
+    place = path_of(cell).target.position[first.where.point - 1]
     assert first.where.position_mm == pytest.approx((1e3 * place).tolist())
 
 
@@ -424,8 +426,8 @@ def contacts_of(directory, diameter: float, lines) -> tuple[list, list[int]]:
     program = "\n".join(("G21 G90 G17", "S8000 M3", *lines, "G0 Z5", "M30", ""))
     stock = f"stock.min_mm=[{-x},{-y},-25]", f"stock.max_mm=[{x},{y},0]"
     cell = small_part(directory, program, *stock, f"tool.diameter_mm={diameter}", "timing.rapid_feed_m_per_min=6")
-    contacts = rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact))
-    return contacts, [int(cell.fed_path.toolpath.line[one.block]) for one in contacts]
+    contacts = rapid_violations(path_of(cell).target, engagement(cell, cell.limits.rapid_contact))
+    return contacts, [int(path_of(cell).fed.toolpath.line[one.block]) for one in contacts]
 
 
 def dangerous(d: float) -> dict[str, tuple]:
@@ -498,7 +500,7 @@ def test_the_answer_does_not_depend_on_the_stiffness_of_the_arm(tmp_path, factor
     compliance = 1e6 * factor * read_cell(find_file("paper.yaml")).arm.joint_compliance
     soft = (*SHORT, f"arm.joint_compliance_urad_per_n_m={compliance.tolist()}", "dynamics.gravity=false")
     cell = small_part(tmp_path, program, *soft)
-    target = cell.target()
+    target = path_of(cell).target
     for reference in (None, target.with_position(target.position + [0.0, 5e-5, 0.0], target.velocity)):
         checked = check(cell, reference)
         assert checked.rapid_volume_mm3 == pytest.approx(answer, rel=0.02), checked.lines()
@@ -508,7 +510,7 @@ def test_the_answer_does_not_depend_on_the_stiffness_of_the_arm(tmp_path, factor
 
 def test_a_corrected_path_that_lowers_a_rapid_move_into_the_floor_is_a_stop(tmp_path):
     cell = small_part(tmp_path, BACK, *SHORT)
-    target, fed = cell.target(), cell.timed_path
+    target, fed = path_of(cell).target, path_of(cell).timed
     back = fed.toolpath.line[fed.block] == 6
     lower = np.where(back, -0.6e-3, 0.0)[:, None] * [0.0, 0.0, 1.0]
     checked = check(cell, target.with_position(target.position + lower, target.velocity))

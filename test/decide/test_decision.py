@@ -8,12 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hostile import printed, settings
-from small_part import GCODE, assignments, small_part
+from samples.small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
+from kr270_milling.cell.models import modal_model_of, path_of
 from kr270_milling.cell.plant import perturbed
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide import compensation
@@ -48,7 +49,7 @@ def part(**features):
 
 def test_the_error_that_is_farthest_beyond_its_own_tolerance_decides():
     def judged(rows, **tolerances):
-        return judge_part(SimpleNamespace(part=Tolerances(**tolerances)), rows)
+        return judge_part(Tolerances(**tolerances), rows)
 
     limits = {"tolerance": 50e-6, "floor_tolerance": 10e-6, "features": ("pocket=30",)}
     result = judged(part(slot=(49e-6, 9e-6), pocket=(40e-6, np.nan)), **limits)
@@ -171,8 +172,8 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
     tracked = cell.replace(compensation=cell.compensation.replace(tracker=True))
     assert compare_methods(tracked, original).best == "learned"
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
-        assert Compensator(one.compensation, one.target()).method == method
-    judged = cell.replace(part=cell.part.replace(tolerance=100 * UM))
+        assert Compensator(one.compensation, path_of(one).target).method == method
+    judged = cell.replace(tolerances=cell.tolerances.replace(tolerance=100 * UM))
     result = compensation.compensate(judged, robots=1).decision
     assert list(result.verdict.methods) == ["inverse"]  # it runs no other method
     assert result.verdict.quantity == result.compensated.quantity
@@ -181,8 +182,8 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):
     cell = small_part(tmp_path, GCODE)
     ran = simulate(cell)
-    share = exchange_share(cell, ran)
-    feed_per_tooth = cell.feed_rate / (cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth)
+    share = exchange_share(path_of(cell), ran)
+    feed_per_tooth = path_of(cell).feed_rate / (cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth)
     assert share.share == pytest.approx(ran.result.correction.max() / feed_per_tooth) and not share.violations()
     strict = cell.replace(exchange=cell.exchange.replace(stop_correction=0.5 * share.share))
     done = compensation.compensate(strict, "linear")
@@ -280,7 +281,7 @@ def test_what_a_cell_does_not_know_is_drawn_evenly_from_none_to_the_stated_limit
 def test_frequencies_and_the_place_of_the_part_scatter_and_a_stated_share_moves_with_its_motors(cell):
     uncertainty = {**CERTAIN, "frequency": 0.1, "reference_inertia": 0.5, "placement": 1e-4}
     plants = draw(cell.replace(uncertainty=cell.uncertainty.replace(**uncertainty)), 400)
-    factors = np.array([p.modal_model.frequency[0] for p in plants[:60]]) / cell.modal_model.frequency[0]
+    factors = np.array([modal_model_of(p).frequency[0] for p in plants[:60]]) / modal_model_of(cell).frequency[0]
     assert np.log(factors).std() == pytest.approx(0.1, rel=0.4) and np.median(factors) == pytest.approx(1.0, abs=0.04)
     share = np.mean([p.dynamics.reference_inertia for p in plants])
     assert share == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(400))
@@ -291,7 +292,7 @@ def test_frequencies_and_the_place_of_the_part_scatter_and_a_stated_share_moves_
 
 def test_a_certain_plant_is_the_model_and_gives_its_scores(cell, pair):
     (plant,) = draw(cell.replace(uncertainty=cell.uncertainty.replace(**CERTAIN)), 1)
-    rows = run_sample(plant, cell.target(), [ran.reference for ran in pair], Gauge.of(cell))
+    rows = run_sample(plant, path_of(cell).target, [ran.reference for ran in pair], Gauge.of(cell))
     assert rows[:, 0] == pytest.approx([ran.scores.max_deviation for ran in pair], rel=1e-9)
     assert np.isnan(rows[:, 1]).all()
 
@@ -317,7 +318,7 @@ def test_a_seed_gives_the_same_verdict_on_any_number_of_cores_and_another_one_ot
 
 
 def test_a_correction_of_the_wrong_sign_and_plants_that_fail_cannot_be_trusted(cell, pair):
-    target, revised = cell.target(), pair[1].reference
+    target, revised = path_of(cell).target, pair[1].reference
     wrong = target.with_position(2 * target.position - revised.position)
     assert monte_carlo(cell, wrong, 6, 1).word == UNTRUSTED
     astray = target.with_position(target.position + np.outer(np.linspace(0, 0.02, len(target)), [0, 1, 0]))
@@ -338,7 +339,7 @@ def test_the_plants_of_a_tool_path_are_measured_by_the_walls_and_floors_of_their
     """A plant that is the model leaves its largest wall or floor error and its share of the tolerance."""
     cell = small_part(tmp_path, GCODE, "part.wall_tolerance_um=30", "part.floor_tolerance_um=10")
     ran = simulate(cell)
-    judged, gauge, target = tolerance_judge(cell, ran), Gauge.of(cell), cell.target()
+    judged, gauge, target = tolerance_judge(cell, ran), Gauge.of(cell), path_of(cell).target
     (row,) = run_sample(cell, target, [target], gauge)
     assert row == pytest.approx([judged.error, judged.error / judged.tolerance], rel=1e-9)
     assert row[0] != pytest.approx(ran.scores.max_deviation, rel=0.01)  # another quantity
@@ -352,7 +353,9 @@ def test_a_coarser_grid_keeps_to_half_the_feed_per_tooth_and_to_the_deviation(tm
     assert coarser(cell).stock.grid_step == pytest.approx(4000e-3 / 8000 / 4 / 2)  # 62.5 um
     fine = cell.replace(stock=cell.stock.replace(grid_step=10 * UM))
     assert coarser(fine).stock.grid_step == pytest.approx(30 * UM)
-    rows = [run_sample(c, cell.target(), [cell.target()], Gauge.of(c))[0, 0] for c in (fine, coarser(cell))]
+    rows = [
+        run_sample(c, path_of(cell).target, [path_of(cell).target], Gauge.of(c))[0, 0] for c in (fine, coarser(cell))
+    ]
     assert rows[1] == pytest.approx(rows[0], rel=0.02)
 
 
@@ -382,7 +385,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
 
 def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path):
     part = small_part(tmp_path, GCODE, *MOVING)
-    target, original = part.target(), simulate(part)
+    target, original = path_of(part).target, simulate(part)
     made = {m: compensator(part, target, m).revise(record_of(part, original)) for m in ("linear", "mirror", "inverse")}
     references = [target, *made.values()]
     expected = np.array(expected_deviations(part, references))

@@ -7,11 +7,12 @@ import struct
 
 import numpy as np
 import pytest
-from cuttings import profile
-from milled_part import CONFIG, HEAD, POCKET, RADIUS, SLOT, small_cell
+from samples.cuttings import profile
+from samples.milled_part import CONFIG, HEAD, POCKET, RADIUS, SLOT, small_cell
 
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface
 from kr270_milling.decide.part.course import Course, course, deviations
 from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
@@ -58,7 +59,7 @@ def test_nothing_is_cut_in_the_air_and_power_is_torque_times_spindle_speed(cell,
 
 def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_gives(cell, ran, part):
     """The predicted tool centre, which cut, is within 2 um of the corrected one: few nodes fall to another tooth."""
-    cut = machined(cell, ran.result.tool)
+    cut = machined(cut_of(cell), ran.result.tool, path_of(cell).clock)
     assert np.array_equal(cut.map_heights()[2], ran.result.heights)
     x, y, z = cut.heights(thinning=7)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
@@ -70,27 +71,27 @@ def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_give
 
 # --- Directions, distances and features along a pass ---
 def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_rests(cell):
-    target = cell.target()
+    target = path_of(cell).target
     end = target.duration_ns
     stamps = np.arange(0, end, 500_000)
-    path, velocity = course(cell, np.append(stamps, [end, end + 10**9])), target.sample_velocity(stamps)
+    path, velocity = course(path_of(cell), np.append(stamps, [end, end + 10**9])), target.sample_velocity(stamps)
     speed = np.linalg.norm(velocity, axis=1)
     moving = np.flatnonzero(speed > 5e-3)
     assert moving.size > 500
     along = np.sum(velocity[moving] / speed[moving, None] * path.tangent[moving], axis=1)
     assert np.quantile(along, 0.01) > 0.999  # the controller's knots round arcs a little
-    assert path.distance[-1] == pytest.approx(cell.timed_path.toolpath.length, abs=1e-12)
+    assert path.distance[-1] == pytest.approx(path_of(cell).timed.toolpath.length, abs=1e-12)
     upright = np.abs(path.tangent[:, 2]) > 0.999  # a move along the spindle keeps the side of the last horizontal move
     assert upright.any() and not upright[np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1].any()
-    straight = course(read_cell(CONFIG / "paper.yaml"), np.array([0, 10**9, 2 * 10**9]))
+    straight = course(path_of(read_cell(CONFIG / "paper.yaml")), np.array([0, 10**9, 2 * 10**9]))
     np.testing.assert_allclose(straight.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
     assert straight.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
 
 
 def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
     cell = small_cell(tmp_path, HEAD + "G0 X-28 Y0 Z-1\nG1 X20 F3000\nG1 X20 Y28\nG0 Z2\n")
-    stamps = np.linspace(0, cell.target().duration_ns, 200).astype(np.int64)
-    path = course(cell, stamps)
+    stamps = np.linspace(0, path_of(cell).target.duration_ns, 200).astype(np.int64)
+    path = course(path_of(cell), stamps)
     shifted = deviations(path, np.tile([-1.0, 2.0, 3.0], (stamps.size, 1)))
     flat = np.abs(path.tangent[:, 2]) < 0.5
     along_x, along_y = flat & (path.tangent[:, 0] > 0.9), flat & (path.tangent[:, 1] > 0.9)
@@ -106,8 +107,7 @@ def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_c
     path = tmp_path / "diamond.nc"
     path.write_text(f"{start.replace('M3', 'M3 F4000')}\n({diamond}\nM5\nM30\n")
     coarse = "stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0", f"path.file={path}"
-    # without end edges: their contact with the floor is no part of the linear response
-    cell = read_cell(CONFIG / "test_piece.yaml", (*coarse, "cutting.end_share=0"))
+    cell = read_cell(CONFIG / "test_piece.yaml", coarse)
     assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
     original = simulate(cell)
     before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))
@@ -129,17 +129,19 @@ def static(transition, input_matrix, output, feedthrough) -> np.ndarray:
 def interpolation_error(folder, spacing_mm: float) -> float:
     """Largest relative error of the static compliance, over exchanges along FAR."""
     cell = small_cell(folder, FAR, "dynamics.follow_pose=true", f"dynamics.posture_spacing_mm={spacing_mm}")
-    target = cell.target()
-    model = cell.arm_model(target)
-    steps = np.arange(0, cell.clock.steps(target.duration_ns), 37)  # exchanges; 37 meets every place between postures
-    stamps = cell.clock.stamp(steps)
-    joints = cell.joints_at(target.sample(stamps), target.sample_orientation(stamps))
+    target = path_of(cell).target
+    model = arm_model_of(cell, target)
+    steps = np.arange(
+        0, path_of(cell).clock.steps(target.duration_ns), 37
+    )  # exchanges; 37 meets every place between postures
+    stamps = path_of(cell).clock.stamp(steps)
+    joints = arm_of(cell).joints_at(target.sample(stamps), target.sample_orientation(stamps))
     modes = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, joints)
     worst = 0.0
     for step, mode in zip(steps, modes, strict=True):
         knot, part = divmod(step / model.steps_per_knot, 1.0)
         soft = static(*(a[int(knot)] + part * (a[int(knot) + 1] - a[int(knot)]) for a in model.arrays[:4]))
-        exact = static(*discretise(mode, cell.dynamics.damping_ratio, cell.clock.period))
+        exact = static(*discretise(mode, cell.dynamics.damping_ratio, path_of(cell).clock.period))
         worst = max(worst, np.abs(soft - exact).max() / np.abs(exact).max())
     return worst
 
@@ -156,9 +158,9 @@ MM, UM = 1e-3, 1e-6
 
 def planned(cell):
     """Stamps, course and target (n + 1, 3) of a cell."""
-    clock = cell.clock
-    stamps = clock.stamp(np.arange(clock.steps(cell.target().duration_ns) + 1))
-    return course(cell, stamps), cell.target().sample(stamps)
+    clock = path_of(cell).clock
+    stamps = clock.stamp(np.arange(clock.steps(path_of(cell).target.duration_ns) + 1))
+    return course(path_of(cell), stamps), path_of(cell).target.sample(stamps)
 
 
 def errors(cell, shift, feature: str = ""):
@@ -200,10 +202,10 @@ def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
     fine = small_cell(tmp_path, SLOT, "stock.grid_step_um=4.0", "stock.min_mm=[-3, -6, -6.5535]",
                       "stock.max_mm=[3, 6, 0]", "exchange.micro_step_deg=1.0")  # fmt: skip
     path, target = planned(fine)
-    time = np.arange(len(target)) * fine.clock.period
+    time = np.arange(len(target)) * path_of(fine).clock.period
     shake = 8 * UM * np.sin(2 * np.pi * 63.0 * time)  # comes round between the teeth, which pass at 200 Hz
     result = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
-    cut = machined(fine, target + shake[:, None] * [0, 1, 0])
+    cut = machined(cut_of(fine), target + shake[:, None] * [0, 1, 0], path_of(fine).clock)
     x, low, high = profile(cut)
     left = result.normal[:, 1] < 0
     for mine, border, side in ((left, high + 2 * UM, 1), (~left, low - 2 * UM, -1)):
@@ -256,9 +258,9 @@ def test_a_plunge_owns_the_floor_it_ends_on_and_heights_beside_the_stock_are_not
     assert len(place) > 500
     away = np.hypot(floors.x[place[:, 0]] - 5 * MM, floors.y[place[:, 1]] - 5 * MM)
     assert away.max() < RADIUS
-    deepest = heights_at(machined(cell, target), np.array([[5 * MM, 5 * MM]]))[0]
+    deepest = heights_at(machined(cut_of(cell), target, path_of(cell).clock), np.array([[5 * MM, 5 * MM]]))[0]
     assert deepest == pytest.approx(-1 * MM, abs=5e-6)  # no dwell
-    beside = heights_at(cell.cut(), np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
+    beside = heights_at(cut_of(cell), np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
     assert beside[0] == 0.0 and np.isnan(beside[1:]).all()
 
 
@@ -280,7 +282,7 @@ def test_the_stl_of_a_pass_is_closed_with_normals_outward_and_the_volume_of_the_
     cell, ran, tmp_path
 ):
     path, stock, chips = tmp_path / "part.stl", cell.stock, 1e9 * ran.result.removed_volume
-    count = write_part(path, cell, ran.result)
+    count = write_part(path, cut_of(cell), ran.result, path_of(cell).clock)
     data = path.read_bytes()  # by its definition: 84 bytes, then 50 each
     assert struct.unpack_from("<I", data, 80) == (count,)
     assert len(data) == 84 + 50 * count and not data.startswith(b"solid")

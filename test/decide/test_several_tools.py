@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import answered, ask, settings
-from milled_part import RIGID
+from samples.milled_part import RIGID
 
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import Cell, read_cell, read_cells
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell, read_cells
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.part import assess
@@ -93,7 +95,7 @@ def test_rapid_moves_where_the_tool_before_has_cut_are_no_contact(tmp_path):
     cells = tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL})
     alone = cells[1].replace(stage=None)
     margin = alone.limits.rapid_contact
-    contacts = [rapid_violations(cell.target(), engagement(cell, margin)) for cell in (cells[1], alone)]
+    contacts = [rapid_violations(path_of(cell).target, engagement(cell, margin)) for cell in (cells[1], alone)]
     assert not contacts[0] and len(contacts[1]) == 2
     depth = engagement(cells[1], 0.0).depth.max(), engagement(alone, 0.0).depth.max()
     assert depth == (pytest.approx(1e-3), pytest.approx(2e-3))
@@ -120,7 +122,7 @@ def test_a_tool_overrides_sections_and_one_tool_can_be_chosen(tmp_path):
     tools = {"T1": LARGE, "T2": SMALL | {"cutting": {"linear_edge": {"tangential_cutting_n_per_mm2": 700.0}}}}
     first, second = tool_cells(tmp_path, SLOTS, tools)
     assert second.cutting.active.tangential_cutting == 700e6 != first.cutting.active.tangential_cutting
-    assert (first.program.name, second.program.name) == ("MILLING_T1", "MILLING_T2")
+    assert (first.krl.name, second.krl.name) == ("MILLING_T1", "MILLING_T2")
     (chosen,) = tool_cells(tmp_path, SLOTS, tools, "path.tool=T2")
     assert chosen.tool.diameter == 6e-3 and [one.tool for one in chosen.stage.earlier] == ["T1"]
 
@@ -182,7 +184,7 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
     for cell, one in zip(read_cells(drafted, STOCK), answer["gcode"]["tools"], strict=True):
         read = read_gcode(corrected, one["tool"])
         assert one["error_um"] < 2.1 and one["blocks"] == np.count_nonzero(~read.rapid) > one["source_blocks"]
-        assert read.length == pytest.approx(cell.timed_path.toolpath.length, rel=0.01)
+        assert read.length == pytest.approx(path_of(cell).timed.toolpath.length, rel=0.01)
     for one in answer["tools"]:  # one after the other the tools leave the part
         assert one["compensated"]["deciding_error_um"] < one["as_programmed"]["deciding_error_um"]
 

@@ -7,12 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from samples.small_part import small_part
 from semi_discretisation import BENCHMARK, directional, limit
-from small_part import small_part
 
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide import stability
 from kr270_milling.decide.arcs import arcs_along
 from kr270_milling.decide.check import check
@@ -92,7 +93,7 @@ def test_a_cut_along_an_edge_is_engaged_over_its_width_on_the_side_with_material
     tmp_path, rotation, word, ends, immersion
 ):
     program = EDGE.format(*ends).replace("Y-14", f"Y{-24 + 20 * immersion:g}").replace("M3", word)
-    arcs = arcs_along(small_part(tmp_path, program, f"tool.rotation={rotation}"))
+    arcs = arcs_along(path_of(small_part(tmp_path, program, f"tool.rotation={rotation}")))
     steady = (arcs.position[:, 0] > 10e-3) & (arcs.position[:, 0] < 30e-3)
     angle = np.degrees(np.arcsin(2 * immersion - 1))  # [Altintas2012]: up-milling ends where the width is used up
     up = (ends[0] < ends[1]) == (word == "M3")  # a tooth then enters with a chip of 0
@@ -106,15 +107,15 @@ def test_a_cut_along_an_edge_is_engaged_over_its_width_on_the_side_with_material
 def test_a_second_way_through_the_same_slot_and_a_rapid_are_no_engagement(tmp_path):
     program = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X26 F4000\n{}G0 Z5\nM30\n"
     once, again = (
-        arcs_along(small_part(tmp_path, program.format(more))) for more in ("", "G1 X-14\nG1 X26\nG0 X-14\n")
+        arcs_along(path_of(small_part(tmp_path, program.format(more)))) for more in ("", "G1 X-14\nG1 X26\nG0 X-14\n")
     )
     assert abs(len(once.depth) - len(again.depth)) <= 3 and len(once.depth) > 80  # of some 300 places
 
 
 def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit(piece):
     cell, statement = piece
-    square, arcs = next(one for one in statement.features if one.name == "square"), arcs_along(cell)
-    shortest = FEWEST_TEETH * cell.feed_rate / (8000 / 60 * 4)
+    square, arcs = next(one for one in statement.features if one.name == "square"), arcs_along(path_of(cell))
+    shortest = FEWEST_TEETH * path_of(cell).feed_rate / (8000 / 60 * 4)
     groups = stability._groups(arcs, shortest)
     first = [int(rows[0]) for key, rows in groups.items() if arcs.features[key[0]] == "square"]
     ratios = [stability._limit_at(cell, True, arcs, k)[0] / arcs.depth[k] for k in first]
@@ -138,7 +139,7 @@ def pass_with(cell, across):
 
 def test_noise_and_a_swing_that_dies_out_are_no_growth_but_what_grows_or_lasts_at_any_place_is():
     cell = read_cell(find_file("paper.yaml"))
-    feed_per_tooth = cell.feed_rate * 2 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    feed_per_tooth = path_of(cell).feed_rate * 2 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
     n = np.arange(600)
     flip = feed_per_tooth * (-1.0) ** n
     noise = 0.05 * flip * np.random.default_rng(0).normal(size=600)
@@ -152,7 +153,7 @@ def test_noise_and_a_swing_that_dies_out_are_no_growth_but_what_grows_or_lasts_a
         residue = residue_of(cell, pass_with(cell, swing))
         assert residue.word == word, (residue, swing)
     residue = residue_of(cell, pass_with(cell, flip * lasts))
-    assert 300 < residue.time / feed_per_tooth * cell.feed_rate < 400  # teeth
+    assert 300 < residue.time / feed_per_tooth * path_of(cell).feed_rate < 400  # teeth
     unequal = cell.replace(tool=cell.tool.replace(pitch=np.radians([85, 95, 85, 95])))
     assert (
         residue_of(unequal, pass_with(cell, np.resize(0.5 * feed_per_tooth * np.array([1, -1, 0, 1]), 600))).word

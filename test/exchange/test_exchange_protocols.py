@@ -7,14 +7,15 @@ import functools
 import numpy as np
 import pytest
 from foreign_cell import PLACED, WALL, foreign_pass, readings
-from small_part import GCODE, small_part
+from samples.small_part import GCODE, small_part
 
 from kr270_milling.base.errors import ConfigError, MessageError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
 from kr270_milling.base.record import find_file
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
 from kr270_milling.exchange.inputs import ExchangeError, WrenchFrames, checked_wrench
@@ -35,7 +36,7 @@ def cell_with(*assignments):
 
 def protocols(cell):
     robot, cut = RobotProtocol(cell, deflection_every=1), CutProtocol(cell)
-    robot.reference = cell.target()
+    robot.reference = path_of(cell).target
     cut.configure()
     return robot, cut
 
@@ -78,7 +79,7 @@ BENT = ("dynamics.reference_inertia=true",)  # the reference itself moves the ar
 def test_the_protocols_give_the_compiled_pass_bit_for_bit(options):
     cell, reference = cell_with(*options), None
     if BENT[0] in options:
-        target = cell.target()
+        target = path_of(cell).target
         across = np.random.default_rng(5).normal(size=len(target)) * 2e-5
         reference = target.with_position(target.position + across[:, None] * [0.0, 1.0, 0.0])
     same_as_compiled(cell, reference)
@@ -86,7 +87,7 @@ def test_the_protocols_give_the_compiled_pass_bit_for_bit(options):
 
 def test_the_protocols_give_the_compiled_pass_of_the_mean_force_bit_for_bit(tmp_path):
     cell = small_part(tmp_path, GCODE, "cutting.detail=engagement", "exchange.iterations=2")
-    assert cell.clock.period == pytest.approx(4e-3)
+    assert path_of(cell).clock.period == pytest.approx(4e-3)
     same_as_compiled(cell)
 
 
@@ -95,7 +96,7 @@ def test_drilling_has_no_force_on_line_as_in_a_simulated_pass(tmp_path):
     cell = small_part(tmp_path, drilled)
     same_as_compiled(cell)
     ran = simulate(cell).result
-    hole = cell.programmed.drilling_at(ran.time_ns)
+    hole = path_of(cell).drilling_at(ran.time_ns)
     assert hole.any() and not ran.wrench[hole].any() and np.abs(ran.wrench).max() > 20.0
 
 
@@ -108,8 +109,11 @@ def same_as_compiled(cell, reference=None):
     for topic, field, series in (("tool_pose", "position", expected.tool), ("wrench", "wrench", expected.wrench)):
         last = {record.stamp: getattr(record, field) for record in records(outputs, topic)}  # of the iterated ones
         np.testing.assert_array_equal(list(last.values()), series)
-    assert column(outputs, "joint_states", "stamp").tolist() == expected.time_ns[:: cell.thinned_steps].tolist()
-    assert column(outputs, "clock", "stamp").tolist() == expected.time_ns[:: cell.steps_of(0.01)].tolist()
+    assert (
+        column(outputs, "joint_states", "stamp").tolist()
+        == expected.time_ns[:: cell.publish.steps(cell.exchange)].tolist()
+    )
+    assert column(outputs, "clock", "stamp").tolist() == expected.time_ns[:: cell.exchange.steps_of(0.01)].tolist()
     assert robot.correction == expected.correction.max() and cut.cut.removed_area == expected.removed_area
     assert robot.done and robot.passes == 1 and robot.wrench(WrenchSample(robot.awaited_ns, "workpiece", DOWN)) == []
     iterations = cell.exchange.iterations
@@ -151,12 +155,12 @@ def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_ce
     robot, cut = protocols(short_cell)
     ((_, fresh),) = cut.configure()
     assert fresh.stamp == 0 and set(fresh.cells.ravel().tolist()) == {100}
-    cut.reference(short_cell.target())
+    cut.reference(path_of(short_cell).target)
     going = [cut.under_way]
     run(robot, cut, lambda robot, cut, pose: going.append(cut.under_way) or [])
     assert going == [False, False] + [True] * (len(going) - 2) and not cut.under_way and cut.at_end
     ((_, used),) = cut.workpiece()
-    assert used.stamp == cut.stamp_ns == short_cell.clock.stamp(robot.steps) and used.cells.min() < 100
+    assert used.stamp == cut.stamp_ns == path_of(short_cell).clock.stamp(robot.steps) and used.cells.min() < 100
     share = (100 - used.cells.astype(float)) / 100
     height, area = short_cell.stock.max[2] - short_cell.stock.min[2], used.resolution**2
     # a cell of the map holds the node in its middle, rounded to a percent of the height: half a percent of each cell
@@ -170,7 +174,7 @@ def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_ce
 @pytest.fixture
 def protocol(short_cell):
     made = CompensatorProtocol(short_cell)
-    made.begin(short_cell.target())
+    made.begin(path_of(short_cell).target)
     return made
 
 
@@ -197,7 +201,7 @@ def states(outputs) -> list:
 
 
 def expected(cell, ran):
-    return compensator(cell, cell.target()).revise(record_of(cell, ran))
+    return compensator(cell, path_of(cell).target).revise(record_of(cell, ran))
 
 
 def assert_revised(outputs, reference) -> None:
@@ -223,7 +227,7 @@ def test_the_state_names_method_and_recordings_and_another_method_and_a_reset_st
 ):
     (fresh,) = states(protocol.reset())
     assert (fresh.name, fresh.method, fresh.passes, fresh.learned) == ("trajectory_compensator", "linear", 0, ())
-    assert fresh.target == fresh.reference == fingerprint(short_cell.target())
+    assert fresh.target == fresh.reference == fingerprint(path_of(short_cell).target)
     named = []
     for name in ("original/original.mcap", "second/second.mcap"):
         protocol.recording = name
@@ -234,11 +238,13 @@ def test_the_state_names_method_and_recordings_and_another_method_and_a_reset_st
     one, other = state.learned  # the same messages in two files
     assert one.fingerprint == other.fingerprint and (one.poses, one.wrenches) == 2 * (len(ran.time_ns),)
     outputs = protocol.choose("spline")  # from the pass along the target
-    assert_revised(outputs, compensator(short_cell, short_cell.target(), "spline").revise(record_of(short_cell, ran)))
+    assert_revised(
+        outputs, compensator(short_cell, path_of(short_cell).target, "spline").revise(record_of(short_cell, ran))
+    )
     (chosen,) = states(outputs)
     assert chosen.method == "spline" and [one.recording for one in chosen.learned] == named[:1]
     outputs = protocol.reset()
-    assert_revised(outputs, short_cell.target())
+    assert_revised(outputs, path_of(short_cell).target)
     assert states(outputs)[0].learned == ()
 
 
@@ -276,11 +282,11 @@ def test_learning_converges_with_a_robot_of_another_clock():
     cell, noise = read_cell(find_file("paper.yaml"), (*PLACED, "compensation.method=learned")), 5e-6
     cell = cell.replace(imperfections=cell.imperfections.replace(pose_noise=noise))
     protocol = CompensatorProtocol(cell)
-    protocol.begin(cell.target())
+    protocol.begin(path_of(cell).target)
     errors = []
     for number in range(4):
         result = simulate(cell, protocol.active.reference).result
-        errors.append(np.abs((result.actual - result.target)[result.time > cell.full_engagement, 1]).max())
+        errors.append(np.abs((result.actual - result.target)[result.time > path_of(cell).full_engagement, 1]).max())
         feed(protocol, foreign_pass(result, number, noise, cell), 0)
         assert protocol.passes == number + 1 and not protocol.under_way
     assert errors[0] > 60e-6 and errors[-1] < noise
@@ -313,7 +319,7 @@ def test_a_wrench_is_moved_as_pinocchio_moves_it():
 def announced(short_cell):
     """A compensator whose passes start with a message of the robot."""
     made = CompensatorProtocol(short_cell, announced=True)
-    made.begin(short_cell.target())
+    made.begin(path_of(short_cell).target)
     return made
 
 
@@ -351,7 +357,7 @@ def test_a_robot_that_stops_in_mid_pass_ends_the_pass_and_its_next_start_counts(
     """A pass of 10 s at a slow feed; stamps on the grid of the exchange."""
     cell = short_cell.replace(path=short_cell.path.replace(length=40e-3, feed_rate=4e-3))
     protocol = CompensatorProtocol(cell)
-    protocol.begin(cell.target())
+    protocol.begin(path_of(cell).target)
     reference, ms = protocol.active.reference, 1_000_000
     assert protocol.inbox.distance is None
     begin = [(k * ms, 0) for k in range(0, 300, 4)] + [(k * ms, (k - 300) * ms) for k in range(300, 2300, 4)]

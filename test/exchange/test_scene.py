@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-import pass_recording as made
 import pytest
+from samples import pass_recording as made
 
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointSample, PoseSample, Text
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.scene import Scene
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
@@ -56,7 +57,7 @@ def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
 
 
 def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
-    scene, target = Scene(), cell.target()
+    scene, target = Scene(), path_of(cell).target
     list(scene.take("target_trajectory", to_bytes(target)))
     shift, upright = np.array([0.0, 200e-6, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
     for k in range(450):

@@ -13,7 +13,8 @@ import psutil
 from faults.faults import ENDS, GOES_ON, Disturbed, Fault, Message
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
@@ -69,7 +70,7 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int)
     """struck_ns, started_ns: of the fault and of the pass [ns of the wall clock]. Raises RecordingError."""
     values_of = {"/tool_pose": expected.tool, "/wrench": expected.wrench, "/deflection": expected.deflection}
     with Recording(path) as recording:
-        about, every = info(recording), attached_cell(recording).thinned_steps
+        about, every = info(recording), attached_cell(recording).publish.steps(attached_cell(recording).exchange)
         references = recording.messages(["/reference_trajectory"])
         stamps = expected.time_ns + next((stamp_of(message.data) or 0 for message in references), 0)
         same, short, started, ended = True, 0, False, True

@@ -16,17 +16,16 @@ from pathlib import Path
 
 import hypothesis
 import numpy as np
-import pass_recording
 import pytest
 from budget import budget
 from hostile import POSTURE, SHORT, ask, contents, refused, refused_or_sound, settings
 from hypothesis import strategies as st
-from recording_samples import record
+from samples import pass_recording
+from samples.recording_samples import record
 
 from kr270_milling.base.arguments import bounded, numbers
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.cell_file import cell_text
+from kr270_milling.cell.cell_file import cell_text, read_cell
 from kr270_milling.recordings.bag.writer import BagWriter
 
 GARBAGE = bytes(range(256)) * 40

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import build, find_file, flatten, merge, override, read_tree
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.keys import keys_of
 
 TREE, _ = override(read_tree(find_file("paper.yaml")), SHORT)

@@ -15,7 +15,7 @@ import pytest
 import zstandard
 from budget import budget
 from mcap.writer import Writer
-from recording_samples import whole_recording, write_mcap
+from samples.recording_samples import whole_recording, write_mcap
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import export

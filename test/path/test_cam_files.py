@@ -188,6 +188,56 @@ def test_a_feed_per_revolution_goes_with_the_spindle_and_tools_and_what_moves_no
     np.testing.assert_allclose(path.position[2:] * 1e3, [[0, 0, 5], [9, 9, 5]])  # up first
 
 
+CYCLES = {  #: the statement, and in G-code the same hole at a point 1 mm high, from 20 mm
+    "CYCLE/DRILL,6.0,250.0,MMPM,3.0": "G99 G81 Z-5 R4 F250",
+    "CYCLE/DRILL,  6.000000,MMPM,  250.000000,RAPTO,  $\n  3.000000": "G99 G81 Z-5 R4 F250",
+    "CYCLE / DRILL, DEPTH, 6, MMPM, 250, CLEAR, 3": "G99 G81 Z-5 R4 F250",
+    "CYCLE / DRILL, DEPTH, 6, MMPM, 250, CLEAR, 3, RETURN, 0": "G98 G81 Z-5 R4 F250",
+    "CYCLE/DRILL,RAPTO,3.0,FEDTO,-6.0,RTRCTO,AUTO,MMPM,250.0": "G98 G81 Z-5 R4 F250",
+    "CYCLE/DRILL,DEEP,STEP,2,CLEAR,3,FEDTO,-6,RTRCTO,AUTO,MMPM,250": "G98 G83 Z-5 R4 Q2 F250",
+    "CYCLE / DEEP, DEPTH, 6, STEP, 2, MMPM, 250, CLEAR, 3": "G99 G83 Z-5 R4 Q2 F250",
+    "CYCLE/DEEP,6,250,MMPM,3,2": "G99 G83 Z-5 R4 Q2 F250",
+    "CYCLE/BRKCHP,DEPTH,6,STEP,2,IPM,10,CLEAR,3": "G99 G73 Z-5 R4 Q2 F254",
+    "CYCLE/REAM,DEPTH,6,MMPR,0.25,CLEAR,3": "G99 G85 Z-5 R4 F250",
+    "CYCLE/FACE,DEPTH,6,CLEAR,3,DWELL,1": "G99 G82 Z-5 R4 F777",
+}
+
+
+@pytest.mark.parametrize("statement", CYCLES)
+def test_a_cycle_makes_the_holes_of_its_g_code_and_its_feed_ends_with_it(read, statement):
+    apt = f"""UNITS/MM
+SPINDL/1000,RPM,CLW
+FEDRAT/777,MMPM
+RAPID
+GOTO/0,0,20
+{statement}
+GOTO/10,0,1
+GOTO/20,5,1
+CYCLE/OFF
+RAPID
+GOTO/30,5,20
+GOTO/30,5,3
+FINI
+"""
+    g_code = f"""G21 G90 S1000 M3 F777
+G0 X0 Y0 Z20
+{CYCLES[statement]} X10 Y0
+X20 Y5
+G80
+G0 X30 Y5 Z20
+G1 Z3 F777
+M30
+"""
+    path, expected = read(apt, ".apt"), read(g_code, ".nc")
+    np.testing.assert_allclose(path.position, expected.position, atol=1e-12)
+    np.testing.assert_allclose(path.feed, expected.feed, rtol=1e-12)
+    assert (path.rapid == expected.rapid).all() and (path.drilling == expected.drilling).all()
+    if "CLEAR, 3" in statement:  # the distance of a return counts from the point too
+        path = read(apt.replace("CLEAR, 3", "CLEAR, 3, RETURN, 8").replace("8, RETURN, 0", "8"), ".apt")
+        at_hole = path.position[:, 0] == 0.01
+        assert path.position[at_hole, 2].tolist()[-2:] == pytest.approx([0.004, 0.009])
+
+
 # --- Tool paths from CSV ---
 HEADER = "x_mm,y_mm,z_mm,feed_mm_per_min\n"
 TURNED = HEADER.replace("feed", "a_deg,b_deg,c_deg,feed")
@@ -212,7 +262,14 @@ REFUSED = {".apt": [
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5\nGOTO/-4,0,0\n", 4, "does not close"),
     ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
-    ("GOTO/5,0,0\nCYCLE/DRILL,5\n", 2, "CYCLE: let the CAM output drilling as GOTO"),
+    *((f"GOTO/5,0,9\n{cycle}\n", 2, words) for cycle, words in (
+        ("CYCLE/DRILL,5", "a height to go to"), ("CYCLE/DEEP,5,100,MMPM,2", "if DEEP or BRKCHP, STEP"),
+        ("CYCLE/TAP,5,100,MMPM,2", "TAP; let the CAM output drilling as GOTO"),
+        ("CYCLE/DRILL,DEPTH,5,CLEAR,2,RAPTO,1", "the second is RAPTO"),
+        ("CYCLE/DRILL,5,100,2", "3 numbers and 0 units"),
+        ("CYCLE/DRILL,5,100,MMPM,2,1,1", "5 numbers"), ("CYCLE/DRILL,FEDTO,-5,RAPTO,2,RTRCTO,MANUAL", "MANUAL"))),
+    *((f"GOTO/0,0,9\nCYCLE/DRILL,5,100,MMPM,2\n{line}\nGOTO/1,1,0\n", 3, "before CYCLE/OFF")
+      for line in ("RAPID", "FEDRAT/100,MMPM", "LOADTL/2", "GODLTA/1,1,1", "CIRCLE/0,0,0,0,0,1,5", "GOHOME")),
     ("GOTO/5,0,0\nCUTCOM/LEFT\n", 2, "CUTCOM: let the CAM output the path of the tool's centre"),
     ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"), ("SPINDL/800,SFM\n", 1, "SFM"),
     ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),

@@ -96,6 +96,7 @@ REFUSED = [
     ("G2 X10 Y0 R6 I5 F100", "not by both"), ("G2 R6 F100", "elsewhere"), ("G1 X5 I1 F100", "I belongs to"),
     ("(open\nG1 X1 F100", "not closed"), ("G1 X1 F100 $", r"\$"), ("G1 X1 F100 \u0425\u0456", "no G-code word"),
     ("G1 X1000000 F100", "wrong unit"), ("G81 Z5 R2 F100", "does not lead from R down to Z"),
+    ("G83 Z-9 R2 F100", "G83 without Q"), ("G73 Z-9 R2 Q0 F100", "G73 without Q"),
     ("G83 Z-99 R2 Q0.001 F100", "wrong Q"), ("G81 Z-5 R2 F100 L5", "5 times at one place"),
 ]  # fmt: skip
 
@@ -314,6 +315,37 @@ ball-end mill: T1 Fraise boule D10
 chamfer mill: T1 Winkelfräser 60 D10
 engraver: T1 60DEG VEE BIT
 brush or abrasive tool: T1 Schleifstift D10
+flat: T1 END MILL D10 IN R8 COLLET
+flat: T1 END MILL D10 FOR BALL SEAT POCKET
+flat: T1 12MM END MILL HOLDER CAT40 TAPER
+flat: T1 10MM 45DEG HELIX ENDMILL
+flat: T1 Fraise 2 tailles D10
+flat: T1 FACE MILL 90 DEG D50
+flat: T1 WSP-Fräser D20
+flat: TOOL DESC: 10mm FLAT ENDMILL
+ball-end mill: TOOL DESC: 10mm TAPERED BALL
+ball-end mill: TOOL NAME BALL_8MM
+ball-end mill: UTENSILE: FRESA SFERICA D8
+ball-end mill: FRAISE HEMISPHERIQUE D8
+ball-end mill: 1/4 BALL
+ball-end mill: T4 FRESA PUNTA DE BOLA 6
+bull-nose mill: T1 12MM ENDMILL 1MM RAD
+bull-nose mill: T1 1/2 X .060R ENDMILL
+bull-nose mill: T1 0.5 DIA 0.03 CR EM
+engraver: T1 V60 D10
+engraver: T1 60DEG V
+T-slot cutter: T1 NUTENFRAESER T D20
+T-slot cutter: T1 FRESA A T D20
+tapered mill: T1 45 DEG FACE MILL D50
+tapered mill: T1 Planfräser 45° D63
+chamfer mill: T1 SMUSSATORE D10
+dovetail cutter: T1 FRESA A CODA DI RONDINE
+drill: T1 PUNTA D8.5
+tap: T1 MASCHIO M8
+reamer: T1 ALESATORE 10H7
+countersink: T1 SVASATORE 90
+profile cutter: T1 PROFILE CUTTER
+schlitzfräser: T1 Schlitzfräser 63x3
 """
 
 

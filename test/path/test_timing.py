@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_part import path_error
+from samples.small_part import path_error
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.gcode.reader import read_gcode

@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.column import CONVERGED, as_dict, column
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.part.course import Course, course, deviations
 from kr270_milling.decide.part.surface import IdealPart, Surface, ideal_part, surface
 from kr270_milling.physics.motion.milling_pass import PassResult
@@ -133,7 +134,7 @@ def assess_result(
     cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None, path: Course | None = None
 ) -> PartAssessment:  # fmt: skip
     """Assess the series of a pass along the path of a cell, also of a plant that is not the cell."""
-    path = path or course(cell, result.time_ns)
+    path = path or course(path_of(cell), result.time_ns)
     return PartAssessment(
         name,
         path,
@@ -149,7 +150,7 @@ def assess_result(
 def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
     """Several passes of one cell, two at a time; course and part of the rigid arm are made once."""
     first = passes[0].result
-    path = course(cell, first.time_ns)
+    path = course(path_of(cell), first.time_ns)
     ideal = ideal_part(cell, path, first.target)
 
     def assessed(ran: ScoredPass) -> PartAssessment:

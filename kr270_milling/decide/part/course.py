@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.paths import CellPath
 
 __all__ = ["Course", "course", "deviations"]
 
@@ -30,11 +30,11 @@ class Course:
         return np.column_stack([-np.sin(self.heading), np.cos(self.heading)])
 
 
-def course(cell: Cell, time_ns: np.ndarray) -> Course:
-    """The course of the cell's target at times [ns], (n + 1,)."""
-    timed = cell.timed_path
+def course(programmed: CellPath, time_ns: np.ndarray) -> Course:
+    """The course of the programmed path at times [ns], (n + 1,)."""
+    timed = programmed.timed
     if timed is None:
-        target = cell.target()
+        target = programmed.target
         way = np.linalg.norm(target.sample(time_ns) - target.position[0], axis=1)
         along = target.position[-1] - target.position[0]
         tangent = np.tile(along / np.linalg.norm(along), (time_ns.size, 1))
@@ -44,7 +44,7 @@ def course(cell: Cell, time_ns: np.ndarray) -> Course:
     _, tangent, _ = path.on_path(distance)
     feature = path.feature[path.block_at(distance)]
     names = tuple(name or "unnamed" for name in path.features)
-    return Course(distance, tangent, _headings(tangent), feature, names, cell.programmed.drilling_at(time_ns))
+    return Course(distance, tangent, _headings(tangent), feature, names, programmed.drilling_at(time_ns))
 
 
 def _headings(tangent: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.cell.stage import Removal, cleared, swept
 from kr270_milling.decide.part.course import Course
 from kr270_milling.decide.part.workpiece import heights_at, machined
@@ -209,11 +210,11 @@ def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
     Of a program with several tools: after the rigid arm made the paths of the tools before, too. Walls and floors
     belong to the last tool that passes there.
     """
-    cut = machined(cell, target, rigid=True)
+    cut = machined(cut_of(cell, rigid=True), target, path_of(cell).clock)
     level = cut.params.level_step
     x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level, float(cell.stock.max[2]))
-    walls = ideal_walls(cut, marks(cell.tool, path, cell.clock.period, target))
+    walls = ideal_walls(cut, marks(cell.tool, path, path_of(cell).clock.period, target))
     if cell.stage:
         radius = float(cell.tool.radii.max())
         mine = swept((Removal(cell.stage.tool, radius, target, target),), cell.stock, False)
@@ -240,7 +241,7 @@ def surface(
     ideal = ideal_part(cell, path, target) if ideal is None else ideal
     walls = remaining_walls(ideal.walls, path, actual - target, ideal.level)
     if heights is None or heights.shape != ideal.height.shape:
-        heights = machined(cell, actual).map_heights()[2]
+        heights = machined(cut_of(cell), actual, path_of(cell).clock).map_heights()[2]
     largest = float(np.abs(actual - target)[:, :2].max(initial=0.0))
     floors = _floors(cell.stock, ideal, heights, largest)
     return Surface(floors, walls, 2.0 * ideal.level + cell.stock.floor_tolerance)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.files import write_files
-from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.cutting import CutModel, Stock
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.motion.milling_pass import PassResult
+from kr270_milling.physics.motion.periods import Clock
 
 __all__ = ["heights_at", "machined", "write_part", "write_stl"]
 
@@ -20,12 +20,13 @@ FINE = 0.25e-3  #: [m]
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def machined(cell: Cell, positions: np.ndarray, rigid: bool = False) -> CutModel:
-    """A fresh workpiece after the tool tip went through positions (n + 1, 3) [m], one exchange period from each to the
-    next, workpiece frame. Positions that are the target's leave the part of a rigid arm. rigid: earlier tools of the
-    program had a rigid arm, too. Raises GridError."""
-    cut = cell.cut(rigid)
-    cut.along(positions, np.arange(len(positions)) * cell.clock.micro_steps)
+def machined(cut: CutModel, positions: np.ndarray, clock: Clock) -> CutModel:
+    """Move the tool tip through positions (n + 1, 3) [m] of a fresh workpiece, and return the workpiece.
+
+    One exchange period lies between two positions, workpiece frame. Positions of the target leave the part of a rigid
+    arm. Raises GridError.
+    """
+    cut.along(positions, np.arange(len(positions)) * clock.micro_steps)
     return cut
 
 
@@ -41,11 +42,13 @@ def heights_at(cut: CutModel, xy: np.ndarray) -> np.ndarray:
     return np.where(inside, stock.max[2] - level * cut.params.level_step, np.nan)
 
 
-def write_part(path, cell: Cell, result: PassResult) -> int:
-    """``write_stl`` of the part that a pass left. It is swept again only where the pass has no map that is as fine."""
-    cut = cell.cut()
+def write_part(path, cut: CutModel, result: PassResult, clock: Clock) -> int:
+    """``write_stl`` of the part that a pass left. It is swept again only where the pass has no map that is as fine.
+
+    cut: a fresh workpiece.
+    """
     if result.heights is None or cut.map_thinning > _thinning(cut):
-        return write_stl(path, machined(cell, result.actual))
+        return write_stl(path, machined(cut, result.actual, clock))
     return write_stl(path, cut, (*cut.map_heights()[:2], result.heights))
 
 

@@ -21,6 +21,8 @@ from kr270_milling.base.units import seconds
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.cell.models import arm_of, path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl, krl_motion
 from kr270_milling.decide.programs.rsi_context import write_rsi_context
@@ -94,8 +96,8 @@ def set_aside(directory) -> list[str]:
 
 def kuka_frames(cell: Cell) -> tuple[str, str]:
     """$TOOL and $BASE that the programs set, as the display of the controller has them."""
-    frames = (("TOOL", cell.program.tool_number, _tool_in_flange(cell)),
-              ("BASE", cell.program.base_number, cell.workpiece.pose))  # fmt: skip
+    frames = (("TOOL", cell.krl.tool_number, _tool_in_flange(cell)),
+              ("BASE", cell.krl.base_number, cell.workpiece.pose))  # fmt: skip
     rows = [(name, f"[{index}]" if index else "", krl_motion.frame_row(frame)) for name, index, frame in frames]
     tool, base = (
         f"${name}={{{krl_motion.frame_text(row)}}}, to compare with {name}_DATA{index}" for name, index, row in rows
@@ -132,11 +134,11 @@ def write_tool_programs(
     joints = commanded_joints(cell, original), commanded_joints(cell, revised)
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     suffix = cell.stage.suffix if cell.stage else ""
-    program = cell.program if released else cell.program.replace(name=f"{NOT_RELEASED}{suffix}")
-    heading = krl.Heading(__version__, date, source, method, (time_law(cell), *decision, *findings))
+    program = cell.krl if released else cell.krl.replace(name=f"{NOT_RELEASED}{suffix}")
+    heading = krl.Heading(__version__, date, source, method, (time_law(path_of(cell)), *decision, *findings))
     named = f"{method}{suffix}"
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
-    setup, origin = _setup(cell, *commanded), source_of(cell, len(original))
+    setup, origin = _setup(cell, *commanded), source_of(path_of(cell), len(original))
     files: dict[str, list[Path]] = {}
     programs: list[tuple[str, str, int]] = []
     limits: list[str] = []
@@ -157,7 +159,7 @@ def write_tool_programs(
     files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
     files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
     files["trajectory"] = [place / f"reference_{named}.csv"]
-    air = float(cell.stock.max[2]), setup.safe_z, cell.program.approach_feed
+    air = float(cell.stock.max[2]), setup.safe_z, cell.krl.approach_feed
     write_rsi_table(files["rsi"][0], *commanded, tick_ns, air)
     for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
         write_joint_table(path, run, q)
@@ -184,11 +186,11 @@ def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
 
 def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     """$TOOL is the mount, $BASE the workpiece."""
-    safe_z = float(cell.stock.max[2]) + cell.program.safe_height
+    safe_z = float(cell.stock.max[2]) + cell.krl.safe_height
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
     mount = cell.mount
     centre = tuple(TOOL0.inverse().apply(mount.mass_centre).tolist())
-    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(cell) else (0.0, 0.0)
+    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
     spindle = f"{cell.tool.spindle_speed * 30.0 / np.pi:.6g} rpm, {cell.tool.rotation}"
     tool = _tool_in_flange(cell)
     return krl.Setup(tool, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law)
@@ -205,7 +207,7 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
     approaches = []
     for shift in BESIDE:
         try:
-            joints = cell.joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
+            joints = arm_of(cell).joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
         except (ReachError, JointLimitError, SingularityError) as error:
             raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
         status, turn = status_turn(cell.arm, joints)
@@ -215,19 +217,19 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
     return approaches[0]
 
 
-def timed_by_cell(cell: Cell) -> bool:
+def timed_by_cell(path: CellPath) -> bool:
     """Whether ``timing`` decides about the times of the points."""
-    return cell.timed_path is not None and not cell.timed_path.timed_by_source
+    return path.timed is not None and not path.timed.timed_by_source
 
 
-def time_law(cell: Cell) -> str:
+def time_law(path: CellPath) -> str:
     """The times of the points, on which every figure of a program rests, as one line."""
-    if cell.timed_path is None:
-        feed = f"constant feed of {60 * cell.feed_rate:.4g} m/min"
+    if path.timed is None:
+        feed = f"constant feed of {60 * path.feed_rate:.4g} m/min"
         return f"time law assumed: {feed} from point 1 to the last; give the program a run-in and a run-out"
-    if cell.timed_path.timed_by_source:
+    if path.timed.timed_by_source:
         return "time law assumed: the times of the recorded path"
-    timing = cell.timing
+    timing = path.timing
     return (
         f"time law assumed: acceleration {timing.acceleration:g} m/s2, jerk {timing.jerk:g} m/s3 along the path, a "
         f"knot of the plan every {1e3 * timing.controller_step:g} ms"
@@ -248,9 +250,9 @@ def _turning(program: Program, run: Trajectory) -> str:
     return f"the tool turns at up to {most[0]:.3g} deg/s and {most[1]:.3g} deg/s2 in the plan{slower}"
 
 
-def source_of(cell: Cell, count: int) -> krl_motion.Source | None:
+def source_of(path: CellPath, count: int) -> krl_motion.Source | None:
     """Line and feature of each knot; None without a program."""
-    lines, features = cell.programmed.knot_source
+    lines, features = path.knot_source
     return krl_motion.Source(lines, features) if len(lines) == count else None
 
 

@@ -21,6 +21,7 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.text import encoding_of
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.programs.krl import trajectory_hash
 from kr270_milling.decide.programs.krl_motion import WIDEST, printable_ascii
 from kr270_milling.decide.programs.points import point_numbers
@@ -83,9 +84,9 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
             "G-code states no joints, so the controller must compensate the sag: compensation.sag_compensated: true"
         )
         raise InputError("--gcode", reason)
-    if not all(cell.programmed.program.spindle_speeds for cell in cells):
+    if not all(cell.path.source.spindle_speeds for cell in cells):
         raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
-    return read_source(file, {cell.programmed.program.tool for cell in cells}, float(cells[0].stock.max[2]))
+    return read_source(file, {cell.path.source.tool for cell in cells}, float(cells[0].stock.max[2]))
 
 
 def write_gcode(
@@ -99,7 +100,7 @@ def write_gcode(
     NOT_RELEASED in name and header. Raises InputError as ``check_gcode``.
     """
     source = check_gcode([cell for cell, _ in jobs])
-    plans = [_Plan.of(cell, run, source) for cell, run in jobs if cell.programmed.mills]
+    plans = [_Plan.of(cell, run, source) for cell, run in jobs if path_of(cell).mills]
     ends = {line: points for plan in plans for line, points in plan.ends.items()}
     hashes = [trajectory_hash(run) for _, run in jobs]
     mark = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
@@ -111,7 +112,7 @@ def write_gcode(
         *([] if released else ["NOT RELEASED: FOR INSPECTION ONLY"]),
         "SIMULATION RESULT: VERIFY WITH REDUCED OVERRIDE AND WITHOUT MATERIAL BEFORE MILLING",
         f"kr270_milling {__version__}, {date}, method {method}, feed moves are G1 blocks on the corrected path",
-        f"sha256 of the source {jobs[0][0].programmed.sha256}",
+        f"sha256 of the source {jobs[0][0].path.sha256}",
         *decision,
     ]
     lines[source.head : source.head] = [source.comment.format(line) for note in notes for line in _comment(note)]
@@ -175,7 +176,7 @@ class _Plan:
 
     def compared(self, file: Path) -> WrittenGcode:
         """Read the program back and compare its path with the planned one; raise InputError for another program."""
-        cell, tool = self.cell, self.cell.programmed.program.tool
+        cell, tool = self.cell, self.cell.path.source.tool
         read = read_toolpath(file, tool, cell.path.feed_rate)
         ends = np.flatnonzero(~read.rapid & ~read.drilling)
         if len(ends) != self.block.sum():
@@ -191,7 +192,7 @@ class _Plan:
 
     def _error(self, places: np.ndarray) -> float:
         """Return the largest distance [m] of the planned path from the straight lines between places (p, 3)."""
-        times = _candidates(self.run, self.cell.program.tolerance)
+        times = _candidates(self.run, self.cell.krl.tolerance)
         times = np.union1d(times, (times[1:] + times[:-1]) // 2)
         span = np.clip(np.searchsorted(self.time_ns, times, side="right") - 1, 0, len(places) - 2)
         inside = (times >= self.time_ns[span]) & (times <= self.time_ns[span + 1])
@@ -203,9 +204,10 @@ class _Plan:
 
 
 def _timed(cell: Cell) -> TimedPath:
-    if cell.timed_path is None:
+    timed = path_of(cell).timed
+    if timed is None:
         raise InputError("--gcode", NO_GCODE)
-    return cell.timed_path
+    return timed
 
 
 def _duration(cell: Cell, path: Toolpath) -> float:
@@ -230,10 +232,10 @@ def _time_at(timed: TimedPath, distance: np.ndarray) -> np.ndarray:
 
 def _point_times(cell: Cell, run: Trajectory, needed: np.ndarray) -> np.ndarray:
     """Return the times [ns] of the points of a run; needed [ns]: of the ends of the moves."""
-    times = np.union1d(_candidates(run, cell.program.tolerance), needed)
+    times = np.union1d(_candidates(run, cell.krl.tolerance), needed)
     fine = Trajectory(times, run.sample(times), run.quaternion[0], None, run.frame)
     fixed = np.isin(times, needed) | np.isin(times, run.time_ns[run.standing])
-    program = cell.program.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.program.tolerance)
+    program = cell.krl.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.krl.tolerance)
     return times[point_numbers(program, fine, fine, fixed)]
 
 

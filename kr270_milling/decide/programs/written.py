@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.frames import Pose, quaternion_from_rotation
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, commanded_joints, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.programs import krl
 from kr270_milling.decide.programs.files import as_commanded, source_of, timed_by_cell
@@ -28,7 +29,7 @@ NOWHERE = Pose(np.zeros(3), np.eye(3))
 
 def motion_of(cell: Cell, planned: Trajectory) -> str:
     """SPLINE or LIN: LIN for straight lines along a cell's path."""
-    return "LIN" if planned.velocity is None else cell.program.motion
+    return "LIN" if planned.velocity is None else cell.krl.motion
 
 
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
@@ -37,12 +38,12 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     if not cell.compensation.sag_compensated:
         commanded = as_commanded(cell, planned, commanded_joints(cell, planned))
     start = krl.Approach(planned.position[0], 0, 0)
-    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(cell) else (0.0, 0.0)
+    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
     setup = krl.Setup(NOWHERE, NOWHERE, (start, start), 0.0, acceleration=law[0], jerk=law[1])
-    program = cell.program.replace(motion=motion, name="WRITTEN")
-    target = cell.target()
+    program = cell.krl.replace(motion=motion, name="WRITTEN")
+    path, target = path_of(cell), path_of(cell).target
     with tempfile.TemporaryDirectory() as folder:
-        krl.write_krl(folder, program, setup, target, commanded, krl.Heading("", ""), source_of(cell, len(planned)))
+        krl.write_krl(folder, program, setup, target, commanded, krl.Heading("", ""), source_of(path, len(planned)))
         read = read_krl(folder, "WRITTEN_CMP")
     k = read.number - 1
     position = planned.position[k] + read.pose.position - commanded.position[k]
@@ -82,13 +83,13 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
     The jerk is ``share`` squared times the jerk, so that every ramp has ``share`` times its acceleration. Each point is
     reached where the other time law is at the same distance along the path.
     """
-    timed = cell.timed_path
+    timed = path_of(cell).timed
     if timed is None or timed.timed_by_source or len(timed.distance) != len(reference):
         return None
     timing = cell.timing
     lower = timing.replace(acceleration=share * timing.acceleration, jerk=share**2 * timing.jerk)
     other = cell.replace(timing=lower)
-    later = other.timed_path
+    later = path_of(other).timed
     if later is None:
         return None
     fine = np.linspace(0, later.trajectory.duration_ns, 20 * len(later.trajectory)).astype(np.int64)
@@ -99,7 +100,7 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
     keep = np.concatenate([[True], np.diff(time_ns) > 0])
     points = Trajectory(time_ns[keep], reference.position[keep], reference.quaternion[keep], None, reference.frame)
     if reference.velocity is not None:
-        stops = cell.target().standing[keep]
+        stops = path_of(cell).target.standing[keep]
         stops[[0, -1]] = True
-        points = controller_motion(points, other.target(), stops)
+        points = controller_motion(points, path_of(other).target, stops)
     return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=MOST_ROWS)

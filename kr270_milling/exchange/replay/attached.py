@@ -9,7 +9,9 @@ import yaml
 
 from kr270_milling.base.errors import ConfigError, RecordingError, one_line
 from kr270_milling.base.parameter_file import find_file, read_yaml
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.recordings.bag.reader import Recording
 
 __all__ = ["attached_cell", "recorded_cells"]
@@ -64,7 +66,7 @@ def _read(recording: Recording, main: str) -> Cell:
         _localise(recording, file, names, set())
         try:
             cell = read_cell(file)
-            cell.timed_path  # noqa: B018 - reads the tool path while its file is there
+            path_of(cell).timed  # noqa: B018 - reads the tool path while its file is there
         except ConfigError as error:
             where = f"{recording.path}, attached {Path(error.file).name}"
             raise ConfigError(where, error.key, error.value, error.allowed) from error

@@ -11,6 +11,7 @@ import numpy as np
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.replay.attached import recorded_cells
 from kr270_milling.exchange.replay.recompute import pass_over, record_difference, robots_of, usable
 from kr270_milling.exchange.replay.revisions import Revisions
@@ -64,7 +65,7 @@ def compensate_recording(
         cell, _ = cells
         namespaces = robots_of(recording)
         for number, namespace in enumerate(namespaces, 1):
-            graph = read_graph(recording, cell.clock, namespace, on_damage=pass_over)
+            graph = read_graph(recording, path_of(cell).clock, namespace, on_damage=pass_over)
             with usable(recording):
                 made = Revisions(recording, cells, graph).revise(method)
             if made is not None:

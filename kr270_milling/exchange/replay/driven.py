@@ -14,12 +14,13 @@ import numpy as np
 
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import end_of
 from kr270_milling.exchange.inbox import PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.physics.motion.periods import Clock
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 
@@ -83,7 +84,7 @@ def driven_passes(
             record = read[name](message.data)
             if name == "reference_trajectory":
                 last = message.data
-                inbox = PassInbox(end_of(cell, record), 1, record.start_ns, record, cell.clock, frames)
+                inbox = PassInbox(end_of(cell, record), 1, record.start_ns, record, path_of(cell).clock, frames)
                 inboxes.append((inbox, record))
             elif inboxes:
                 inbox, _ = inboxes[-1]
@@ -115,7 +116,7 @@ def rsi_pass(
     [m] therefore do not contain. reference: programmed plus correction. Raises RecordingError where the session never
     was on the path, or where its cell has another path.
     """
-    target = cell.target()
+    target = path_of(cell).target
     if abs(programmed.duration_ns - target.duration_ns) > LONGEST_GAP:
         reason = f"its program takes {programmed.duration_ns * 1e-9:g} s, but the path of its cell"
         raise RecordingError(recording.path, f"{reason} {target.duration_ns * 1e-9:g} s")
@@ -127,7 +128,7 @@ def rsi_pass(
     on_path = np.flatnonzero(np.isfinite(way))
     if on_path.size < 2 or path.progress == 0.0:
         raise RecordingError(recording.path, "the robot was never on the path")
-    knots = path.way[np.cumsum(path.moved) - 1]
+    knots = path.distance[np.cumsum(path.moved) - 1]
     time = np.interp(way[on_path], knots, programmed.time_ns).astype(np.int64)
     time, rows = np.unique(time[::-1], return_index=True)  # the last pose of a stop
     off = place[on_path[::-1][rows]] - programmed.sample(time)

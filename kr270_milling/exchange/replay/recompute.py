@@ -18,6 +18,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.replay.attached import recorded_cells
@@ -191,7 +192,7 @@ class _Robot:
         self.first: Difference | None = None
         self.stops: list[tuple[str, int | None, str]] = []
         self._namespace, self._cut_off = namespace, recording.cut_off
-        graph = read_graph(recording, self.cell.clock, namespace, self.cell.joint_names, pass_over)
+        graph = read_graph(recording, path_of(self.cell).clock, namespace, self.cell.joint_names, pass_over)
         poses = recording.topics()[graph.topics["tool_pose"]].count if "tool_pose" in graph.topics else 0
         if poses > graph.refused.get("tool_pose", 0) and not graph.passes:
             reason = "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report "
@@ -223,7 +224,7 @@ class _Robot:
 
     def _compare_pass(self, one: PassSeries, number: int, complete: int) -> bool:
         """Compare one pass; return whether it ran to the end of its reference. complete: passes before that did."""
-        last = self.plant.clock.steps(one.reference.duration_ns)
+        last = path_of(self.plant).clock.steps(one.reference.duration_ns)
         wrench, pose = one.topic("wrench").last(), one.topic("tool_pose").last()
         start, inputs = one.reference.start_ns, {"wrench": wrench.unbroken(), "tool pose": pose.unbroken()}
         if one.reason or not inputs["tool pose"]:
@@ -240,7 +241,7 @@ class _Robot:
         for cause, effects in (("wrench", ("tool_pose", "deflection")), ("tool pose", ("wrench",))):
             beyond = max((int(one.topic(name).step[-1]) for name in effects if name in one.series), default=0)
             if beyond - inputs[cause] >= allowed and inputs[cause] <= last:
-                stamp = start + int(self.plant.clock.stamp(inputs[cause]))
+                stamp = start + int(path_of(self.plant).clock.stamp(inputs[cause]))
                 self._stop(stamp, f"the {cause} of this time is not in the recording")
         for name in ("deflection", "joint_states"):
             self._check_tail(name, one, min(len(outputs[name]), last + 1) - allowed)
@@ -265,14 +266,14 @@ class _Robot:
 
     def _every(self, name: str) -> int:
         """Return the number of steps from one message that must be there to the next."""
-        return self.cell.thinned_steps if name in ("deflection", "joint_states") else 1
+        return self.cell.publish.steps(self.cell.exchange) if name in ("deflection", "joint_states") else 1
 
     def _robot(self, one: PassSeries, wrench: Series, count: int, last: int, complete: int) -> dict[str, np.ndarray]:
         """Return poses, deflections and joint positions along the recorded wrenches, by steps."""
         plant, reference = self.plant, one.reference
         course = imperfect_course(plant, reference, complete)
-        model = imperfect_arm(plant, reference, plant.arm_model(reference))
-        stamps = plant.clock.stamp(np.arange(last + 1))
+        model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
+        stamps = path_of(plant).clock.stamp(np.arange(last + 1))
         arm = CompliantArm(model, model.push(course, stamps))
         guesses = self._guesses(one)
         tool, deflection = course.sample(stamps[: count + 1]), np.zeros((count, 6))
@@ -281,8 +282,8 @@ class _Robot:
             if step < count:
                 deflection[step] = arm.correct(wrench.values[step])
         turn = course.sample_orientation(stamps[: len(tool)])
-        every = self.cell.thinned_steps
-        joints = plant.joints_along(reference, stamps[:count:every]) if count else np.zeros((0, 6))
+        every = self.cell.publish.steps(self.cell.exchange)
+        joints = arm_of(plant).joints_along(reference, stamps[:count:every]) if count else np.zeros((0, 6))
         repeated = np.repeat(joints, every, axis=0)[:count]  # only the rows at multiples of ``every`` are compared
         return {"tool_pose": np.hstack([tool, turn]), "deflection": deflection, "joint_states": repeated}
 
@@ -297,11 +298,11 @@ class _Robot:
         """Return the wrenches along the recorded poses, by steps; compare the map of the part at their end."""
         plant, steps = self.plant, np.arange(count)
         protocol = CutProtocol(plant)
-        protocol.cut = plant.cut()
-        wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * plant.clock.micro_steps)
-        if plant.programmed.drills:
-            wrench[silent_periods(plant.programmed.drilling_at(plant.clock.stamp(steps)))] = 0.0
-        protocol.stamp_ns = one.reference.start_ns + int(plant.clock.stamp(count - 1))
+        protocol.cut = cut_of(plant)
+        wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * path_of(plant).clock.micro_steps)
+        if path_of(plant).drills:
+            wrench[silent_periods(path_of(plant).drilling_at(path_of(plant).clock.stamp(steps)))] = 0.0
+        protocol.stamp_ns = one.reference.start_ns + int(path_of(plant).clock.stamp(count - 1))
         expected = protocol.map_of_part()
         at_end = [index for index, recorded in enumerate(one.maps) if recorded.stamp == expected.stamp]
         if one.maps:  # the others are of the part before, or within the pass

@@ -13,6 +13,7 @@ import numpy as np
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
+from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import recorded_cells
@@ -65,7 +66,7 @@ def passes_from_recording(
     with Recording(path, remap=remap) as recording:
         cells = recorded_cells(recording, cell_file)
         cell, _ = cells
-        graph = read_graph(recording, cell.clock, namespace)
+        graph = read_graph(recording, path_of(cell).clock, namespace)
         program = _program(recording, cell)
         rsi = f"{graph.namespace}/correction" in recording.topics()
         unused: list[str] = []
@@ -101,7 +102,7 @@ def _driven(
 ) -> Iterator[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
     """Yield the scored passes whose poses have the stamps of a driver. Raises RecordingError."""
     cell, plant = cells
-    default = cell.target()
+    default = path_of(cell).target
     if rsi:
         (reference,) = graph.references
         programmed = graph.target_of(reference) or reference
@@ -112,11 +113,11 @@ def _driven(
     for reference, received, whole in driven:
         _check_duration(recording, cell, reference)
         target = default if rsi else graph.target_of(reference) or default
-        steps, tool, wrench = driven_steps(cell.clock, reference, received, whole)
-        off = tool - reference.sample(cell.clock.stamp(steps))
+        steps, tool, wrench = driven_steps(path_of(cell).clock, reference, received, whole)
+        off = tool - reference.sample(path_of(cell).clock.stamp(steps))
         rows = {"tool_pose": tool, "deflection": np.hstack([off, np.zeros_like(off)]), "wrench": wrench}
         result = _result(cells, target, reference, steps, rows, float("nan"))
-        ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
+        ran = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
         lost, complete = poses_lost(received), whole and not recording.cut_off
         stamps = "place" if rsi else "driver's"
         yield ran, RecordedFacts(cell, target, lost, lost, complete, program, stamps)
@@ -124,7 +125,7 @@ def _driven(
 
 def _check_duration(recording: Recording, cell: Cell, reference: Trajectory) -> int:
     """Return the last exchange of a pass. Raises RecordingError where the reference takes too long."""
-    last = cell.clock.steps(reference.duration_ns)
+    last = path_of(cell).clock.steps(reference.duration_ns)
     if last > MOST_STEPS:
         raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
     return last
@@ -135,7 +136,7 @@ def _scored(
 ) -> tuple[ScoredPass, RecordedFacts] | None:  # fmt: skip
     """Return the scored pass; None where poses, wrenches and deflections of at least one period are missing."""
     cell, plant = cells
-    reference, target = one.reference, one.target or cell.target()
+    reference, target = one.reference, one.target or path_of(cell).target
     last = _check_duration(recording, cell, reference)
     recorded = {kind: one.topic(kind).last() for kind in EXCHANGED}
     course = imperfect_course(plant, reference, 0)
@@ -145,9 +146,9 @@ def _scored(
         return None
     rows = {kind: part.values[np.searchsorted(part.step, steps)] for kind, part in whole.items()}
     ended = int(steps[-1]) == last
-    lost, thinned = one.lost(int(steps[-1]), cell.thinned_steps), cell.thinned_steps
+    lost, thinned = one.lost(int(steps[-1]), cell.publish.steps(cell.exchange)), cell.publish.steps(cell.exchange)
     result = _result(cells, target, course, steps, rows, wall)
-    ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
+    ran = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
     complete = ended and not lost and not recording.cut_off
     return ran, RecordedFacts(cell, target, lost, one.lost(last, thinned), complete, program)
 
@@ -158,16 +159,16 @@ def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, rec
     wrench, there = recorded["wrench"], recorded["deflection"]
     if len(there.step) >= len(wrench.step):
         return there
-    model = imperfect_arm(plant, reference, plant.arm_model(reference))
-    whole = plant.clock.steps(course.duration_ns) + 1
-    pushes = model.push(course, plant.clock.stamp(np.arange(whole)))
+    model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
+    whole = path_of(plant).clock.steps(course.duration_ns) + 1
+    pushes = model.push(course, path_of(plant).clock.stamp(np.arange(whole)))
     computed = follow(model, pushes, wrench.values[: min(wrench.unbroken(), whole)])
     known = there.step < len(computed)
     other = (computed[there.step[known]].view(np.int64) != there.values[known].view(np.int64)).any(axis=1)
     end = int(there.step[known][np.argmax(other)]) if other.any() else len(computed)
     later = there.step >= end
     step = np.append(np.arange(end), there.step[later])
-    return Series(step, plant.clock.stamp(step), np.append(computed[:end], there.values[later], axis=0))
+    return Series(step, path_of(plant).clock.stamp(step), np.append(computed[:end], there.values[later], axis=0))
 
 
 def _program(recording: Recording, cell: Cell) -> str | None:
@@ -184,12 +185,12 @@ def _result(
     """What no message carries (torque, volume, heights) from the recorded tool centres on a fresh workpiece; across a
     hole in the recording the tool goes straight."""
     cell, plant = cells
-    stamps, tool = cell.clock.stamp(steps), rows["tool_pose"][:, :3]
+    stamps, tool = path_of(cell).clock.stamp(steps), rows["tool_pose"][:, :3]
     course = run.sample(stamps)
     shift = course + rows["deflection"][:, :3] - tool
-    cut, counts = plant.cut(), steps * plant.clock.micro_steps
+    cut, counts = cut_of(plant), steps * path_of(plant).clock.micro_steps
     _, torque, volume = cut.along(tool, counts, predicted=True)
-    silent = silent_periods(plant.programmed.drilling_at(stamps))
+    silent = silent_periods(path_of(plant).drilling_at(stamps))
     torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(
         stamps, target.sample(stamps), course, tool, rows["deflection"], rows["wrench"],

@@ -6,6 +6,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import CompensatorState, LearnedRecording
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.inbox import ReceivedPass
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -38,14 +39,13 @@ class Revisions:
         self._file = f"{recording.path.parent.name}/{recording.path.name}"
         self._passes = [one for one in graph.passes if self._complete(one)]
         self._learned: dict[str, int] = {}  # stated fingerprint -> number of the pass in this file
-        target = self.cell.target()
+        target = path_of(self.cell).target
         self._targets = {fingerprint(target): target, **graph.targets}
 
     def _complete(self, one: PassSeries) -> bool:
         pose = one.topic("tool_pose").last()
-        return (
-            not one.reason and pose.unbroken() > 0 and pose.step[-1] == self.cell.clock.steps(one.reference.duration_ns)
-        )
+        steps = path_of(self.cell).clock.steps(one.reference.duration_ns)
+        return not one.reason and pose.unbroken() > 0 and pose.step[-1] == steps
 
     def order(self, index: int) -> tuple[int, int]:
         """Return number and end stamp [ns] of the pass before a state, for the order of differences."""

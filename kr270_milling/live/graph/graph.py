@@ -15,7 +15,7 @@ from typing import Any
 from kr270_milling.base.errors import one_line
 from kr270_milling.base.process import STOPS
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.cell_file import write_cell_file
+from kr270_milling.cell.cell_file import cell_text, write_cell_file
 from kr270_milling.live.graph.driver import Driver
 from kr270_milling.live.graph.processes import (
     AlreadyRunning,
@@ -223,10 +223,11 @@ class Graph:
 
     def begin_recording(self, name: str) -> None:
         """Set the directory of the recorder, and wait until the compensator reports that a pass may start."""
-        plant = self.plant
-        if plant is not None:
-            plant = plant.replace(imperfections=plant.imperfections.replace(first_pass=self.passes))
-        self.driver.set_parameters(RECORDER, recording_parameters(self.cell, self.out, name, plant), UP)
+        plant = ""
+        if self.plant is not None:
+            first = self.plant.imperfections.replace(first_pass=self.passes)
+            plant = cell_text(self.plant.replace(imperfections=first))
+        self.driver.set_parameters(RECORDER, recording_parameters(self.out, name, self.cell.path.files, plant), UP)
         file, end = f"{name}/{name}.mcap", time.monotonic() + MATCH
         while self._value("recording") != file or self._value("waiting_for"):
             self.check()

@@ -7,11 +7,13 @@ import itertools
 from collections.abc import Callable, Sequence
 
 from kr270_milling.base.column import as_dict, column, computed
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph, RunValues
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
+from kr270_milling.physics.compensation.settings import CompensationSettings
 
 __all__ = ["RunRow", "run_plan"]
 
@@ -57,7 +59,7 @@ def run_plan(
     say: called with a sentence at the start of each pass.
     """
     numbers = itertools.count(1)
-    most = _most_passes(graph.cell, methods, passes)
+    most = _most_passes(graph.cell.compensation, path_of(graph.cell).target, methods, passes)
 
     def run(name: str) -> RunRow:
         say(f"{name}, pass {next(numbers)} of at most {most}")
@@ -79,11 +81,11 @@ def run_plan(
     return rows
 
 
-def _most_passes(cell: Cell, methods: Sequence[str], passes: int | None) -> int:
+def _most_passes(settings: CompensationSettings, target: Trajectory, methods: Sequence[str], passes: int | None) -> int:
     """Return the largest possible number of passes."""
     if passes is not None:
         return 1 + len(methods) * (passes - 1)
-    limits = (Compensator(cell.compensation, cell.target(), method).most_passes for method in methods)
+    limits = (Compensator(settings, target, method).most_passes for method in methods)
     return 1 + sum(1 if most is None else most for most in limits)
 
 

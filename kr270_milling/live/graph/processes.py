@@ -19,8 +19,6 @@ from pathlib import Path
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.process import STOPS
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.cell_file import write_cell_file
 from kr270_milling.live.ros.environment import child_environment
 from kr270_milling.recordings.messages.topics import ROBOT
 
@@ -155,15 +153,16 @@ def ros_arguments(cell_file: Path, namespace: str, *more: str) -> list[str]:
     return ["--ros-args", "-p", f"cell_file:={json.dumps(str(cell_file))}", *space, *more]
 
 
-def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = None) -> dict:
+def recording_parameters(out: Path, name: str, files: Iterable[Path], plant: str = "") -> dict:
     """Return the recorder's parameters for the pass ``name``; the directory, which starts the recording, comes last.
 
-    plant: the cell that robot and cut run, where it differs from the planned one; it is attached as well.
+    files: further ones to attach; plant: parameter file of the cell that robot and cut run, where it differs from the
+    planned one.
     """
     attach = [str(out / "cell.yaml")]
-    if plant is not None:
+    if plant:
         (out / "log" / name).mkdir(exist_ok=True)
         attach.append(str(out / "log" / name / "plant.yaml"))
-        write_cell_file(plant, Path(attach[-1]))
-    attach += map(str, cell.programmed.files)
+        Path(attach[-1]).write_text(plant, encoding="utf-8")
+    attach += map(str, files)
     return {"attach": attach, "command": shlex.join(sys.argv), "directory": str(out / name)}

@@ -10,6 +10,7 @@ from rclpy.timer import Timer
 
 from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import Text, WrenchSample
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, LOST, OK, SILENT, WARN, ManagedNode, Silence, guarded
@@ -36,7 +37,7 @@ class CompliantRobot(ManagedNode):
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
         self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
         self._pace_timer: Timer | None = None
-        self._most_ahead = round(MOST_EXCHANGES * self.cell.clock.period * 1e9)  # [ns]
+        self._most_ahead = round(MOST_EXCHANGES * path_of(self.cell).clock.period * 1e9)  # [ns]
         self._given_up = False
         self._late: list = []  # outputs that wait for the wall clock
         self._silence = Silence()
@@ -55,7 +56,7 @@ class CompliantRobot(ManagedNode):
 
     def configure(self) -> None:
         trial = RobotProtocol(self.cell)  # compiles before the pass
-        trial.reference = self.cell.target()
+        trial.reference = path_of(self.cell).target
         trial.start()
         trial.wrench(WrenchSample(0, WORKPIECE, np.zeros(6)))
         self.send(self.protocol.describe())

@@ -6,6 +6,7 @@ import numpy as np
 from std_srvs.srv import Trigger
 
 from kr270_milling.base.samples import PoseSample
+from kr270_milling.cell.models import cut_of
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
@@ -45,7 +46,7 @@ class CuttingProcess(ManagedNode):
     def _compile(self) -> None:
         """Compile or load the compiled sweep before the pass."""
         above = np.array([0.0, 0.0, float(self.cell.stock.max[2]) + 1.0])
-        self.cell.cut().sweep(above, above, 0, 1)
+        cut_of(self.cell).sweep(above, above, 0, 1)
 
     def activate(self) -> None:
         self._robots = 0  # not counted yet

@@ -14,7 +14,8 @@ from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.samples import JointSample, PoseSample, Text, WrenchSample
 from kr270_milling.base.units import SECOND
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
@@ -95,7 +96,7 @@ class TrajectoryCompensator(ReportingNode):
         self.create_timer(LOOK, self._watch_pass)
         self.create_timer(POLL_PERIOD, self._poll)
         if own:
-            self._publish(self.protocol.begin(self.cell.target()), TARGET)
+            self._publish(self.protocol.begin(path_of(self.cell).target), TARGET)
         else:
             self.report(OK, "waiting for a target trajectory")
 

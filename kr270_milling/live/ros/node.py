@@ -22,7 +22,8 @@ from rclpy.task import Future
 from kr270_milling.base.errors import InputError, MessageError, MillingError, one_line
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.units import SECOND
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.polling import is_polled, polled_subscription

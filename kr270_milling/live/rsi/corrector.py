@@ -61,7 +61,7 @@ class Corrector:
         """cycle [s]: 0.004 or 0.012."""
         self._path = path = PathProgress(table.position, limits.reach, limits.window)
         self._value = np.append(table.correction[:-1][path.moved[1:]], table.correction[-1:], axis=0)  # last of a rest
-        self._way = path.way
+        self._way = path.distance
         self._limits, self._cycle = limits, cycle
         self.applied = np.zeros(6)
         self.share = 0.0  #: of the wanted correction, 0 to 1

@@ -34,13 +34,15 @@ INSIDE = re.compile(
 LONGEST_NAME = 48
 MOST_WORDS = 7
 
-TOOL_NUMBER = re.compile(r"\s*(?:tool\s*[-#:]?\s*|t\s*)0*(\d+)\b", re.I)
+TOOL_WORD = r"(?:tool|werkzeug|wkzg?|wz|outil|utensile|herramienta)"
+TOOL_NUMBER = re.compile(rf"\s*(?:{TOOL_WORD}\s*(?:n[or]\.?\s*)?[-#:]?\s*|t\s*)0*(\d+)\b", re.I)
 ANY_NUMBER = re.compile(r"\bT0*(\d+)\b", re.I)
 NO_TOOL = re.compile(r"\s*(?:stock|material|block|wcs|part)\b", re.I)
 SAYS_DIAMETER = re.compile(r"\bdia", re.I)
 OLD_MASTERCAM = re.compile(r"(.*?)TOOL\s*-\s*0*(\d+)\s+DIA\. OFF", re.I)
 DIAMETER = re.compile(
-    rf"(?:tool dia\.?|\bdiam(?:eter)?|\bdia\.?|\bd|ø)\s*[-=:.]?\s*{NUMBER}(?![\d/])\s*(mm|in|inch|\")?(?!\s*\. off)",
+    rf"(?:tool dia\.?|\bdiam(?:eter)?|\bdia\.?|\bd|ø)\s*[-=:.]?\s*{NUMBER}"
+    r"(?![\d/]|\.\d|\s*(?:CR|R|rad\w*)\b(?!\s*[=\d.]))\s*(mm|in|inch|\")?(?!\s*\. off)",
     re.I,
 )
 BEFORE = re.compile(rf"{NUMBER}\s*dia(?:m|meter)?\b", re.I)
@@ -49,74 +51,124 @@ FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|f
 INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
 #: radius of a corner: CR=1, R0.5, D10R2, RAD. 2., Eckenradius 0.5; and 0.5 CR
 CORNER = re.compile(rf"(?:\b(?:CR|(?:eck(?:en)?)?rad(?:ius)?)|(?<![^\W\d_])R)\.?\s*[-=:]?\s*{NUMBER}", re.I)
-CORNER_BEFORE = re.compile(rf"{NUMBER}\s*(?:mm|in|\")?\s*(?:CR|corner rad(?:ius)?)\b", re.I)
+CORNER_BEFORE = re.compile(rf"{NUMBER}(?:\s*(?:mm|in|\")?\s*(?:CR|(?:corner )?rad(?:ius)?)|R)\b", re.I)
 DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 TEETH = re.compile(r"(?:(?<!\d)(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
-#: comment that is about a tool as a whole, without its number: FreeCAD, Vectric, Estlcam
-ABOUT_TOOL = re.compile(r"\s*(?:TC|tool|werkzeug|wz|cutter|bit)\b\s*[:=]", re.I)
+#: comment that is about a tool as a whole, without its number: FreeCAD, Vectric, Estlcam, TOOL DESC: and TOOL NAME;
+#: or a size and the shape alone: 1/4 BALL
+ABOUT_TOOL = re.compile(
+    rf"\s*(?:TC|{TOOL_WORD}|cutter|bit)\b[ _-]*(?:(?:desc\w*|name|type?|comment|info|bezeichnung)\b\s*[-:=]?|[:=])"
+    rf"|\s*(?:[dø]\s*)?(?:\d+/\d+|{NUMBER})\s*(?:mm|in|\")?\s+(?:taper\w* )?"
+    r"(?:ball|bull|kugel|t-?slot|dovetail|lollipop|taper)\s*(?:nose|end|tool|[rlz]?\d[\w.]*|\s)*\Z",
+    re.I,
+)
+#: parts of a comment that are about something else: the holder, a side that is no cone, and after the name of an end
+#: mill what the mill is for or comes before
+ASIDE = re.compile(
+    r"(?:\b(?:in|the|taper|R8|(?:BT|CAT|ER|HSK|ISO|NT|SK)[- ]?\d+\w?)\s+)*\b(?:holder|collet|chuck|arbor|spannzange)\b"
+    r"(?:\s+(?:taper|(?:BT|CAT|ER|HSK|ISO|NT|SK)[- ]?\d+\w?)\b)*"
+    r"|\b0(?:\.0*)?\s*deg\w*\s*taper"
+    r"|(?<=mill)(?P<size>[^-(]*?)\b(?:for|before|f(?:ü|ue)r|vor)\s.*",
+    re.I,
+)
 KIND = re.compile(
     r"(?:flat|square|ball|bull|nose|face|chamfer|shell|slot|spot|cent(?:er|re)|twist|rough\w*|thread\w*|carbide|taper\w*"
     r"|t-?slot|key\w*|woodruff|engraving|corner|round\w*|radius|form|high|feed|step|conical|\s|-)*"
     r"(?:end ?mills?|mill|ball ?nose|bull ?nose|drill|tap|reamer|probe|cutter|engraver|v-?bit|bit|face ?mill|lollipop"
     r"|fly ?cutter|dove ?tail|boring (?:bar|head)|slitting saw|\w*fr\S{1,3}ser|\w*bohrer|\w*senker|reibahle|\w*stichel"
-    r")\b",
+    r")\b|\b(?:fraise|fresa|fr\.|foret|broca|punta|taraud|maschio|macho)(?:\s+(?:[aà]|per|de|da|en)\b)?\s+[^\W\d_]+",
     re.I,
 )
 FLAT_KINDS = re.compile(
     r"\b(?:flat|square)[- ]*(?:nose[- ]*)?(?:end)?[- ]?mill|(?<!feed )(?<!insert )(?:face|shell)[- ]?mill"
     r"|fly ?cutter|slot ?drill"
-    r"|(?<!t-)(?<!t)(?:schaft|plan|eck|walzenstirn|schrupp|schlicht|finger|langloch|bohrnuten|nuten)fr\S{1,3}ser",
+    r"|(?<!t-)(?<!t)(?:schaft|plan|eck|walzenstirn|schrupp|schlicht|finger|langloch|bohrnuten|nuten)fr\S{1,3}ser"
+    r"(?![- ]*t\b)",
+    re.I,
+)
+#: a mill for faces with a conical side: 45 DEG, KAPR 45; 90 deg is a shoulder, and an angle of the helix is none
+CONICAL_FACE = re.compile(
+    r"(?=.*(?:face|plan|surfac))(?=.*(?:(?<![\d.])(?!90|0)\d\d(?:\.\d*)?\s*(?:deg|°|grad)(?!\w*\s*(?:helix|drall))"
+    r"|\b(?:kapr|kappa|einstellwinkel)\s*[=:]?\s*(?!90)\d))",
     re.I,
 )
 #: kind of a tool that is no flat end mill -> its words, as posts write them. The words of the Fusion, Mastercam and
-#: SolidCAM tool libraries, of FreeCAD, Vectric and Estlcam, and the German ones; the first kind that fits is the kind
+#: SolidCAM tool libraries, of FreeCAD, Vectric and Estlcam, and the German, Italian, French and Spanish ones; the first
+#: kind that fits is the kind
 OTHER_KINDS = {
     kind: re.compile(words, re.I)
     for kind, words in {
-        "tap": r"\btap\b|\btaps\b|gewinde(?:bohr|form)|(?:right|left) hand tap|\btaraud",
-        "thread mill": r"\bthread|\bth[rd][- ]?mill|gewindefr",
-        "countersink": r"counter ?sink|\bc'?sink|\bcsk|(?<!flach)senker",
+        "tap": r"\btap\b|\btaps\b|gewinde(?:bohr|form)|(?:right|left) hand tap|\btaraud"
+        r"|\bmaschi[oa]|\bmacho|\w+tap\b|\bgew\w*\.\s*bohr",
+        "thread mill": r"\bthread|\bthr?d?[- ]?mill|gewinde(?:fr|wirb)|filet(?:er|age|t)|\brosca|\bsptm\b|\bgf\s*m\d",
+        "countersink": r"counter ?sink|\bc'?sink|\bcsk|(?<!flach)senker|\bsvasa|\bfrais(?:ur|oir)"
+        r"|\bavellan",
         "counterbore": r"counter ?bore|flachsenker",
         "spot drill": r"\bspot|anbohrer",
-        "centre drill": r"\bcent(?:er|re)[- ]?drill|zentrier",
-        "reamer": r"\bream|reibahle",
-        "boring bar": r"\bbor(?:e|ing)[- ]?(?:bar|head)|ausdreh|bohrstange|feinbohr",
-        "drill": r"(?<!slot )\bdrill|spade ?drill|bohrer|\bforet|\bbroca",
+        "centre drill": r"\bcent(?:er|re)[- ]?drill|zentrier|\bpoint(?:er|eur)|\bcentra(?:r|tore)\b"
+        r"|\bda centro",
+        "reamer": r"\bream|reibahle|\bal[eé]s[ao]|\bescaria|\brmr\b",
+        "boring bar": r"\bbor(?:e|ing)[- ]?(?:bar|head)|ausdreh|ausspindel|bohrstange|feinbohr"
+        r"|\bbare?no\b|\bbarre\b|fine ?bore",
+        "drill": r"(?<!slot )\bdrill|spade ?drill|bohrer|\bforet|\bbroca|\bjobber|\btwist\b|\bspade\b"
+        r"|(?<!fresa )\bpunta\b(?! (?:de bola|sferica|tonda))",
         "ball-end mill": r"\bball|spher|sferic|kugel|vollradius|kopierfr|\bcopy[- ]?mill|core ?box|hemi"
-        r"|\bboule|\bbn(?:em)?(?:\d|\b)",
-        "lollipop cutter": r"lolli",
-        "dovetail cutter": r"\bdove|schwalben",
-        "T-slot cutter": r"\bt[- ]?slot|\bt[- ]?nut|\bslot[- ]?mill|key[- ]?(?:seat|(?:way|slot)?[- ]?(?:cutter|mill))"
-        r"|woodruff|slitting|\bsaw\b|side and face|\bdis[ck][- ]?mill|scheibenfr|kreiss.{1,2}ge|s.{1,2}geblatt"
-        r"|under ?cut|hinterschn",
-        "high-feed mill": r"high[- ]?feed|\bhfc\b|hochvorschub|feed[- ]?mill",
-        "chamfer mill": r"chamf|chanfr|\bcham\b|\bfas(?:e|fr|\b)|(?:winkel|prismen)fr|entgrat|deburr|bevel",
+        r"|\bboule|\bbola\b|\bb(?:n|em|nem)(?:\d|\b)|full[- ]?rad|\bpunta tonda",
+        "lollipop cutter": r"loll[iy]",
+        "dovetail cutter": r"\bdove|schwalben|coda di rondine|aronde|cola de milano",
+        "T-slot cutter": r"\bt[- ]?slot|\bt[- ]?nut|nut\w*fr\S{1,3}ser[- ]*t\b"
+        r"|\bfresa a t\b|\ben t\b|\bslot[- ]?mill|key[- ]?(?:seat|(?:way|slot)?[- ]?(?:cutter|mill))"
+        r"|woodruff|slit(?:ting|saw)|\bsaw\b|side and face|\bdis[ck][- ]?mill|scheibenfr|kreiss.{1,2}ge|s.{1,2}geblatt"
+        r"|\bs(?:ä|ae)ge"
+        r"|under ?cut|hinterschn|\bscie\b|\ba disco",
+        "high-feed mill": r"hi(?:gh)?[- ]?feed|\bhf[cm]\b|hochvorschub|feed[- ]?mill",
+        "chamfer mill": r"chamf|chanfr|chafl|\bchmf|smuss|\bcham\b"
+        r"|\bfas(?:e|fr|\b)|(?:winkel|prismen)fr|entgrat|deburr|bevel",
         "engraver": r"engrav|grav(?:i|eur)|stichel|diamond drag|\bv(?:ee)?[- ]?(?:bit|carv\w*|cutter|groove|tool)\b"
-        r"|\bdrag ?(?:knife|bit)",
+        r"|\bdrag ?(?:knife|bit)|\bv-?[1-9]\d\d?\b|\d\s*(?:deg\w*|°|grad)\s*v\b|\ba v\b|\bjavelot|\bpyramid|\bbulino",
         "corner-rounding cutter": r"corner[- ]?round|round[- ]?over|quarter[- ]?round|radius[- ]?mill"
-        r"|fillet[- ]?(?:mill|cutter)|\bogee|viertelkreis|radi(?:us|en)fr",
+        r"|fillet[- ]?(?:mill|cutter)|\bogee|viertel(?:kreis|rund)|radi(?:us|en)fr",
         "form mill": r"\bform[- ]?(?:mill|tool|cutter|fr)|formfr|\bbarrel|\blens\b|circle segment|kreissegment|tonnenfr"
         r"|step[- ]?mill",
-        "bull-nose mill": r"\bbull|\btor(?:us|oid|i[cqs])|rundplatten|\bbutton|round insert",
+        "bull-nose mill": r"\bbull|\btor(?:us|oid|i[cqs])|\braggiat|rundplatten|\bbutton|round insert",
         "tapered mill": r"\btaper|konisch|kegel|\bconi[cq]|\bcone",
-        "probe": r"\bprobe|taster|edge ?finder",
+        "probe": r"\bprobe|taster|renishaw|edge ?finder",
         "brush or abrasive tool": r"\bbrush|b.{1,2}rste\b|\bgrinding|schleif|\bburr\b|polier|burnish",
     }.items()
 }
+#: name of a mill, and the parts of names that a flat one has; any other part is a kind of its own: PROFILE CUTTER
+MILL = re.compile(r"([^\W\d_]+)[- ](?:cutter|mill)\b|([^\W\d_]+?)-?fr(?:\W|ä|ae|a)ser", re.I)
+OF_FLAT = re.compile(
+    r"(?:flat|square|end|face|facing|shell|shoulder|fly|rough\w*|finish\w*|hog\w*|plunge|insert\w*|index\w*|helical"
+    r"|spiral|(?:up|down)(?:cut)?|cut(?:ting)?|compression|flutes?|fl|teeth|mm|in|inch|solid|carbide|cobalt|hss?e?|hm|vhm"
+    r"|hp[cm]|hs[cm]|steel|alu\w*|metal|wood|long|short|stub|reach|large|small|big|new|old|use|tool|cnc|nc|the|a|or|and"
+    r"|\w*(?:schaft|plan|eck|stirn|walzen|schrupp|schlicht|finger|langloch|nuten|igel|schneid\w*|zahn|platten|wsp))",
+    re.I,
+)
 OPERATIONS = frozenset(("drill", "tap", "probe"))  #: names of operations and of tools
-#: kinds of tools that are not judged as mills while they go along their axis only
-AXIAL_KINDS = frozenset(
-    ("tap", "countersink", "counterbore", "spot drill", "centre drill", "reamer", "boring bar", "drill")
+#: kinds of tools that are not judged as mills while they go along their axis only; a tap needs the angle of the spindle
+AXIAL_KINDS = frozenset(("countersink", "counterbore", "spot drill", "centre drill", "reamer", "boring bar", "drill"))
+#: cutters with inserts in a body, and faces are milled with such cutters
+INSERTS = re.compile(
+    r"insert|\bindex|\bshell|\bfac(?:e|ing)|platte|\bwsp|messerkopf|(?:plan|eck|igel|walzenstirn)fr|coromill|plaquette|surfac",
+    re.I,
 )
 TAPER_ANGLE = re.compile(r"\bTAPER=", re.I)  #: of a chamfer mill or of the point of a drill
 
 
 def kind_of(words: str) -> str:
-    """Return the kind of the tool that words name; "" for a flat end mill and where they name no kind."""
+    """Return the kind of the tool that words name; "" for a flat end mill and where they name no kind.
+
+    A mill with a name that is in no list is a kind.
+    """
     words = TAPER_ANGLE.sub("", words.replace("_", " "))
+    if CONICAL_FACE.match(words):
+        return "tapered mill"
     if FLAT_KINDS.search(words):
         return ""
-    return next((kind for kind, pattern in OTHER_KINDS.items() if pattern.search(words)), "")
+    known = next((kind for kind, pattern in OTHER_KINDS.items() if pattern.search(words)), "")
+    unknown = (mill.group() for mill in MILL.finditer(words) if not OF_FLAT.fullmatch(mill[1] or mill[2]))
+    return known or next(unknown, "").lower()
 
 
 def operation_name(comment: str) -> tuple[str, bool]:
@@ -144,7 +196,7 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     """
     if NO_TOOL.match(comment):
         return None
-    comment = DECIMAL_COMMA.sub(".", comment)
+    comment = ASIDE.sub(lambda aside: aside["size"] or " ", DECIMAL_COMMA.sub(".", comment))
     old = OLD_MASTERCAM.match(comment)
     numbered = TOOL_NUMBER.match(comment)
     inside = ANY_NUMBER.search(comment)
@@ -163,7 +215,15 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     radius = float(corner.group(1)) * unit if corner else 0.0
     if radius > 0.51 * diameter > 0.0:  # a number of another thing, as R8 of a collet
         radius = 0.0
-    return ProgramTool(name, words, diameter, count if 1 <= count <= 20 else 0, corner_radius=radius, kind=kind)
+    return ProgramTool(
+        name,
+        words,
+        diameter,
+        count if 1 <= count <= 20 else 0,
+        corner_radius=radius,
+        kind=kind,
+        inserts=INSERTS.search(comment) is not None,
+    )
 
 
 def _diameter(comment: str, unit: float) -> float:

@@ -40,7 +40,7 @@ class Machine:
 
     def __init__(self, program: ProgramBuilder, feed: float):
         self.program = program
-        self.unit = MM  #: of lengths in blocks
+        self.unit = MM  #: unit of lengths in blocks
         self.position: list[float] = [math.nan] * 3
         self.mode: int | None = None  #: 0 to 3
         self.incremental = False
@@ -133,7 +133,7 @@ class Machine:
             self._cut(start, end, arc, axes)
 
     def _end(self, axes: dict) -> tuple[float, ...]:
-        """Where the block leads; words of lengths are taken out of ``axes``."""
+        """Return the end point of the block; take the words of lengths out of ``axes``."""
         end = list(self.position)
         for letter, axis in AXES.items():
             value = axes.pop(letter, None)
@@ -180,7 +180,7 @@ class Machine:
                 self._feed_to(start, points, length, curvature)
 
     def _approach(self, start, end) -> bool:
-        """Whether a G1 from an unknown place stays above the part: posts may feed where others go rapidly."""
+        """Return whether a G1 from an unknown place stays above the part: posts may feed where others go rapidly."""
         if all(map(math.isfinite, end)):
             return self.program.last is None or start[2] == TOP
         return end[2] == start[2] or math.isnan(end[2]) or end[2] > 0
@@ -231,13 +231,13 @@ class Machine:
             centre = centre_from_radius(from_point, to_point, radius * self.unit, clockwise, CLOSING)
             closing = _closing(from_point, centre)
         else:
-            given = [arc.get(letter, 0.0) * self.unit for letter in (first, second)]
+            stated = [arc.get(letter, 0.0) * self.unit for letter in (first, second)]
             absolute = [self.absolute.get(letter, self.absolute_centre) for letter in (first, second)]
             if self.absolute_centre and len(centres) == 1 and not self.absolute.keys() & centres:
                 raise ArcError(f"an absolute centre (G90.1) needs {first} and {second}")
-            centre = tuple(given[n] if absolute[n] else from_point[n] + given[n] for n in (0, 1))
+            centre = tuple(stated[n] if absolute[n] else from_point[n] + stated[n] for n in (0, 1))
             closing = _closing(from_point, centre)
-            if _misses(from_point, to_point, centre, closing) and not _misses(from_point, to_point, given, closing):
+            if _misses(from_point, to_point, centre, closing) and not _misses(from_point, to_point, stated, closing):
                 advice = "write G90.1 first or post incremental centres"
                 raise ArcError(f"the arc closes with an absolute centre only; {advice}")
         turns = arc["TURN"] if "TURN" in arc else axes.pop("P", 1.0) - 1
@@ -252,7 +252,7 @@ class Machine:
     # --- cycles ---
 
     def _drill(self, kind: float | None, axes: dict) -> None:
-        """One block of a drilling cycle: a hole at its X, Y, or several in a row with G91 and L or K."""
+        """Drill the holes of a block: a hole at its X, Y, or several in a row with G91 and L or K."""
         self.drilled = True
         if self.plane != 17:
             reason = f"a drilling cycle in G{self.plane} drills along {'XYZ'[PLANES[self.plane][2]]}"
@@ -293,6 +293,9 @@ class Machine:
             return False
         if not max(abs(cycle.bottom), abs(cycle.retract)) <= REACH or cycle.bottom > cycle.retract:
             self.program.refuse(word, "the cycle does not lead from R down to Z within reach")
+            return False
+        if cycle.kind in (73, 83) and not cycle.peck:  # LinuxCNC refuses it, other controls drill in one stroke
+            self.program.refuse(word, f"{word} without Q, the depth of a peck", "write Q, or G81 for one stroke")
             return False
         try:
             strokes = cycle.strokes()

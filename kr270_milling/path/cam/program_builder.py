@@ -30,18 +30,18 @@ class ProgramBuilder(PathBuilder):
     def __init__(self, source, selected: str):
         super().__init__(source)
         self.selected = selected  #: the tool whose moves are wanted, "" for all
-        self.active = True  #: whether the tool in the spindle is that one
-        self.away = False  #: whether the tool was taken away since the last move
-        self.named = False  #: whether a comment named the operation since the last cut
-        self.moved = False  #: whether the tool moved since then: a comment that follows is inside the operation
+        self.active = True  #: True if that tool is in the spindle
+        self.away = False  #: True if the tool was taken away since the last move
+        self.named = False  #: True if a comment named the operation since the last cut
+        self.moved = False  #: True if the tool moved since then: a comment that follows is inside the operation
         self.lost = False  #: a move was refused: the place of the tool is unknown
         self.title = ""
         self.tool = ""  #: in the spindle
         self.frame = {"work offsets": "", "tool lengths": "", "tool edges": ""}  #: kind -> word that is active
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
-        self.known: dict[str, ProgramTool] = {}  #: what words, not comments, say of tools
-        self.feed_units: dict[str, None] = {}  #: of the F words, in their order
+        self.known: dict[str, ProgramTool] = {}  #: tools by the words of the program, not by its comments
+        self.feed_units: dict[str, None] = {}  #: units of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self._before_change = 0  #: number of comments up to the last move
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
@@ -115,7 +115,7 @@ class ProgramBuilder(PathBuilder):
 
     @property
     def inside_operation(self) -> bool:
-        """Whether the operation has its name, and its tool is on the way to the first cut.
+        """Return whether the operation has its name, and its tool moves to the first cut.
 
         A program without tools may be written by hand, and there each comment names the moves after it.
         """
@@ -130,7 +130,7 @@ class ProgramBuilder(PathBuilder):
 
     @property
     def hopeless(self) -> bool:
-        """Whether there are too many refusals to continue."""
+        """Return whether there are too many refusals to continue."""
         return len(self._refused) >= MOST_REFUSALS
 
     def refuse(

@@ -68,7 +68,7 @@ class PathReader:
 
     @property
     def recorded(self) -> bool:
-        """Whether the file is a recording: one topic of several, and no program."""
+        """Return whether the file is a recording: a topic of several, and no program."""
         return "topic" in self.options
 
     def read(self, path, **options) -> Toolpath | TimedPath:
@@ -134,8 +134,8 @@ def read_path_file(path, tool: str = "", topic: str = "", feed: float = 0.0) -> 
     reader = reader_of(path)
     if tool and "tool" not in reader.options:
         raise InputError(path, f"a {Path(path).suffix} file has no tools, so {tool} cannot be chosen")
-    given = {"tool": tool, "topic": topic, "feed": feed}
-    return reader.read(path, **{name: given[name] for name in reader.options})
+    options = {"tool": tool, "topic": topic, "feed": feed}
+    return reader.read(path, **{name: options[name] for name in reader.options})
 
 
 def read_toolpath(path, tool: str = "", feed: float = 0.0) -> Toolpath:

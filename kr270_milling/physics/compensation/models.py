@@ -10,6 +10,7 @@ import numpy as np
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.response import ArmResponse
 from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.physics.motion.dynamics import ArmFactors
 
 __all__ = ["CellModels"]
 
@@ -22,9 +23,9 @@ class CellModels:
     mirror: Callable[[Trajectory, np.ndarray], Trajectory] | None = None
     #: target -> the response of the arm along the target; None: the tool follows the reference at once
     arm: Callable[[Trajectory], ArmResponse] | None = None
-    #: reference -> the pass that the model predicts
-    predict: Callable[[Trajectory], PassRecord] | None = None
-    #: target, times (k,) [ns], shifts (k, 3) [m] of the tool from the target -> wrenches of the modelled cut
-    cut: Callable[[Trajectory, np.ndarray, np.ndarray], PassRecord] | None = None
+    #: reference, factors on the modelled arm or None -> the pass that the model predicts
+    predict: Callable[[Trajectory, ArmFactors | None], PassRecord] | None = None
+    #: path of a tool that does not deviate -> wrenches of the modelled cut
+    cut: Callable[[Trajectory], PassRecord] | None = None
     #: target, reference -> the model first and then drawn robots: response, true pass along the reference
     robots: Callable[[Trajectory, Trajectory], list[tuple[ArmResponse, PassRecord]]] | None = None

@@ -26,6 +26,7 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 
 from kr270_milling.base.blocks import blocks
+from kr270_milling.physics.motion.dynamics import ArmFactors
 
 __all__ = ["ArmResponse", "Lag", "Segments", "cubic_coefficients"]
 
@@ -247,6 +248,11 @@ class ArmResponse:
             gain=self.gain * gain,
             softness=self.softness * softness,
         )
+
+    def factors_on(self, model: ArmResponse) -> ArmFactors:
+        """Return the factors that scaled ``model`` to this arm."""
+        frequency, damping = self.frequency / model.frequency, self.damping / model.damping
+        return ArmFactors(frequency[0], damping[0], self.gain / model.gain, self.softness / model.softness)
 
     def free(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
         """h11, h12, h21, h22, (m, t, r), at times (m, t) [s] from the start of each segment."""

@@ -76,6 +76,11 @@ class Cutting(Record):
                 raise ParameterError(f"{self.law}.{spec.key}", None, must)
 
     @property
+    def by_engagement(self) -> bool:
+        """Whether the model of the cut is the mean force of the engagement, and not the sweep of the teeth."""
+        return self.detail == "engagement"
+
+    @property
     def active(self) -> ForceLaw:
         """The law that applies, with its coefficients."""
         return getattr(self, self.law)

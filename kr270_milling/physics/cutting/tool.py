@@ -70,7 +70,9 @@ class Tool(Record):
     )
 
     type: str = parameter(
-        "program", choices=("program", "flat"), text="flat: a flat end mill, whatever the comments of the program say"
+        "program",
+        choices=("program", "flat", "indexable"),
+        text="flat: a flat end mill, whatever the comments of the program say; indexable: a flat mill with inserts",
     )
     # assumed: a sharp ground edge of carbide for aluminium; honed edges are rounder
     edge_radius: float = parameter(

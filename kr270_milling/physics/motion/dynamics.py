@@ -14,8 +14,9 @@ linear or cubic between them is met everywhere.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -36,6 +37,15 @@ class DynamicsError(MillingError):
     """Mass or compliance that cannot belong to an arm."""
 
 
+class ArmFactors(NamedTuple):
+    """Factors of an identified arm on the modelled arm."""
+
+    frequency: np.ndarray  #: (r,)
+    damping: np.ndarray  #: (r,)
+    gain: float  #: on the response to a correction of the reference
+    softness: float  #: on the static compliance
+
+
 @dataclass(frozen=True, eq=False)
 class ModalModel:
     """The undamped modes of M delta'' + K delta = F in the r components that carry inertia."""
@@ -54,6 +64,22 @@ class ModalModel:
     def ratios(self, damping_ratio: float) -> np.ndarray:
         """Damping ratio of each mode, (r,): its own, or damping_ratio for all."""
         return np.broadcast_to(damping_ratio if self.damping is None else self.damping, self.frequency.shape)
+
+    def scaled(self, factors: ArmFactors, damping_ratio: float) -> ModalModel:
+        """Return the modes of an identified arm; the shapes stay. damping_ratio: of a mode without a separate ratio.
+
+        The static displacement sum_i phi_i phi_i^T F / omega_i^2 is that of ``softness`` alone, so the modal forces
+        phi^T F get the squares of the factors on omega: F' = M phi diag(f^2) phi^T F, since phi^-1 = phi^T M.
+        """
+        raised = self.mass @ (self.shape * factors.frequency**2) @ self.shape.T
+        return dataclasses.replace(
+            self,
+            frequency=self.frequency * factors.frequency,
+            damping=self.ratios(damping_ratio) * factors.damping,
+            force=factors.softness * raised @ self.force,
+            feedthrough=factors.softness * self.feedthrough,
+            tool=None if self.tool is None else factors.softness * self.tool,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from kr270_milling.physics.cutting.cut_step import cut_step, cut_undo
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.cutting.state import FAILED, LEVEL_SUM
 from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
-from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.physics.motion.periods import Clock
 
 __all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
 

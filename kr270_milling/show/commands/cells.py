@@ -44,7 +44,7 @@ COMMANDS = {
 def run_init(args) -> Answer:
     import numpy as np
 
-    from kr270_milling.cell.cell import read_cells
+    from kr270_milling.cell.cell_file import read_cells
     from kr270_milling.cell.draft import draft_text, straight_text, tools_text
     from kr270_milling.decide.programs.files import kuka_frames
     from kr270_milling.path.cam.readers import read_toolpaths

@@ -108,6 +108,7 @@ def run_compensate(args) -> Answer:
 def _values(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
     from kr270_milling.cell.jobs import joint_ranges
+    from kr270_milling.cell.models import path_of
     from kr270_milling.decide.programs.files import time_law
 
     original, revised = done.original, done.revised
@@ -115,7 +116,7 @@ def _values(cell, done) -> dict:
     values |= {k: v for k, v in revised.row().items() if k != "name"}
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     values["planned_max_deviation_um"] = 1e6 * done.planned.max_deviation
-    values["time_law"] = time_law(cell)
+    values["time_law"] = time_law(path_of(cell))
     values["original"] = {k: v for k, v in original.row().items() if k != "name"}
     values["passes"] = [ran.row() for ran in (original, revised)]
     values |= _correction(cell, revised, done.by)
@@ -129,10 +130,11 @@ def _correction(cell, revised, by) -> dict:
     """How large the correction is, and the parts that a limit removed."""
     import numpy as np
 
+    from kr270_milling.cell.models import path_of
     from kr270_milling.decide.compensation import limit_sentence
     from kr270_milling.physics.compensation.revision import chord_error
 
-    size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
+    size = np.linalg.norm(revised.reference.position - path_of(cell).target.position, axis=1)
     limited = [
         {"kind": part.kind, "first": part.first, "last": part.last, "worst": part.worst, "time_s": part.time,
          "wanted_um": 1e6 * part.wanted, "missing_um": 1e6 * part.missing, "sentence": limit_sentence(part, by)}
@@ -144,7 +146,7 @@ def _correction(cell, revised, by) -> dict:
     values["identified"] = by.identified and by.identified.as_dict()
     values["note"] = by.note or None
     if not by.chosen.smooth:
-        values["chord_error_um"] = 1e6 * chord_error(cell.target())
+        values["chord_error_um"] = 1e6 * chord_error(path_of(cell).target)
     return values
 
 
@@ -207,7 +209,7 @@ def _write_programs(draft, final, cell, done, lines, released, args, date: str) 
 
     files, text = write_tool_programs(
         draft, cell, done.original.reference, done.revised.reference, method=done.revised.name, date=date,
-        motions=done.motions if released or args.force else None, source=cell.programmed.sha256,
+        motions=done.motions if released or args.force else None, source=cell.path.sha256,
         decision=lines, findings=[*done.checked.findings_lines(), done.checked.counts],
         released=released, rsi=args.rsi and rsi_address(args.rsi),
     )  # fmt: skip
@@ -221,7 +223,7 @@ def _report_of_tool(cell, done, args, source, date: str, whole) -> str:
     from kr270_milling.show.report import report_text
 
     revised = done.revised
-    title = f"{cell.programmed.file_name or source.name}: before and after compensation ({revised.name})"
+    title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
     return report_text(
         cell, (done.original, revised), title=f"{title}, {cell.stage}" if cell.stage else title, source=str(source),
         command=command_line(args), date=date, parts=done.parts, decision=done.decision, checked=done.checked,
@@ -231,10 +233,11 @@ def _report_of_tool(cell, done, args, source, date: str, whole) -> str:
 
 def _write_part(draft, cell, revised):
     """Write the predicted part as STL and return its path."""
+    from kr270_milling.cell.models import cut_of, path_of
     from kr270_milling.decide.part import write_part
 
     stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
-    write_part(stl, cell, revised.result)
+    write_part(stl, cut_of(cell), revised.result, path_of(cell).clock)
     return stl
 
 
@@ -246,7 +249,7 @@ def _write_report(draft, jobs, decision, pages):
     if len(jobs) == 1:
         return write_report_page(draft, pages[0])
     names = [cell.stage.tool for cell, _ in jobs]
-    title = f"{jobs[0][0].programmed.file_name}: {len(jobs)} tools, before and after compensation"
+    title = f"{jobs[0][0].path.file_name}: {len(jobs)} tools, before and after compensation"
     return write_report_page(draft, tools_page(title, decision, names, pages))
 
 
@@ -267,6 +270,7 @@ def _joints_table(cell, revised):
 
 def _time_law_table(cell, done, whole):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
+    from kr270_milling.cell.models import path_of
     from kr270_milling.decide.programs.files import time_law
     from kr270_milling.decide.programs.written import SOFTER, softer_pass
 
@@ -275,7 +279,7 @@ def _time_law_table(cell, done, whole):
     rows = [("plan", done.planned), ("written program", done.revised.scores)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer.scores)] if softer else []
     texts = tuple((name, f"{1e6 * scores.max_deviation:.2f}") for name, scores in rows)
-    return TextTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(cell))
+    return TextTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(path_of(cell)))
 
 
 def _shown_tools(jobs, decision, values: dict, args):
@@ -318,6 +322,7 @@ def _files(values: dict):
 
 def _details(cell, done, values: dict):
     """Tables and lines of one tool after its decision."""
+    from kr270_milling.cell.models import cut_text_of
     from kr270_milling.decide.tolerance import um_text
 
     if done.parts:
@@ -335,7 +340,7 @@ def _details(cell, done, values: dict):
         yield values["note"]
     if values["identified"]:
         yield _identified(values["identified"])
-    yield cell.cut_text
+    yield cut_text_of(cell)
     yield joints_text(values["commanded_joints_deg"])
     yield f"largest correction {values['largest_correction_um']:.1f} um"
     if "chord_error_um" in values:

@@ -61,21 +61,21 @@ class Answer:
 
 def cell_of(args):
     """The cell of a command line with ``cell`` and ``--set``."""
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
 
     return read_cell(find_file(args.cell), args.set)
 
 
 def cells_of(args):
     """The cells of a command line with ``cell`` and ``--set``, one for each tool of its program."""
-    from kr270_milling.cell.cell import read_cells
+    from kr270_milling.cell.cell_file import read_cells
 
     return read_cells(find_file(args.cell), args.set)
 
 
 def plant_of(args, cell):
     """Return the plant of ``--plant`` and ``--noise-um``; None: the model cuts, without imperfections."""
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.cell.plant import Plant
 
     chosen = [f"path.tool={cell.stage.tool}"] if cell.stage else []

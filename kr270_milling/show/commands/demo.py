@@ -37,7 +37,7 @@ COMMANDS = {
 
 
 def run_demo(args) -> Answer:
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
 
     source = find_file("paper.yaml")
     cell = read_cell(source)
@@ -65,11 +65,12 @@ def run_demo(args) -> Answer:
 
 def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
     from kr270_milling.cell.jobs import compensated, compensator, simulate
+    from kr270_milling.cell.models import path_of
 
     with whole(f"original{suffix}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
-        by = compensator(cell, cell.target(), method)
+        by = compensator(cell, path_of(cell).target, method)
         with whole(f"{method}{suffix}", by.most_passes) as report:
             passes.append(compensated(cell, passes[0], method, report, by, plant))
     return passes
@@ -77,6 +78,7 @@ def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
+    from kr270_milling.cell.models import arm_of, path_of
     from kr270_milling.show.report import write_report
     from kr270_milling.show.report.series import write_series
 
@@ -86,7 +88,7 @@ def _write(directory, cell, passes, second, source, args):
         directory, cell, passes, title="The milling pass of Klimchik et al. (2014)", source=str(source),
         command=command_line(args), date=now(), paper=True, tables=(table,),
     )  # fmt: skip
-    write_series(directory, cell, passes)
+    write_series(directory, arm_of(cell), path_of(cell).target, passes)
     return report
 
 

@@ -216,7 +216,7 @@ def _tool(args):
     import numpy as np
 
     from kr270_milling.base.record import build
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.cell.sections import Workpiece
     from kr270_milling.physics.cutting.tool import Tool
 
@@ -240,7 +240,10 @@ def _tool(args):
 
 def identify_damping(args) -> Answer:
     """Identify frequency and damping of the modes from a ring-down or an impact."""
-    from kr270_milling.cell.cell import read_cell
+    import numpy as np
+
+    from kr270_milling.cell.cell_file import read_cell
+    from kr270_milling.cell.models import arm_of, modal_model_of, path_of
     from kr270_milling.show.report.identification.modes import mode_outcome
     from kr270_milling.studies.identification import modes
     from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts
@@ -253,13 +256,18 @@ def identify_damping(args) -> Answer:
     doubts = [Doubt(note) for note in signals.notes]
     cell = read_cell(find_file(args.cell)) if args.cell else None
     (identified, faint), shapes = modes.split_modes(signals, low, high, args.modes), None
+    known = (arm_of(cell), path_of(cell).target) if cell else None
     if args.hammer:
         quantity = args.quantity or signals.quantity or QUANTITIES[0]
         note = modes.check_hammer(identified, signals, args.hammer, quantity)
         shapes = modes.by_hammer(identified, signals, args.hammer, quantity)
-        doubts += [Doubt(note)] * bool(note) + hammer_doubts(identified, shapes, args.hammer, cell)
-    elif cell:
-        shapes = modes.by_compliance(identified, signals, modes.tool_compliance(cell))
+        expected: tuple = (None,)
+        if cell and known:
+            soft = np.diag([*2 * (cell.tool.lateral_compliance,), 0.0, 0.0, 0.0, 0.0])
+            expected = modes.tool_compliance(*known) + soft, modal_model_of(cell).frequency[0]
+        doubts += [Doubt(note)] * bool(note) + hammer_doubts(identified, shapes, args.hammer, *expected)
+    elif known:
+        shapes = modes.by_compliance(identified, signals, modes.tool_compliance(*known))
     title = f"Modes between {low:g} and {high:g} Hz from {Path(args.recording).name}"
     return _answer(args, mode_outcome(identified, faint, signals, shapes, title, doubts))
 
@@ -280,6 +288,7 @@ def run_compare(args) -> Answer:
     import numpy as np
 
     from kr270_milling.cell.jobs import simulate
+    from kr270_milling.cell.models import path_of
     from kr270_milling.path.trajectory_csv import read_csv
     from kr270_milling.show.report.identification.comparison import comparison_outcome
     from kr270_milling.studies.identification import comparison
@@ -302,7 +311,7 @@ def run_compare(args) -> Answer:
     with progress("milling") as report:
         ran = simulate(cell, reference, progress=report).result
     force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
-    feed = cell.target().sample_velocity(ran.time_ns)
+    feed = path_of(cell).target.sample_velocity(ran.time_ns)
     compared = comparison.compare(
         measured, comparison.ComparedSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
     )

@@ -127,6 +127,7 @@ def run_report(args) -> Answer:
 
 
 def _reported(args, whole) -> Answer:
+    from kr270_milling.cell.models import arm_of, path_of
     from kr270_milling.show.report import write_report
     from kr270_milling.show.report.series import write_series
 
@@ -144,7 +145,7 @@ def _reported(args, whole) -> Answer:
             directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
             program=recorded[0][1].program,
         )  # fmt: skip
-        write_series(directory, cell, passes)
+        write_series(directory, arm_of(cell), path_of(cell).target, passes)
     rows = [
         {**ran.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
         for ran, about in recorded

@@ -93,11 +93,10 @@ def run_rsi(args) -> Answer:
 def _attached(name: str) -> dict[str, bytes | str]:
     """Return the cell and the files of its path as attachments."""
     from kr270_milling.base.parameter_file import find_file
-    from kr270_milling.cell.cell import read_cell
-    from kr270_milling.cell.cell_file import cell_text
+    from kr270_milling.cell.cell_file import cell_text, read_cell
 
     cell = read_cell(find_file(name))
-    return {"cell.yaml": cell_text(cell)} | {Path(file).name: Path(file).read_bytes() for file in cell.programmed.files}
+    return {"cell.yaml": cell_text(cell)} | {Path(file).name: Path(file).read_bytes() for file in cell.path.files}
 
 
 def _table(name: str) -> Path:

@@ -33,6 +33,7 @@ COMMANDS = {
 def run_graph(args) -> Answer:
     require_ros("run")
     keep_to_this_host()
+    from kr270_milling.cell.models import cut_text_of
     from kr270_milling.live.graph.plan import RunRow
     from kr270_milling.physics.motion.scores import Scores
 
@@ -50,7 +51,7 @@ def run_graph(args) -> Answer:
     columns = (("pass", "name", 2), *columns_of(Scores), *columns_of(RunRow), ("recording", "recording", shown_path))
     table = table_of("Path deviation, four nodes and a recorder", columns, result["passes"])
     missing = missing_text(ran)
-    return Answer(result, [table, cell.cut_text, up, *missing], code=int(bool(missing)))
+    return Answer(result, [table, cut_text_of(cell), up, *missing], code=int(bool(missing)))
 
 
 def missing_text(ran: dict) -> list[str]:
@@ -66,15 +67,17 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     list of RunRow.
     """
     from kr270_milling.base.files import fresh_directory
+    from kr270_milling.cell.models import path_of
     from kr270_milling.live.graph.graph import Graph
     from kr270_milling.live.graph.plan import run_plan
     from kr270_milling.live.ros.names import full_namespace
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""
     cuts = None if plant is None else plant.cell
-    if cuts is not None and cuts.clock != cell.clock:
-        allowed = f"{1e3 * cell.clock.period:g} in {cell.clock.micro_steps} micro-steps, as the cell that plans has it"
-        raise ParameterError("plant: exchange.period_ms", 1e3 * cuts.clock.period, allowed)
+    planned, driven = path_of(cell).clock, path_of(cuts or cell).clock
+    if planned != driven:
+        allowed = f"{1e3 * planned.period:g} in {planned.micro_steps} micro-steps, as the cell that plans has it"
+        raise ParameterError("plant: exchange.period_ms", 1e3 * driven.period, allowed)
     directory = fresh_directory(out)
     if directory != Path(out):
         print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
@@ -90,11 +93,12 @@ def _compile(cell) -> None:
     """Compile once what the nodes run, so that no node of the graph waits; the disk keeps the compiled code."""
     import numpy as np
 
+    from kr270_milling.cell.models import arm_model_of, cut_of, path_of
     from kr270_milling.physics.motion.milling_pass import CompliantArm
 
     above = np.array([0.0, 0.0, float(cell.stock.max[2]) + 1.0])
-    cell.cut().sweep(above, above, 0, 1)
-    CompliantArm(cell.arm_model(cell.target())).predict()
+    cut_of(cell).sweep(above, above, 0, 1)
+    CompliantArm(arm_model_of(cell, path_of(cell).target)).predict()
 
 
 def summary(ran: dict) -> dict:

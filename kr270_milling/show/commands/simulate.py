@@ -48,6 +48,7 @@ def run_simulate(args) -> Answer:
 def _simulated(cell, args, draft, final, whole):
     """The pass of one tool, what ``--json`` prints of it, and the output for the terminal."""
     from kr270_milling.cell import jobs
+    from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, path_of
     from kr270_milling.decide.check_cut import residue_of
     from kr270_milling.decide.part import FeatureRow, assess, write_part
     from kr270_milling.decide.tolerance import judge
@@ -61,16 +62,16 @@ def _simulated(cell, args, draft, final, whole):
     summary = _summary(cell, ran)
     residue = residue_of(cell, ran.result)
     summary["simulated_pass"] = residue.as_dict()
-    part = None if cell.programmed.straight else assess(cell, ran)
+    part = None if path_of(cell).straight else assess(cell, ran)
     tolerance = judge(cell, ran, part)
     summary["tolerance"] = tolerance.as_dict()
     if part:
         summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
     if draft and final:
-        files = write_series(draft, cell, [ran])
-        if not cell.programmed.straight:
+        files = write_series(draft, arm_of(cell), path_of(cell).target, [ran])
+        if not path_of(cell).straight:
             files.append(draft / f"part{suffix}.stl")
-            write_part(files[-1], cell, ran.result)
+            write_part(files[-1], cut_of(cell), ran.result, path_of(cell).clock)
         summary["files"] = [str(final(path)) for path in files]
     columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
     scores: list = _scores(cell, summary)
@@ -80,7 +81,7 @@ def _simulated(cell, args, draft, final, whole):
         *scores,
         f"tolerance: {tolerance.words}",
         residue.text,
-        cell.cut_text,
+        cut_text_of(cell),
         joints_text(summary["commanded_joints_deg"]),
         f"removed area        {summary['removed_area_mm2']:10.3f} mm2",
         f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time",
@@ -115,6 +116,7 @@ def run_check(args) -> Answer:
 
 def _checked(cell, args, whole):
     """The check of one tool, what ``--json`` prints of it, and the output for the terminal."""
+    from kr270_milling.cell.models import cut_text_of
     from kr270_milling.decide import check as decision
     from kr270_milling.decide.programs.files import kuka_frames
     from kr270_milling.decide.tolerance import judge
@@ -125,7 +127,7 @@ def _checked(cell, args, whole):
     tolerance = judge(cell, checked.ran) if checked.ran else None
     values = {"cut": cell.cutting.detail, **checked.as_dict(), "tolerance": tolerance and tolerance.as_dict()}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
-    return checked, values, [*words, cell.cut_text, *kuka_frames(cell), *checked.lines()]
+    return checked, values, [*words, cut_text_of(cell), *kuka_frames(cell), *checked.lines()]
 
 
 def _refuse_reference(args, cells) -> None:
@@ -149,9 +151,11 @@ def _by_tool(cells, values: list[dict]) -> dict:
 
 
 def _scores(cell, summary: dict) -> list[str]:
+    from kr270_milling.cell.models import path_of
+
     x, y, z = summary["mean_force_n"]
     ringing = summary["ringing_frequency_hz"]
-    engaged = cell.scored_from_ns <= cell.target().duration_ns
+    engaged = round(1e9 * path_of(cell).full_engagement) <= path_of(cell).target.duration_ns
     scored = "once fully engaged" if engaged else "at the end of the path, before the tool is fully engaged"
     return [
         f"static deviation    {summary['static_deviation_um']:10.3f} um   mean over the last quarter",
@@ -164,9 +168,10 @@ def _scores(cell, summary: dict) -> list[str]:
 def _reference(cell, path: str):
     import numpy as np
 
+    from kr270_milling.cell.models import path_of
     from kr270_milling.path.trajectory_csv import read_csv
 
-    run, target = read_csv(Path(path))[0], cell.target()
+    run, target = read_csv(Path(path))[0], path_of(cell).target
     if run.duration_ns != target.duration_ns:
         both = f"{run.duration_ns * 1e-9:.9g} s, but the path of this cell {target.duration_ns * 1e-9:.9g} s"
         raise InputError(path, f"is no reference for this cell: it lasts {both}")

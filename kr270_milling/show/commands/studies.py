@@ -74,7 +74,9 @@ def run_map(args) -> Answer:
         require_extra("map", "studies", *STUDIES[: 3 if args.scheduler else 1])
     import numpy as np
 
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
+    from kr270_milling.cell.jobs import simulate
+    from kr270_milling.cell.models import arm_of, path_of
     from kr270_milling.show.report.placements import gain_text, write_map
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
     from kr270_milling.studies.maps.placements import (
@@ -92,27 +94,36 @@ def run_map(args) -> Answer:
     source = find_file(args.cell).resolve()
     cell = read_cell(source, args.set)
     given = [args.x, args.y, args.z, args.turn, args.tool_turn]
-    axes = grid_axes(cell, [None if axis is None else np.linspace(*axis) for axis in given])
-    plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
+    axes = grid_axes(cell.workpiece, [None if axis is None else np.linspace(*axis) for axis in given])
+    path = path_of(cell)
+    plan = {
+        "study": "map",
+        "cell": content(source, path.path.sha256),
+        "set": args.set,
+        "axes": given,
+        "chunk": args.chunk,
+    }
     study = Study(output_directory(args.out), plan)
     with steps() as whole:
         with whole("pass of the cell") as report:
-            placements = Placements(cell, path_places(cell, report), axes, args.chunk)
+            places = path_places(path, simulate(cell, progress=report).result)
+            left = cell.uncertainty.left
+            placements = Placements(arm_of(cell), left, places, axes, args.chunk)
         made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
         with whole("map") as report:
             seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
     summary = Summary(axes[0], axes[1], BEST)
     for table in study.tables(placements.chunks):
         summary.add(table)
-    cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
+    cells = write_cells(args.out, source, args.set, placements, summary.best, cell.posture_key)
     rate = made * summary.rows / seconds if seconds else None
-    present = present_row(cell, placements.course)
-    page = write_map(args.out, cell, source.name, summary, present, self_contained=args.self_contained)
+    present = present_row(placements, path.target)
+    page = write_map(args.out, cell.arm, path, source.name, summary, present, self_contained=args.self_contained)
     result = {
         "rows": summary.rows,
         "rows_per_s": rate,
         "present": present,
-        "postures_per_s": rate and rate * len(placements.course.position),
+        "postures_per_s": rate and rate * len(placements.places.position),
         "feasible": summary.feasible,
         "best": [row | {"cell": str(path)} for row, path in zip(summary.best, cells, strict=True)],
         "picture": str(page),
@@ -131,8 +142,9 @@ def _along(args) -> Answer:
     """Turn the tool about its axis along a path."""
     import numpy as np
 
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.cell.jobs import simulate
+    from kr270_milling.cell.models import arm_of, path_of
     from kr270_milling.studies.maps import along as turning
     from kr270_milling.studies.maps.placements import places_at
 
@@ -145,34 +157,34 @@ def _along(args) -> Answer:
         ran = simulate(cell, progress=report).result
     chosen = np.linspace(0, len(ran.time) - 1, min(args.places, len(ran.time))).astype(int)
     step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
-    turns = turning.Turns(cell, places_at(cell, ran, chosen), step, np.degrees(1e-6 * args.smooth))
+    turns = turning.Turns(arm_of(cell), places_at(path_of(cell), ran, chosen), step, np.degrees(1e-6 * args.smooth))
     grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
-    way, same, own = (
-        turning.find_way(turns, grid),
-        turning.constant_way(turns, grid),
-        turning.constant_way(turns, np.zeros(1)),
+    path, same, own = (
+        turning.best_turns(turns, grid),
+        turning.constant_turn(turns, grid),
+        turning.constant_turn(turns, np.zeros(1)),
     )
-    run, q = turning.turned(cell, ran.time_ns[chosen], way)
-    files = _write(Path(args.out), source, args.set, cell, run, q, way)
+    run, q = turning.turned(arm_of(cell), path_of(cell).target, ran.time_ns[chosen], path)
+    files = _write(Path(args.out), source, args.set, cell, run, q, path)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
     result = {
         "rows": len(chosen),
         "rows_per_s": None,
-        "branch": way.branch,
-        "criterion_um": 1e6 * way.value,
+        "branch": path.branch,
+        "criterion_um": 1e6 * path.value,
         "criterion_constant_um": 1e6 * same.value if same else None,
         "criterion_unturned_um": 1e6 * own.value if own else None,
         "constant_turn_deg": float(np.degrees(same.turn[0])) if same else None,
-        "error_max_um": 1e6 * float(way.error.max()),
+        "error_max_um": 1e6 * float(path.error.max()),
         "error_max_constant_um": 1e6 * float(same.error.max()) if same else None,
-        "turn_deg": np.degrees([way.turn.min(), way.turn.max()]).tolist(),
+        "turn_deg": np.degrees([path.turn.min(), path.turn.max()]).tolist(),
         "joint_speed_share": speed.max(axis=0).tolist(),
-        "slower": float(run.duration_ns / cell.target().duration_ns),
+        "slower": float(run.duration_ns / path_of(cell).target.duration_ns),
         "best": [{"cell": str(files[0])}],
         "files": [str(path) for path in files],
     }
     low, high = result["turn_deg"]
-    shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * way.value:.2f} um"]
+    shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * path.value:.2f} um"]
     for name, other in (("the best turn that stays the same", same), ("not turned", own)):
         shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
     share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
@@ -185,7 +197,7 @@ def _along(args) -> Answer:
     ])  # fmt: skip
 
 
-def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
+def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
     """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
     import numpy as np
 
@@ -195,11 +207,14 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
     from kr270_milling.recordings.messages.trajectory import TRAJECTORY
     from kr270_milling.studies.maps.placements import place_of, write_placement
 
-    changes = {"path": {"file": TURNED_RECORDING}, "workpiece": place_of(cell.workpiece.pose),
-               "posture_deg": np.degrees(q[0]).tolist()}  # fmt: skip
-    note = f"The tool turns about its axis along the path, from {np.degrees(way.turn[0]):.2f} deg on"
+    changes = {
+        "path": {"file": TURNED_RECORDING},
+        "workpiece": place_of(cell.workpiece.pose, cell.workpiece.at_start_joints),
+        cell.posture_key: np.degrees(q[0]).tolist(),
+    }
+    note = f"The tool turns about its axis along the path, from {np.degrees(path.turn[0]):.2f} deg on"
     with staged(out) as (draft, final):
-        write_placement(draft / TURNED_CELL, source, settings, cell, changes, note)
+        write_placement(draft / TURNED_CELL, source, settings, changes, note)
         write_csv(draft / TURNED_TABLE, run, q)
         with BagWriter(draft / TURNED_RECORDING) as writer:
             writer.add_topic("/target_trajectory", TRAJECTORY)
@@ -210,7 +225,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
     require_extra("sweep", "studies", *STUDIES[: 3 if args.scheduler else 1])
-    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.cell_file import read_cell
     from kr270_milling.show.report.sweep import sweep_tables, write_sweep
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
     from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
@@ -218,7 +233,8 @@ def run_sweep(args) -> Answer:
     if args.latin != (args.samples is not None):
         raise ParameterError("--samples", args.samples, "given together with --latin")
     cell = find_file(args.cell).resolve()
-    hashed = content(cell, read_cell(cell, args.set))  # what no row could run is refused before anything is started
+    # what no row could run is refused before anything is started
+    hashed = content(cell, read_cell(cell, args.set).path.sha256)
     axes = tuple(parse_axis(text) for text in args.vary)
     rows = Sweep(str(cell), tuple(args.set), axes, args.samples, args.seed, args.chunk)
     plan = {"study": "sweep", "cell": hashed, "set": args.set, "vary": args.vary, "samples": args.samples,

@@ -13,6 +13,7 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.record import flatten
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.decision import Decision
 from kr270_milling.decide.part import PartAssessment, assess_all
@@ -29,7 +30,7 @@ from kr270_milling.show.report.straight_cut import charts_of
 __all__ = ["report_text", "write_report", "write_report_page", "write_series"]
 
 FIRST_TILES = 3  #: before the findings: decision, as programmed, compensated
-FIRST_FINDINGS = 4  #: that are shown at once; the others follow behind a switch
+FIRST_FINDINGS = 4  #: rows that are shown at once; the others follow behind a switch
 
 
 def write_report(directory, cell: Cell, passes: Sequence[ScoredPass], **more) -> Path:
@@ -63,7 +64,7 @@ def report_text(
     tables: Sequence[TextTable] = (),
     program: str | None = None,
 ) -> str:
-    """The report as one HTML page.
+    """Return the report as an HTML page.
 
     passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
     paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes, if they
@@ -72,19 +73,19 @@ def report_text(
     """
     if not passes:
         raise InputError(title, "a report needs at least one pass")
-    programmed = cell.programmed
+    path = path_of(cell)
     parts = parts or assess_all(cell, passes)
-    judgements = [judge(cell, ran, part) for ran, part in zip(passes, parts, strict=True)]
+    judgements = [judge(cell, scored, part) for scored, part in zip(passes, parts, strict=True)]
     method = decision.method_text if decision else ""
     if decision is None:
         decision, checked = judged(cell, passes, judgements)
     names = [p.name for p in passes]
-    if programmed.straight:
+    if path.straight:
         best = int(np.argmin([p.scores.max_deviation for p in passes]))
     else:
         best = int(np.argmin([part.whole.max_normal for part in parts]))
     pictures, robot, charts = (
-        linked(cell, passes, parts, program),
+        linked(path, passes, parts, program),
         robot_model(cell, passes[best]),
         charts_of(cell, passes, parts),
     )
@@ -95,18 +96,19 @@ def report_text(
         "charts": charts,
         "paper": paper,
         "best": best,
-        "tolerance_um": [1e6 * allowed for allowed in cell.part.of()],
+        "tolerance_um": [1e6 * allowed for allowed in cell.tolerances.of()],
         "stock_mm": [*(cell.stock.min * 1e3), *(cell.stock.max * 1e3)],
-        "engaged_s": cell.full_engagement,
-        "part": not programmed.straight,
+        "engaged_s": path.full_engagement,
+        "part": not path.straight,
     }
     return page.page_text(
         "report",
         page.REPORT_SCRIPTS,
         title=title,
         cell=cell,
-        timed=programmed.timed,
-        path_file=programmed.file_name,
+        path=path,
+        timed=path.timed,
+        path_file=cell.path.file_name,
         speed_rpm=cell.tool.spindle_speed * 30 / np.pi,
         source=Path(source).name,
         command=command,
@@ -119,12 +121,12 @@ def report_text(
         findings=finding_rows(checked),
         first_findings=FIRST_FINDINGS,
         first_tiles=FIRST_TILES,
-        scores=texts.line_scores(passes, paper) if programmed.straight else texts.part_scores(parts),
-        features=None if programmed.straight else texts.feature_table(parts),
+        scores=texts.line_scores(passes, paper) if path.straight else texts.part_scores(parts),
+        features=None if path.straight else texts.feature_table(parts),
         more=[texts.typographic(t) for t in tables if t.rows],
         details=texts.details(passes),
-        inputs=texts.input_rows(cell, robot.joints[0]),
-        warning=texts.warning(cell, passes),
+        inputs=texts.input_rows(cell.arm, robot.joints[0]),
+        warning=texts.warning(path, passes),
         assumptions=assumptions(cell, paper),
         configuration=[(key, texts.shown(value, key)) for key, value in flatten(cell).items()],
         charts=charts,

@@ -15,6 +15,7 @@ import numpy as np
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot.mass import MODELS
 
@@ -24,7 +25,7 @@ TEXT = Path(__file__).parent / "page" / "assumptions.txt"
 
 
 class Assumption(NamedTuple):
-    """One row of the table."""
+    """Row of the table."""
 
     point: str
     value: str
@@ -33,7 +34,7 @@ class Assumption(NamedTuple):
 
 def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     """First natural frequencies [Hz] at the start of the path with each mass model that has an answer there."""
-    start = cell.joints(cell.target())[:1]
+    start = arm_of(cell).joints(path_of(cell).target)[:1]
     frequencies = {}
     for name in MODELS:
         with contextlib.suppress(MillingError):
@@ -46,7 +47,7 @@ def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
 def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
     """The rows that hold for this cell; with ``paper`` also those about the paper's text and Table 2."""
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
-    rows = [Assumption(*texts) for texts in cell.cutting.active.assumptions(cell.feed_rate / passing)]
+    rows = [Assumption(*texts) for texts in cell.cutting.active.assumptions(path_of(cell).feed_rate / passing)]
     modes = model_frequencies(cell).items()
     jinja2.Template(TEXT.read_text(encoding="utf-8"), undefined=jinja2.StrictUndefined).render(
         row=lambda *texts: rows.append(Assumption(*map(str, texts))),
@@ -56,6 +57,7 @@ def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
         helix=np.degrees(cell.tool.helix),
         micro_step=np.degrees(cell.exchange.micro_step),
         modes="; ".join(f"{name}: {', '.join(f'{f:.2f}' for f in hz[:3])} Hz" for name, hz in modes),
-        way=cell.programmed.length,
+        way=path_of(cell).length,
+        engaged=path_of(cell).full_engagement,
     )
     return rows

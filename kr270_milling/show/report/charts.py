@@ -31,7 +31,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One pair of axes."""
+    """Pair of axes."""
 
     x_label: str
     y_label: str
@@ -40,7 +40,7 @@ class Panel:
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     log: bool = False
-    equal: bool = False  #: one length for both axes
+    equal: bool = False  #: both axes have the same scale
     shade: tuple[float, float] | None = None  #: stretch of x that is shaded
     uprights: Sequence[tuple[float, str]] = ()  #: marked places of x
     levels: Sequence[tuple[float, str]] = ()  #: marked heights
@@ -55,7 +55,7 @@ class Chart:
     of_paper: str
     caption: str
     panels: Sequence[Panel]
-    columns: int = 1  #: of panels, where the screen is wide
+    columns: int = 1  #: columns of panels, where the screen is wide
 
 
 def curve(name: str, x, y, colour: int = 0, look: str = "", **more) -> Curve:

@@ -15,13 +15,15 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.check import RAPID_MOVES, Checked, check
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES
 from kr270_milling.decide.tolerance import Judgement, um_text
 from kr270_milling.show.report.tables import micro, typeset
 
-TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
+TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: colour of the tile
 
 __all__ = ["Tile", "asked", "cut_text", "finding_rows", "judged", "tiles"]
 
@@ -43,14 +45,14 @@ def judged(
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """The question, in one sentence."""
     then = "" if len(passes) == 1 else ", and what does compensation change"
-    return f"How far off does {cell.arm.name} mill {cut_text(cell)}{then}?"
+    return f"How far off does {cell.arm.name} mill {cut_text(path_of(cell))}{then}?"
 
 
-def cut_text(cell: Cell) -> str:
+def cut_text(path: CellPath) -> str:
     """Path and tool of a cell."""
-    tool, speed = cell.tool, cell.tool.spindle_speed * 30 / np.pi
+    tool, speed = path.tool, path.tool.spindle_speed * 30 / np.pi
     cutter = f"a {tool.diameter * 1e3:g} mm cutter with {tool.teeth} teeth at {speed:.0f} rpm"
-    return f"{cell.programmed.description} with {cutter}"
+    return f"{path.description} with {cutter}"
 
 
 class Tile(NamedTuple):
@@ -123,9 +125,9 @@ def _tile(label: str, judged: Judgement, quantity: str) -> Tile:
 def finding_rows(checked: Checked | None) -> list[dict]:
     """The worst first; where: the place in words."""
     rows = []
-    for one in sorted(checked.findings if checked else (), key=lambda f: SEVERITIES.index(f.severity)):
-        point, line = one.where.point, one.where.line
-        words = [one.where.feature, f"line {line}" if line else None, f"XP{point}" if point else None]
+    for finding in sorted(checked.findings if checked else (), key=lambda f: SEVERITIES.index(f.severity)):
+        point, line = finding.where.point, finding.where.line
+        words = [finding.where.feature, f"line {line}" if line else None, f"XP{point}" if point else None]
         where = ", ".join(filter(None, words))
-        rows.append({**vars(one), "sentence": micro(one.sentence), "where": where, "point": point})
+        rows.append({**vars(finding), "sentence": micro(finding.sentence), "where": where, "point": point})
     return rows

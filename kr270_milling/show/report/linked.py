@@ -9,22 +9,22 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_closing
 
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.part import PartAssessment
 from kr270_milling.show.report.charts import envelope_index, stations
 
 __all__ = ["Linked", "PartSurface", "StationSeries", "SurfaceErrors", "SourceLine", "linked", "part_surface"]
 
 LONGEST = 160  #: characters of a source line
-MOST_LINES = 4000  #: of the source; beyond it only those on which a station lies
-MOST_CELLS = 120  #: of the part's map along its longer side
+MOST_LINES = 4000  #: lines of the source; of a longer one only those on which a station lies
+MOST_CELLS = 120  #: nodes of the part's map along its longer side
 WALL_BUCKETS = 400
 
 
 @dataclass(frozen=True, eq=False)
 class StationSeries:
-    """One pass at the stations, (k,) each; NaN beyond its end."""
+    """Series of a pass at the stations, (k,) each; NaN beyond its end."""
 
     name: str
     side: np.ndarray  #: deviation to the left of the path [um]
@@ -46,10 +46,10 @@ class Linked:
 
     time: np.ndarray  #: [s], (k,)
     way: np.ndarray  #: along the path [mm], (k,)
-    x: np.ndarray  #: of the target, workpiece frame [mm], (k,)
+    x: np.ndarray  #: position of the target, workpiece frame [mm], (k,)
     y: np.ndarray
     z: np.ndarray
-    line: np.ndarray  #: of the source, (k,); 0: none
+    line: np.ndarray  #: line of the source, (k,); 0: none
     point: np.ndarray  #: number in the robot program, from 1, (k,): the knot that comes next
     feature: np.ndarray  #: index into ``features``, (k,)
     features: tuple[str, ...]
@@ -61,7 +61,7 @@ class Linked:
 
 
 def linked(
-    cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
+    programmed: CellPath, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
 ) -> Linked:
     """Thin the passes to their common stations; the largest deviation and force of every pass are among them.
 
@@ -71,15 +71,15 @@ def linked(
     time_ns, target, path = result.time_ns, result.target, part.path
     cutting = np.zeros(time_ns.size, bool)
     series = []
-    for one, assessed in zip(passes, parts, strict=True):
-        rows = np.searchsorted(one.result.time_ns, time_ns)
-        known = rows < one.result.time_ns.size
-        known[known] = one.result.time_ns[rows[known]] == time_ns[known]
-        series.append(np.where(known, _series(one, assessed)[:, np.where(known, rows, 0)], np.nan))
+    for scored, assessed in zip(passes, parts, strict=True):
+        rows = np.searchsorted(scored.result.time_ns, time_ns)
+        known = rows < scored.result.time_ns.size
+        known[known] = scored.result.time_ns[rows[known]] == time_ns[known]
+        series.append(np.where(known, _series(scored, assessed)[:, np.where(known, rows, 0)], np.nan))
         cutting[known] |= assessed.cutting[rows[known]]
     chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
-    engaged, knots = result.time >= cell.full_engagement - 1e-9, cell.target().time_ns
-    line = cell.programmed.line_at(time_ns)
+    engaged, knots = result.time >= programmed.full_engagement - 1e-9, programmed.target.time_ns
+    line = programmed.line_at(time_ns)
     return Linked(
         time=time_ns[chosen] * 1e-9,
         way=path.distance[chosen] * 1e3,
@@ -90,35 +90,35 @@ def linked(
         point=np.clip(np.searchsorted(knots, time_ns[chosen]), 0, knots.size - 1) + 1,
         feature=path.feature[chosen],
         features=tuple(path.features),
-        cutting=_joined(cutting, cell)[chosen].astype(np.int64),
+        cutting=_joined(cutting, programmed)[chosen].astype(np.int64),
         scored=(cutting & engaged)[chosen].astype(np.int64),
         passes=tuple(StationSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
-        source=_source(cell, line[chosen], program),
-        source_name=cell.programmed.file_name,
+        source=_source(programmed.path.file, line[chosen], program),
+        source_name=programmed.path.file_name,
     )
 
 
-def _joined(cutting: np.ndarray, cell: Cell) -> np.ndarray:
-    """Without the moments in which no tooth of a tool at work is in the material."""
-    turn = int(np.ceil(2 * np.pi / cell.tool.spindle_speed / cell.clock.period))
+def _joined(cutting: np.ndarray, programmed: CellPath) -> np.ndarray:
+    """Return ``cutting`` without the moments in which no tooth of a tool at work is in the material."""
+    turn = int(np.ceil(2 * np.pi / programmed.tool.spindle_speed / programmed.clock.period))
     return binary_closing(np.pad(cutting, turn + 1), np.ones(turn + 1, bool))[turn + 1 : -turn - 1] | cutting
 
 
-def _series(one: ScoredPass, part: PartAssessment) -> np.ndarray:
+def _series(scored: ScoredPass, part: PartAssessment) -> np.ndarray:
     """The rows of StationSeries at all times of the pass, (5, n)."""
-    shift = one.result.reference - one.result.target
+    shift = scored.result.reference - scored.result.target
     across = np.sum(shift[:, :2] * part.path.left, axis=1)
     _, side, height = part.deviation.T * 1e6
     return np.stack([side, height, part.force, across * 1e6, shift[:, 2] * 1e6])
 
 
-def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
+def _source(file: str, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
     """Lines of the tool path file, or of its text: all of a short one, else those that are used."""
     if not used.any():
         return ()
     if program is None:
         try:
-            program = Path(cell.path.file).read_text(encoding="utf-8", errors="replace")
+            program = Path(file).read_text(encoding="utf-8", errors="replace")
         except OSError:  # it was attached to a recording
             return ()
     lines = program.splitlines()
@@ -144,7 +144,7 @@ class PartSurface:
     z: np.ndarray  #: height of the part, (b, a)
     wall_x: np.ndarray  #: (w,)
     wall_y: np.ndarray
-    wall_z: np.ndarray  #: of the upper edge
+    wall_z: np.ndarray  #: height of the upper edge
     passes: tuple[SurfaceErrors, ...]
 
 

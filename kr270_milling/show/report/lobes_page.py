@@ -10,6 +10,7 @@ import numpy as np
 
 from kr270_milling.base.column import TextTable, fixed
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.arcs import arcs_along
 from kr270_milling.decide.stability import modes_of
 from kr270_milling.show.report.decision_block import cut_text
@@ -49,7 +50,7 @@ def write_lobes(
         style = {name: (COLOURS[k], "circle") for k, name in enumerate(names)}
         both = series | {"chatter": (speeds, chatter)}
         figures.append(points("Chatter at the limit", across, "frequency [Hz]", both, tuple(series), style))
-        shown = [*filter(math.isfinite, chatter), *(one[0] for of in modes.values() for one in of)]
+        shown = [*filter(math.isfinite, chatter), *(mode[0] for rows in modes.values() for mode in rows)]
         if max(shown) > LOGARITHMIC * min(shown):
             figures[1].update_yaxes(type="log", dtick="D2")
     for figure in figures:  # one above the other
@@ -57,7 +58,7 @@ def write_lobes(
     listed = [(owner, fixed(hertz), fixed(ratio, 4)) for owner, of in modes.items() for hertz, ratio in of]
     table = TextTable("Modes", ("of", "frequency [Hz]", "damping ratio"), listed)
     sentences = [
-        f"{name}: {cell.arm.name} mills {cut_text(cell)}",
+        f"{name}: {cell.arm.name} mills {cut_text(path_of(cell))}",
         f"engagement of the lobes: {engagement_text(cell)}",
         summary,
     ]
@@ -74,6 +75,6 @@ def _modes(cell: Cell, arm: bool) -> dict[str, list[tuple[float, float]]]:
 
 def _deepest(cell: Cell) -> float:
     """Depth of cut [m]; of a program the largest."""
-    if cell.programmed.straight:
+    if path_of(cell).straight:
         return cell.path.depth_of_cut
-    return float(arcs_along(cell).depth.max(initial=0.0))
+    return float(arcs_along(path_of(cell), cell.earlier).depth.max(initial=0.0))

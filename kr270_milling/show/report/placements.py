@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kr270_milling.base.column import columns, fixed, table_of
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.paths import CellPath
+from kr270_milling.physics.robot import Arm
 from kr270_milling.show.report.decision_block import cut_text
 from kr270_milling.show.report.study_page import COLOURS, figure_of, write_page
 from kr270_milling.studies.maps.placements import MAPPED, PlacementRow, Summary
@@ -23,7 +24,7 @@ TABLE_NOTE = (
 
 
 def gain_text(summary: Summary, present: dict) -> str:
-    """What the part has where it is, and what the best placement has, in one sentence."""
+    """State the error of the present placement and of the best placement in a sentence."""
     if not summary.best:
         return "no placement is feasible"
     best = summary.best[0]
@@ -46,7 +47,9 @@ def _gain(row: dict, present: dict) -> float:
     return 100.0 * (1.0 - row["error_max_um"] / present["error_max_um"])
 
 
-def write_map(folder, cell: Cell, name: str, summary: Summary, present: dict, *, self_contained: bool = False) -> Path:
+def write_map(
+    folder, arm: Arm, path: CellPath, name: str, summary: Summary, present: dict, *, self_contained: bool = False
+) -> Path:
     """Write heat maps over x and y with the best placements and the present one; returns the path of the page.
 
     name: of the cell file; present: row of `present_row`; self_contained: as of ``write_page``.
@@ -70,6 +73,6 @@ def write_map(folder, cell: Cell, name: str, summary: Summary, present: dict, *,
     table = table_of(
         "Placements", [("", "place", str), *shown, ("gain [%]", "gain", lambda v: fixed(v, 1))], rows, TABLE_NOTE
     )
-    sentences = [f"{name}: {cell.arm.name} mills {cut_text(cell)}", gain_text(summary, present), NOTE]
-    title = f"Where to clamp {cell.programmed.file_name or 'the part'}"
+    sentences = [f"{name}: {arm.name} mills {cut_text(path)}", gain_text(summary, present), NOTE]
+    title = f"Where to clamp {path.path.file_name or 'the part'}"
     return write_page(Path(folder) / "map.html", title, sentences, [table], figures, self_contained=self_contained)

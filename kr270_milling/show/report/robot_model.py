@@ -27,7 +27,7 @@ class RobotModel:
     pass_name: str
     time: np.ndarray  #: [s], (p,)
     joints: np.ndarray  #: commanded positions [rad], (p, 6)
-    stock_corners: np.ndarray  #: of the box, base_link [m], (8, 3)
+    stock_corners: np.ndarray  #: corners of the box, base_link [m], (8, 3)
     workpiece_rotation: np.ndarray  #: workpiece -> base_link, (3, 3)
     workpiece_xyz: np.ndarray  #: [m], (3,)
 

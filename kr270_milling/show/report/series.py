@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.files import write_files
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.path.trajectory_csv import write_csv
@@ -37,7 +37,7 @@ def deviation_of(result: PassResult, target: Trajectory) -> np.ndarray:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """One harmless and different file name stem for each pass name."""
+    """Return a harmless and different file name stem for each pass name."""
     stems: list[str] = []
     for name in names:
         stem = unique = re.sub(r"[^A-Za-z0-9-]+", "_", name)[:60].strip("_") or "pass"
@@ -48,19 +48,21 @@ def file_names(names: Sequence[str]) -> list[str]:
     return stems
 
 
-def write_series(directory, cell: Cell, passes: Sequence[ScoredPass]) -> list[Path]:
+def write_series(directory, arm: PlacedArm, target: Trajectory, passes: Sequence[ScoredPass]) -> list[Path]:
     """Write ``<pass>.csv`` (every series) and ``<pass>_reference.csv`` (its knots, with joint angles) of each pass.
+
+    target: the programmed trajectory.
 
     Returns the paths, first those of the series. Each file appears whole or not at all.
     """
-    place, target = Path(directory), cell.target()
+    place = Path(directory)
     place.mkdir(parents=True, exist_ok=True)
     series, references = [], []
-    for stem, one in zip(file_names([p.name for p in passes]), passes, strict=True):
+    for stem, scored in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")
-        write_files({series[-1]: series_lines(one.result, target)})
+        write_files({series[-1]: series_lines(scored.result, target)})
         references.append(place / f"{stem}_reference.csv")
-        write_csv(references[-1], one.reference, cell.joints(one.reference))
+        write_csv(references[-1], scored.reference, arm.joints(scored.reference))
     return series + references
 
 

@@ -8,8 +8,11 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import cut_of, low_frequency_of, path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.part import PartAssessment
-from kr270_milling.physics.cutting import CutModel, Tool
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import CutModel, Cutting
 from kr270_milling.show.report.charts import (
     Chart,
     Curve,
@@ -23,31 +26,32 @@ from kr270_milling.show.report.series import deviation_of
 
 __all__ = ["charts_of", "force_law", "machined_profile", "micro_step_forces"]
 
-SAMPLES = 1000  #: of a reference trajectory
+SAMPLES = 1000  #: samples of a reference trajectory
 MOST_MICRO_STEPS = 500_000  #: a longer pass is not swept a second time for its micro-step forces
 ZERO = ((0.0, ""),)  #: a level
 
 
 def charts_of(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> list[Chart]:
     """All charts of a straight cut, the force law alone of a tool path."""
-    if not cell.programmed.straight:
-        return [force_law(cell, 1e-3)]
-    result, first = passes[0].result, cell.target().position[0]
-    engaged, end = cell.full_engagement, float(result.time[-1])
+    path, target = path_of(cell), path_of(cell).target
+    feed_per_tooth = path.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
+    if not path.straight:
+        return [force_law(cell.cutting, feed_per_tooth, 1e-3)]
+    result, engaged = passes[0].result, path.full_engagement
+    end = float(result.time[-1])
     shade = (engaged, end) if engaged < end else None
-    charts = [force_law(cell, cell.path.depth_of_cut), _start_position(cell, first[:2] * 1e3)]
+    charts = [force_law(cell.cutting, feed_per_tooth, cell.path.depth_of_cut), _start_position(path)]
     charts += _of_pass(cell, passes[0], shade)
-    charts += [_references(cell, passes[1:])] if len(passes) > 1 else []
-    charts.append(_deviations(cell, passes, shade))
-    along = cell.target().position[[0, -1]]
-    if np.ptp(cell.target().position[:, 1]) < 1e-9 and along[1, 0] > along[0, 0]:
+    charts += [_references(path, passes[1:])] if len(passes) > 1 else []
+    charts.append(_deviations(target, passes, shade))
+    along = target.position[[0, -1]]
+    if np.ptp(target.position[:, 1]) < 1e-9 and along[1, 0] > along[0, 0]:
         charts += machined_profile(parts)
     return charts
 
 
-def force_law(cell: Cell, depth_of_cut: float) -> Chart:
-    """F_c(h) of one tooth at depth_of_cut [m], Fig. 3; the feed per tooth is marked."""
-    cutting, feed_per_tooth = cell.cutting, cell.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
+def force_law(cutting: Cutting, feed_per_tooth: float, depth_of_cut: float) -> Chart:
+    """F_c(h) of one tooth at depth_of_cut [m], Fig. 3; the feed per tooth [m] is marked."""
     h = np.linspace(0.0, 1.3 * feed_per_tooth, 200)
     h[0] = 1e-9  # edge forces begin with contact
     tangential, radial = cutting.force_per_depth(h)
@@ -75,12 +79,12 @@ def force_law(cell: Cell, depth_of_cut: float) -> Chart:
     return Chart("force_law", "Cutting force of one tooth", "Fig. 3", caption, [panel])
 
 
-def _start_position(cell: Cell, centre: np.ndarray) -> Chart:
-    """Tool and workpiece border at t = 0 from +z of the workpiece, Fig. 11; centre [mm]."""
-    tool: Tool = cell.tool
-    r, feed = tool.radius * 1e3, cell.target().sample_velocity(0)[:2]
+def _start_position(path: CellPath) -> Chart:
+    """Tool and workpiece border at t = 0 from +z of the workpiece, Fig. 11."""
+    tool, centre = path.tool, path.target.position[0, :2] * 1e3
+    r, feed = tool.radius * 1e3, path.target.sample_velocity(0)[:2]
     ahead = feed / max(np.linalg.norm(feed), 1e-300)
-    (x0, y0), (x1, y1) = cell.stock.min[:2] * 1e3, cell.stock.max[:2] * 1e3
+    (x0, y0), (x1, y1) = path.stock.min[:2] * 1e3, path.stock.max[:2] * 1e3
     angle = np.linspace(0.0, 2 * np.pi, 91)
 
     def at(phi) -> np.ndarray:
@@ -115,12 +119,13 @@ def _through(name: str, points, colour: int = 0, look: str = "", **more) -> Curv
     return Curve(name, x, y, colour, look, **more)
 
 
-def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
+def _of_pass(cell: Cell, scored: ScoredPass, shade) -> list[Chart]:
     """Force (Fig. 12), displacement (Fig. 13) and their spectra."""
-    result, end = one.result, float(one.result.time[-1])
-    revolution, micro_step = 2 * np.pi / cell.tool.spindle_speed, cell.clock.period / cell.clock.micro_steps
-    scored = result.time >= min(cell.full_engagement, 0.5 * end)
-    wrench, force, step = result.wrench[:, :3], result.wrench[scored, :3], cell.clock.period
+    result, end = scored.result, float(scored.result.time[-1])
+    clock = path_of(cell).clock
+    revolution, micro_step = 2 * np.pi / cell.tool.spindle_speed, clock.period / clock.micro_steps
+    engaged = result.time >= min(path_of(cell).full_engagement, 0.5 * end)
+    wrench, force, step = result.wrench[:, :3], result.wrench[engaged, :3], clock.period
     axes = [k for k in range(3) if k < 2 or wrench[:, 2].any()]
     window = max(1, round(revolution / (result.time[1] - result.time[0])))
     curves = []
@@ -130,14 +135,14 @@ def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
         curves.append(curve(name, result.time, moving_mean(wrench[:, k], window), k + 1))
     panels = [Panel("time [s]", "force [N]", curves, "the whole pass", shade=shade)]
     if result.micro_steps <= MOST_MICRO_STEPS:
-        fine = micro_step_forces(cell.cut(), result.tool, cell.clock.micro_steps)
+        fine = micro_step_forces(cut_of(cell), result.tool, clock.micro_steps)
         count = min(len(fine), round(revolution / micro_step))
         time = (end - micro_step * np.arange(count)[::-1]) * 1e3
         last = [Curve(f"F_{'xyz'[k]}", time, fine[-count:, k], k + 1, legend=False) for k in axes]
         panels.append(Panel("time [ms]", "force [N]", last, "the last revolution"))
-        force, step = fine[np.repeat(scored[1:], cell.clock.micro_steps)], micro_step
+        force, step = fine[np.repeat(engaged[1:], clock.micro_steps)], micro_step
     forces = (
-        f"Pass '{one.name}'. Thin: means over one exchange period of {cell.clock.period * 1e3:g} ms, so the peaks "
+        f"Pass '{scored.name}'. Thin: means over one exchange period of {clock.period * 1e3:g} ms, so the peaks "
         "within a tooth's engagement are lower there than in the last revolution, which is shown at micro-steps of the "
         "spindle. Bold: mean over a revolution. Shaded: fully engaged."
     )
@@ -146,14 +151,14 @@ def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
         curve(name, result.time, result.deflection[:, k] * 1e6, k + 1, look) for k, (name, look) in enumerate(rows)
     ]
     swings = (
-        f"Pass '{one.name}'. The arm deflects, swings at its low frequency and settles at its static deflection. "
+        f"Pass '{scored.name}'. The arm deflects, swings at its low frequency and settles at its static deflection. "
         "What happens before the shaded part is cut away by the teeth that follow."
     )
     panel = Panel("time [s]", "displacement of the tool [µm]", moved, shade=shade, levels=ZERO)
     return [
         Chart("forces", "Force on the tool", "Fig. 12", forces, panels, columns=2),
         Chart("displacement", "Displacement of the tool", "Fig. 13", swings, [panel]),
-        _spectra(cell, one, force, step, result.deflection[scored, 1]),
+        _spectra(cell, scored, force, step, result.deflection[engaged, 1]),
     ]
 
 
@@ -169,16 +174,16 @@ def micro_step_forces(cut: CutModel, tool: np.ndarray, micro_steps: int) -> np.n
     return forces.reshape(-1, 3)
 
 
-def _spectra(cell: Cell, one: ScoredPass, force: np.ndarray, step: float, lateral: np.ndarray) -> Chart:
+def _spectra(cell: Cell, scored: ScoredPass, force: np.ndarray, step: float, lateral: np.ndarray) -> Chart:
     """force (n, 3) [N] every ``step`` [s]; lateral (m,) [m] every exchange period."""
-    passing, low = cell.tool.teeth * cell.tool.spindle_speed / (2 * np.pi), cell.low_frequency
+    passing, low = cell.tool.teeth * cell.tool.spindle_speed / (2 * np.pi), low_frequency_of(cell)
     high = 4.0 * passing
 
     def spectrum(name: str, values: np.ndarray, every: float, colour: int) -> Curve:
         return Curve(name, *thinned_spectrum(*amplitude_spectrum(values, every), high), colour)
 
     of_force = [spectrum(f"F_{name}", force[:, k], step, k + 1) for k, name in enumerate("xy")]
-    of_arm = [spectrum("y, across the feed", lateral * 1e6, cell.clock.period, 2)]
+    of_arm = [spectrum("y, across the feed", lateral * 1e6, path_of(cell).clock.period, 2)]
     marks = ((passing, f"teeth {passing:.4g} Hz"), (low, f"arm {low:.4g} Hz"))
     panels = []
     for label, curves, span in (("force [N]", of_force, 1e5), ("displacement y [µm]", of_arm, 1e6)):
@@ -188,32 +193,32 @@ def _spectra(cell: Cell, one: ScoredPass, force: np.ndarray, step: float, latera
             Panel("frequency [Hz]", label, curves, log=True, x_range=(1.0, high), y_range=decades, uprights=marks)
         )
     caption = (
-        f"Pass '{one.name}', fully engaged part. Force lives at the tooth passing frequency, {passing:.1f} Hz, and its "
-        f"multiples; the arm follows only near its lowest lateral mode, {low:.2f} Hz."
+        f"Pass '{scored.name}', fully engaged part. Force lives at the tooth passing frequency, {passing:.1f} Hz, and "
+        f"its multiples; the arm follows only near its lowest lateral mode, {low:.2f} Hz."
     )
     of_paper = "Figs. 12 and 13 in the frequency domain"
     return Chart("spectra", "Frequencies in force and displacement", of_paper, caption, panels)
 
 
-def _references(cell: Cell, passes: Sequence[ScoredPass]) -> Chart:
+def _references(path: CellPath, passes: Sequence[ScoredPass]) -> Chart:
     """Shift of the reference across the feed and its rate, Fig. 14; linear ones jump at the knots."""
-    target = cell.target()
+    target = path.target
     stamps = np.unique(np.linspace(0, target.duration_ns, SAMPLES).round().astype(np.int64))
     shift, rate = [], []
-    for number, one in enumerate(passes, 1):
-        run = one.reference
+    for number, scored in enumerate(passes, 1):
+        run = scored.reference
         at = stamps
         if run.velocity is None:  # the rate of a straight line is a staircase: both sides of each knot
             at = np.sort(np.concatenate([run.time_ns[1:-1] - 1, run.time_ns]))
         moved = (run.sample(stamps) - target.sample(stamps))[:, 1] * 1e6
         speed = (run.sample_velocity(at) - target.sample_velocity(at))[:, 1] * 60e3
         knots = (run.position - target.sample(run.time_ns))[:, 1] * 1e6
-        shift.append(curve(one.name, stamps * 1e-9, moved, number))
-        shift.append(Curve(f"{one.name}, points", run.time, knots, number, "points", legend=False))
-        rate.append(curve(one.name, at * 1e-9, speed, number, legend=False))
+        shift.append(curve(scored.name, stamps * 1e-9, moved, number))
+        shift.append(Curve(f"{scored.name}, points", run.time, knots, number, "points", legend=False))
+        rate.append(curve(scored.name, at * 1e-9, speed, number, legend=False))
     caption = (
         "Reference minus target, computed from the displacement in earlier passes: points every "
-        f"{cell.timing.controller_step * 1e3:g} ms. 'linear' joins them by straight lines, so that its rate jumps; the "
+        f"{path.timing.controller_step * 1e3:g} ms. 'linear' joins them by straight lines, so that its rate jumps; the "
         "others join them smoothly."
     )
     span = (0.0, target.duration_ns * 1e-9)
@@ -224,9 +229,8 @@ def _references(cell: Cell, passes: Sequence[ScoredPass]) -> Chart:
     return Chart("revised_trajectories", "Modified trajectory and its feed rate", "Fig. 14", caption, panels)
 
 
-def _deviations(cell: Cell, passes: Sequence[ScoredPass], shade) -> Chart:
+def _deviations(target: Trajectory, passes: Sequence[ScoredPass], shade) -> Chart:
     """All passes on one scale, and the compensated ones on their own, Fig. 15."""
-    target = cell.target()
     curves = [curve(p.name, p.result.time, deviation_of(p.result, target) * 1e6, k) for k, p in enumerate(passes)]
     rows: list[tuple] = [("all passes", curves, passes, None)]
     if len(passes) > 1:
@@ -248,7 +252,7 @@ def _deviations(cell: Cell, passes: Sequence[ScoredPass], shade) -> Chart:
 
 
 def machined_profile(parts: Sequence[PartAssessment]) -> list[Chart]:
-    """What the assessment of the part says of the walls of a path along +x; empty where none remains."""
+    """Return sentences about the walls of a path along +x; empty without a wall."""
     panels: list[Panel] = []
     for title, normal in (("left wall", -1.0), ("right wall", 1.0)):
         curves = []

@@ -17,7 +17,7 @@ __all__ = ["COLOURS", "DIVERGING", "figure_of", "fragment", "points", "write_pag
 
 COLOURS: list[str] = page.COLOURS["light"]["series"]  # type: ignore[assignment]  #: a page replaces them in its dark theme
 DIVERGING = page.COLOURS["light"]["diverging"]  #: for values about zero
-STYLE = ("template", "colorway", "title")  #: of a figure; a page has its own
+STYLE = ("template", "colorway", "title")  #: style of a figure; a page has a separate style
 
 
 def figure_of(title: str, x: str, y: str):

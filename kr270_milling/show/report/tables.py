@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.column import Column, TextTable, columns, fixed
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
+from kr270_milling.physics.robot import Arm
 
 __all__ = ["PAPER", "TABLE_2", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
            "micro", "part_scores", "shown", "typeset", "typographic", "warning"]  # fmt: skip
@@ -70,15 +71,15 @@ def typeset(text: str) -> str:
 
 def line_scores(passes: Sequence[ScoredPass], paper: bool) -> TextTable:
     """Accuracy before and after of a straight cut; with ``paper`` the numbers of Table 2 beside ours."""
-    heads, rows = ["pass"], [[one.name] for one in passes]
+    heads, rows = ["pass"], [[scored.name] for scored in passes]
     for column in _titled(Scores):
         heads.append(_heading(column))
-        for one, row in zip(passes, rows, strict=True):
-            row.append(_text(column, getattr(one.scores, column.name)))
+        for scored, row in zip(passes, rows, strict=True):
+            row.append(_text(column, getattr(scored.scores, column.name)))
         if paper and np.isfinite(getattr(TABLE_2["original"], column.name)):
             heads.append("paper")
-            for one, row in zip(passes, rows, strict=True):
-                row.append(_text(column, getattr(TABLE_2.get(one.name), column.name, np.nan)))
+            for scored, row in zip(passes, rows, strict=True):
+                row.append(_text(column, getattr(TABLE_2.get(scored.name), column.name, np.nan)))
     note = (
         "Path deviation: actual tool centre minus target, perpendicular to the feed. Static: its mean over the last "
         "quarter of the pass. Largest: its largest magnitude while the tool is fully engaged. Low frequency: the "
@@ -127,12 +128,12 @@ def _text(column: Column, value: float) -> str:
     return fixed_text(value * column.scale, column.digits, column.least * column.scale)
 
 
-def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
+def input_rows(arm: Arm, joints: np.ndarray) -> list[tuple[str, list[str]]]:
     """Table 1: name with unit, six values; joints [rad], (6,): the commanded joints at the start."""
     rows = [
         ("commanded joint position q at the start [deg]", np.round(np.degrees(joints), 3) + 0.0),
-        ("joint compliance [10⁻⁶ rad/(N m)]", np.round(cell.arm.joint_compliance * UM, 9)),
-        ("link mass [kg]", cell.arm.link_mass),
+        ("joint compliance [10⁻⁶ rad/(N m)]", np.round(arm.joint_compliance * UM, 9)),
+        ("link mass [kg]", arm.link_mass),
     ]
     return [(name, [shown(value) for value in values.tolist()]) for name, values in rows]
 
@@ -140,11 +141,11 @@ def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
 def details(passes: Sequence[ScoredPass]) -> TextTable:
     """Forces and exchange of every pass."""
     rows = []
-    for one in passes:
-        result = one.result
+    for scored in passes:
+        result = scored.result
         shift = float(np.linalg.norm(result.reference - result.target, axis=1).max())
         rows.append((
-            one.name, " / ".join(fixed_text(v, 2) for v in mean_force(result)), fixed_text(shift * UM, 2),
+            scored.name, " / ".join(fixed_text(v, 2) for v in mean_force(result)), fixed_text(shift * UM, 2),
             fixed_text(result.removed_volume * 1e9, 3), fixed_text(float(result.correction.max()) * 1e9, 2),
             str(result.micro_steps), fixed_text(result.wall_time, 3),
         ))  # fmt: skip
@@ -160,8 +161,8 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
     return TextTable("Forces and exchange", columns, tuple(rows), note)
 
 
-def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
+def warning(path: CellPath, passes: Sequence[ScoredPass]) -> str:
     """The pass whose exchange was the coarsest, where that was too coarse."""
-    shares = [(ran.name, exchange_share(cell, ran)) for ran in passes]
+    shares = [(scored.name, exchange_share(path, scored)) for scored in passes]
     name, worst = max(shares, key=lambda item: item[1].share)
     return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""

@@ -15,7 +15,7 @@ PLOTLY = "/* plotly.js, from the page of all tools */"  #: in the page of a tool
 
 
 def tools_page(title: str, decision: DecisionOnTools, names: Sequence[str], pages: Sequence[str]) -> str:
-    """One page for all tools; pages: the report of each tool as text, without a second copy of plotly in the file."""
+    """Return a page for all tools; pages: the report of each tool as text, without plotly."""
     tools = dict(decision.tools)
     rows = [(name, tools[name].level, TONES[tools[name].level], micro(tools[name].sentence)) for name in names]
     return page.page_text(

@@ -64,7 +64,7 @@ def _slide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def line_through(measured: np.ndarray, simulated: np.ndarray, independent: int) -> LinearFit:
-    """One gain and one offset of (n,) numbers; independent: how many of them count as such (they are smoothed)."""
+    """Gain and offset of (n,) numbers; independent: number of independent ones among them (they are smoothed)."""
     a = np.column_stack([simulated, np.ones_like(simulated)])
     (gain, offset), *_ = np.linalg.lstsq(a, measured, rcond=None)
     left = measured - a @ [gain, offset]
@@ -91,14 +91,14 @@ class ComparedSeries:
 
 @dataclass(frozen=True, eq=False)
 class ComparedChannel:
-    """One quantity, both on the clock of the simulation."""
+    """A quantity, measured and simulated, on the clock of the simulation."""
 
     name: str
     unit: str
     time: np.ndarray  #: [s], (n,)
     measured: np.ndarray  #: (n,)
     simulated: np.ndarray  #: (n,)
-    line: LinearFit  #: of the series smoothed over a revolution
+    line: LinearFit  #: from the series smoothed over a revolution
 
 
 @dataclass(frozen=True, eq=False)

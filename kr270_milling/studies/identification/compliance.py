@@ -41,9 +41,9 @@ class Fit:
     problem: Problem  #: with the standard deviations that were used
     factors: np.ndarray  #: on the arm file's numbers, (p,)
     exclusions: dict[int, Exclusion]  #: why a number was not fitted; its value is that of the arm file
-    covariance: np.ndarray  #: of the factors, (p, p), with PRIOR for those that were not fitted
+    covariance: np.ndarray  #: covariance of the factors, (p, p), with PRIOR for those that were not fitted
     quantile: float  #: half width of a 95 % interval in standard deviations
-    weights: np.ndarray  #: of each load test, (n,); 1 unless robust
+    weights: np.ndarray  #: weight of each load test, (n,); 1 unless robust
     chi2_reduced: float  #: weighted sum of the squares of the residuals over the degrees of freedom
 
     @property
@@ -58,7 +58,7 @@ class Fit:
 
     @property
     def half_widths(self) -> np.ndarray:
-        """Of the 95 % intervals, (p,), infinite for a number that was not fitted."""
+        """Half widths of the 95 % intervals, (p,), infinite for a number that was not fitted."""
         sigma = np.sqrt(np.diag(self.covariance)) * np.abs(self.problem.scale)
         return np.where(self.free, self.quantile * sigma, np.inf)
 
@@ -71,7 +71,7 @@ class Fit:
 
     @property
     def singular_values(self) -> np.ndarray:
-        """Of the derivatives, columns scaled to length 1, (p,), the largest first; all 1: orthogonal columns."""
+        """Singular values of the derivatives, (p,), columns scaled to length 1; all 1: orthogonal columns."""
         columns = self.problem.derivatives(self.factors)
         lengths = np.linalg.norm(columns, axis=0)
         return np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
@@ -83,7 +83,7 @@ class Fit:
 
     @property
     def residual_rms(self) -> float:
-        """Of the translations [m], of the load tests with weight."""
+        """Root mean square of the translations [m] of the load tests with weight."""
         rows = self.residuals[self.weights > 0.0, :3]
         return float(np.sqrt(np.nanmean(rows**2)))
 
@@ -137,9 +137,11 @@ def _fitted(problem: Problem, exclusions: dict[int, Exclusion], robust: bool) ->
         left = problem.weighted(problem.predict(x))
         new = robust_weights(left) if robust else weights
         scaled = problem if problem.measured.sigma_known else problem.with_estimated_sigma(left, weights, sought)
-        done = np.abs(new - weights).max() < 1e-3 and np.allclose(scaled.measured.sigma, problem.measured.sigma, 1e-4)
+        converged = np.abs(new - weights).max() < 1e-3 and np.allclose(
+            scaled.measured.sigma, problem.measured.sigma, 1e-4
+        )
         problem, weights = scaled, new
-        if done:
+        if converged:
             break
     each = problem.by_number(weights)
     residuals, a = problem.linearised(x)

@@ -38,7 +38,7 @@ COLUMNS = (*CUT, "mode", *FORCES, "sigma_n", *RECORDED, "note")
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """Where a force sensor sits and what it reads without a cut."""
+    """Place of a force sensor, and its reading without a cut."""
 
     topic: str = "wrench"  #: full name, or its last part where only one topic ends so
     rotation: np.ndarray = field(default_factory=lambda: np.eye(3))  #: sensor axes -> workpiece axes
@@ -76,7 +76,7 @@ class CutMeasurements:
 
     @property
     def feeds(self) -> int:
-        """How many different feeds per tooth there are."""
+        """Number of different feeds per tooth."""
         return len(np.unique(np.round(self.feed_per_tooth, 9)))
 
 
@@ -156,7 +156,7 @@ def recorded_mean_force(
 
 
 def _idle(path, sensor: Sensor, time, force) -> np.ndarray:
-    """What the sensor shows without a cut, (3,) [N]."""
+    """Reading of the sensor without a cut, (3,) [N]."""
     if sensor.tare is None:
         return sensor.mass * GRAVITY * sensor.down * (-1.0 if sensor.on_part else 1.0)
     start, stop = sensor.tare

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -16,14 +17,13 @@ import numpy as np
 from scipy import stats
 
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.cutting.materials import materials
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.studies.identification.compliance import Fit, fit_compliance
 from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.forces import FIRST, LawFit, contradicting_cut, fit_forces
 from kr270_milling.studies.identification.measurements import Measurements
-from kr270_milling.studies.identification.modes import Mode, tool_compliance
+from kr270_milling.studies.identification.modes import Mode
 from kr270_milling.studies.identification.problem import TILTS, Problem
 from kr270_milling.studies.identification.signals import AXES
 
@@ -164,7 +164,7 @@ def _unexplained(fit: Fit) -> float:
 
 
 def _pattern(fit: Fit) -> list[Doubt]:
-    """What the residuals look like: another frame, one wrong row, a base that tilts."""
+    """Causes that the residuals suggest: another frame, one wrong row, a base that tilts."""
     left = _unexplained(fit)
     if left < UNEXPLAINED:
         return _contradicting_row(fit, False) or _tilting_base(fit)
@@ -286,7 +286,7 @@ def _coefficients(edge: LawFit) -> list[Doubt]:
 
 
 def _plausible(fit: LawFit) -> bool:
-    """Whether K_tc is positive and the 95 % interval of K_rc has a ratio to K_tc as published."""
+    """Return whether K_tc is positive and the 95 % interval of K_rc has a ratio to K_tc as published."""
     ratios = [row.values[2] / row.values[0] for row in materials()]
     k_tc, k_rc, width = fit.values[0], fit.values[2], fit.half_widths[2]
     return bool(
@@ -343,22 +343,25 @@ def _swapped_modes(edge: LawFit) -> list[Doubt]:
 # --- a hammer ---
 
 
-def hammer_doubts(modes: list[Mode], shapes: np.ndarray, axis: str, cell: Cell | None) -> list[Doubt]:
+def hammer_doubts(
+    modes: list[Mode], shapes: np.ndarray, axis: str, static: np.ndarray | None = None, first: float = math.nan
+) -> list[Doubt]:
     """Masses and compliance of the modes at the drive point, on which a wrong unit shows; shapes: (n, 6).
 
     The modes of the arm are a part of its static compliance, sum phi_d^2 / omega^2 <= C_dd, and nearly all of it where
     they begin with the first mode of the cell.
+
+    static: compliance of arm and tool of the cell, (6, 6); None: without a cell; first: its first mode [rad/s].
     """
     at, omega = AXES.index(axis), 2 * np.pi * np.array([mode.frequency for mode in modes])
     soft, unit = float(np.sum((shapes[:, at] / omega) ** 2)), ("kg", "um/N") if at < 3 else ("kg m2", "urad/(N m)")
     masses = ", ".join(f"{1 / value**2:.3g}" for value in shapes[:, at])
     shown = f"at the drive point the modes have {masses} {unit[0]} and together {1e6 * soft:.3g} {unit[1]}"
-    if cell is None:
+    if static is None:
         return [Doubt(f"{shown}, if the columns are in SI units: a motion in g or mm/s2 and a force in kN show only "
                       "with --cell")]  # fmt: skip
-    whole = float(tool_compliance(cell)[at, at]) + cell.tool.lateral_compliance * (at < 2)
-    factor = soft / whole
-    if factor > UNLIKELY or (factor < 1 / UNLIKELY and omega.min() < NEAR * cell.modal_model.frequency[0]):
+    factor = soft / float(static[at, at])
+    if factor > UNLIKELY or (factor < 1 / UNLIKELY and omega.min() < NEAR * first):
         cause = likely_factor(factor, HAMMER_UNITS) or ": is a unit wrong, or the cell that of another arm?"
         return [Doubt(f"{shown}, {factor:.3g} times that of the cell{cause}", True)]
     return []

@@ -55,7 +55,7 @@ class LawFit:
     law: str
     cuts: CutMeasurements
     values: np.ndarray  #: (p,)
-    half_widths: np.ndarray  #: of their 95 % intervals, (p,)
+    half_widths: np.ndarray  #: half widths of their 95 % intervals, (p,)
     modelled: np.ndarray  #: mean forces [N], (n, 3)
     axial: float = TOWARD_PART  #: s of F_z, from the sign of what was measured
 
@@ -66,12 +66,12 @@ class LawFit:
 
     @property
     def lateral_rms(self) -> float:
-        """Of the residuals of F_x and F_y [N]."""
+        """Root mean square of the residuals of F_x and F_y [N]."""
         return float(np.sqrt(np.nanmean(self.residuals[:, :2] ** 2)))
 
     @property
     def residual_rms(self) -> float:
-        """Of the residuals that the fit minimised [N]: of F_x and F_y alone for a law with a separate axial fit."""
+        """Root mean square of the minimised residuals [N]: F_x and F_y alone for a law with a separate axial fit."""
         linear = LAWS[self.law].design(self.cuts) is not None
         return float(np.sqrt(np.nanmean(self.residuals**2))) if linear else self.lateral_rms
 
@@ -180,7 +180,7 @@ def _fit_curved(law: str, cuts: CutMeasurements) -> LawFit:
 
 
 def _axial_columns(kind: type[ForceLaw]) -> np.ndarray:
-    """Whether a coefficient is one of the axial force, (p,)."""
+    """Coefficients of the axial force, (p,) bool."""
     return np.array([spec.name in kind.axial_names for spec in specs(kind)])
 
 

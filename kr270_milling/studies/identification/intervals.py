@@ -49,7 +49,7 @@ def solve(a: np.ndarray, b: np.ndarray, known: bool) -> tuple[np.ndarray, np.nda
 
 
 def robust_weights(residuals: np.ndarray) -> np.ndarray:
-    """One weight for each test (n,), 0 to 1, from its residuals (n, k), NaN where not measured: (1 - u^2)^2, u < 1."""
+    """Return a weight for each test (n,): (1 - u^2)^2, u < 1, from its residuals (n, k), NaN where not measured."""
     u = _shares(residuals)
     return np.where(u < 1.0, (1.0 - u**2) ** 2, 0.0)
 

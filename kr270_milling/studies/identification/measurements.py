@@ -35,7 +35,7 @@ class Measurements:
     """n load tests. Base axes unless the name says otherwise; NaN: not measured."""
 
     q: np.ndarray  #: joint angles that the controller holds [rad], (n, 6)
-    wrench: np.ndarray  #: of the test load, at ``application`` [N, N m], (n, 6)
+    wrench: np.ndarray  #: test load, at ``application`` [N, N m], (n, 6)
     application: np.ndarray  #: where the load acts, flange frame [m], (n, 3)
     reflector: np.ndarray  #: flange frame [m], (n, 3)
     displacement: np.ndarray  #: translation and rotation vector of the reflector by the load [m, rad], (n, 6)

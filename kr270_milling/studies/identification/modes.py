@@ -31,15 +31,16 @@ from scipy.optimize import nnls
 
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
 __all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "check_hammer", "find_modes", "free_decay",
            "split_modes", "tool_compliance"]  # fmt: skip
 
-MOST_SAMPLES = 1200  #: of the pencil; longer ones are thinned after a low-pass
-SHARE = 1e-3  #: of the strongest singular value: below is noise
+MOST_SAMPLES = 1200  #: samples of the pencil; longer series are thinned after a low-pass
+SHARE = 1e-3  #: share of the strongest singular value: below is noise
 MOST_DAMPED = 0.5
 FAINT = 0.02  #: share of the strongest mode's energy below which a mode must exceed the noise by CLEAR
 CLEAR = 8.0  #: standard deviations; a pole that follows noise reaches about 4
@@ -47,8 +48,8 @@ LEAST = 1e-6  #: share of the energy below which a pole is rounding
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
 QUIET = 0.2  #: share of the largest motion in the band, below which no ring-down is assumed to run
-PHASE = math.radians(10)  #: of the drive point without a word; the shape is then off by 1 - sqrt(cos PHASE) = 0.8 %
-MOST_PHASE = math.radians(30)  #: of the drive point; the shape is then off by 7 %
+PHASE = math.radians(10)  #: phase of the drive point without a finding; the shape is off by 1 - sqrt(cos PHASE) = 0.8 %
+MOST_PHASE = math.radians(30)  #: phase of the drive point; the shape is then off by 7 %
 BLOW = 5.0, 5e4  #: [N] of a hammer; from the smallest for tool tips to a sledge hammer: assumed
 
 
@@ -58,12 +59,12 @@ class NoModeError(MillingError):
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """One mode of a linear machine."""
+    """A mode of a linear machine."""
 
     pole: complex  #: s_k [1/s]
     residues: np.ndarray  #: R_k of each channel, complex (channels,)
     clear: float  #: size of the residues over their standard deviation
-    #: of the energy of all modes
+    #: share of the energy of all modes
     share: float = column("share_of_energy", unit="%", scale=100.0, digits=1, short="energy")
     #: damping ratio by the logarithmic decrement; NaN where another mode is too near
     decrement: float = column("damping_ratio_log_decrement", unit="%", scale=100.0, digits=2, short="by decrement")
@@ -89,12 +90,12 @@ class Mode:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the logarithmic decrement gives about the same damping ratio."""
+        """Return whether the logarithmic decrement gives about the same damping ratio."""
         return bool(abs(self.decrement / self.damping_ratio - 1.0) < TOGETHER)
 
     @property
     def shape(self) -> np.ndarray:
-        """Of the channels, (channels,), the largest is 1."""
+        """Amplitudes of the channels, (channels,), the largest is 1."""
         return np.real(self.residues / self.residues[np.argmax(np.abs(self.residues))])
 
 
@@ -184,7 +185,7 @@ def _thinned(data: np.ndarray, step: float, high: float) -> tuple[np.ndarray, fl
 
 
 def _poles(data: np.ndarray, step: float, order: int) -> np.ndarray:
-    """Of all channels together, (k,) [1/s]."""
+    """Poles of all channels together, (k,) [1/s]."""
     n = len(data)
     pencil = n // 3
     hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(c, n - pencil) for c in data.T], 1)
@@ -328,12 +329,12 @@ def by_compliance(modes: list[Mode], signals: Signals, soft: np.ndarray) -> np.n
 
     Raises InputError where a mode has no part in the compliance.
     """
-    seen = [AXES.index(name) for name in signals.names if name in AXES[:3]]
-    pairs = np.triu_indices(len(seen))
+    measured = [AXES.index(name) for name in signals.names if name in AXES[:3]]
+    pairs = np.triu_indices(len(measured))
     directions = np.array([signals.along_axes(mode.shape) for mode in modes])
-    softness = np.array([np.outer(psi, psi)[np.ix_(seen, seen)][pairs] for psi in directions])
+    softness = np.array([np.outer(psi, psi)[np.ix_(measured, measured)][pairs] for psi in directions])
     omega = 2 * np.pi * np.array([mode.frequency for mode in modes])
-    target = soft[np.ix_(seen, seen)][pairs]
+    target = soft[np.ix_(measured, measured)][pairs]
     squares, _ = nnls((softness / omega[:, None] ** 2).T / np.abs(target).max(), target / np.abs(target).max())
     if not np.all(squares > 0.0):
         lost = modes[int(np.argmin(squares))].frequency
@@ -342,11 +343,10 @@ def by_compliance(modes: list[Mode], signals: Signals, soft: np.ndarray) -> np.n
     return np.sqrt(squares)[:, None] * directions
 
 
-def tool_compliance(cell: Cell) -> np.ndarray:
-    """Of the arm at the start of the cell's path, workpiece axes, (6, 6).
+def tool_compliance(arm: PlacedArm, target: Trajectory) -> np.ndarray:
+    """Compliance of the arm at the start of a path, workpiece axes, (6, 6).
 
     Without that of the tool: its spring moves no mass below the frequencies of the arm, and is no part of its modes.
     """
-    q = cell.joints(cell.target())[0]
-    bent = equilibrium(cell.arm, cell.mount, q, gravity=cell.dynamics.gravity)
-    return rotate_matrix(compliance(bent, cell.arm), cell.workpiece.pose.rotation.T)
+    bent = equilibrium(arm.arm, arm.mount, arm.joints(target)[0], gravity=arm.dynamics.gravity)
+    return rotate_matrix(compliance(bent, arm.arm), arm.place.rotation.T)

@@ -17,7 +17,8 @@ from scipy.stats import qmc
 
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import read_tree
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.kinematics import forward, singularity_measures
 from kr270_milling.physics.robot.loads import GRAVITY
@@ -30,8 +31,8 @@ __all__ = [
 ]  # fmt: skip
 
 MARGIN = np.radians(5.0)  #: distance to every joint limit
-MOST_TURN = np.radians(180.0)  #: of axes 4 and 6, for the cables
-LEAST_MEASURE = 0.1  #: of the singularities of elbow and wrist: a measurement does not need them
+MOST_TURN = np.radians(180.0)  #: turn of axes 4 and 6, for the cables
+LEAST_MEASURE = 0.1  #: distance to the singularities of elbow and wrist: assumed
 TEST_FORCE = 100.0  #: [N] along each axis in turn, what milling of aluminium asks of the arm
 CRITERIA = ("test pose", "A", "D")
 WEAK = 1.0  #: relative standard deviation of each number before anything is measured: regular from the first test on
@@ -105,10 +106,10 @@ def read_test_pose(path, mount: Mount) -> Measurements | None:
     if "workpiece" not in read_tree(path):
         return None
     cell = read_cell(path)
-    run = cell.target()
+    run = path_of(cell).target
     middle = len(run) // 2
     place, turn = run.position[middle : middle + 1], run.quaternion[middle : middle + 1]
-    return at_posture(mount, cell.joints_at(place, turn)[0])
+    return at_posture(mount, arm_of(cell).joints_at(place, turn)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,7 @@ class Planner:
         self, arm: Arm, mount: Mount, choice: Candidates, pose: Measurements, gravity: bool = True, base: bool = False
     ):
         problem = Problem(arm, mount, choice.tests, gravity, base=base)
-        self.names = problem.names  #: of the sought numbers, (p,)
+        self.names = problem.names  #: values of the sought numbers, (p,)
         self._slopes = problem.slopes(problem.start, choice.tests)  # (m, 3, p): a tracker sees translations
         at_pose = problem.slopes(problem.start, pose)
         self._pose = np.einsum("kip,kiq->pq", at_pose, at_pose) / len(at_pose)

@@ -48,7 +48,7 @@ UNSEEN = 1e-3
 
 
 class Cause(Enum):
-    """Why the data do not identify a number."""
+    """Reason why the data do not identify a number."""
 
     NO_EFFECT = auto()  #: no measured displacement depends on it
     NO_LOAD = auto()  #: no load turned the joint
@@ -61,7 +61,7 @@ class Exclusion(NamedTuple):
     """A number that is not fitted."""
 
     cause: Cause
-    partner: int = -1  #: of ALIKE: the other number
+    partner: int = -1  #: the other number, for ALIKE
 
 
 class SoftArmError(MillingError):
@@ -89,7 +89,7 @@ class Problem:
     measured: Measurements
     gravity: bool = True
     compensator: tuple[str, ...] = ()
-    base: bool = False  #: whether the compliance of the base is sought
+    base: bool = False  #: True if the compliance of the base is sought
 
     def __post_init__(self):
         for name in self.compensator:

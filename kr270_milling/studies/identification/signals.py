@@ -19,12 +19,12 @@ __all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resa
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
 COLUMNS = ("time_s", *AXES, FORCE)
-QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  #: by specific data type of a UFF file
+QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  #: specific data type of a UFF file -> quantity
 FORCES = (9, 13)  #: specific data types: reaction force, excitation force
 SI = ("", "NONE", "M", "M/S", "M/S2", "M/S^2", "M/S**2", "N", "RAD")  #: labels of units of a UFF file
 UFF = (".uff", ".unv", ".58")
 FEWEST = 16
-MOST_BYTES = 256 * 1024 * 1024  #: of a UFF file, which is read as a whole
+MOST_BYTES = 256 * 1024 * 1024  #: size of a UFF file, which is read as a whole
 LONGEST_GAP = 10.0  #: steps that are bridged by a straight line: assumed
 UNEVEN = 0.1  #: share of a step by which stamps may be uneven without a word: assumed, 3 degrees at 10 samples a period
 CONFLICTS = 0.01  #: share of the messages that may repeat a stamp with other values: assumed
@@ -36,10 +36,10 @@ class Signals:
 
     step: float  #: [s]
     values: np.ndarray  #: (n, channels)
-    names: tuple[str, ...]  #: of the channels, of AXES where they are known
-    force: np.ndarray | None = None  #: of the hammer [N], (n,)
-    quantity: str = ""  #: of QUANTITIES; empty: the file does not state the quantity
-    drive: str = ""  #: of AXES, where the file states the direction of the force, or the other point that was hit
+    names: tuple[str, ...]  #: axes of the channels, from AXES where they are known
+    force: np.ndarray | None = None  #: force of the hammer [N], (n,)
+    quantity: str = ""  #: from QUANTITIES; empty: the file does not state the quantity
+    drive: str = ""  #: from AXES, where the file states the direction of the force, or the other point that was hit
     notes: tuple[str, ...] = ()  #: sentences about stamps and channels
 
     def along_axes(self, shape: np.ndarray) -> np.ndarray:

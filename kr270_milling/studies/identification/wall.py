@@ -14,6 +14,7 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.part.course import course
 from kr270_milling.decide.part.surface import IdealPart, Walls, ideal_part, remaining_walls
@@ -39,7 +40,7 @@ class WallPlaces:
     """n places of a wall, workpiece frame."""
 
     path: str
-    lines: tuple[int, ...]  #: of the file, (n,)
+    lines: tuple[int, ...]  #: line of the file, (n,)
     place: np.ndarray  #: nominal [m], (n, 2)
     height: np.ndarray  #: z [m], (n,); NaN: not given
     error: np.ndarray  #: measured, along the normal, positive where material is left standing [m], (n,)
@@ -51,7 +52,7 @@ class WallComparison:
     """Measured and predicted error of a wall at n places."""
 
     measured: WallPlaces
-    predicted: np.ndarray  #: by the model [m], (n,)
+    predicted: np.ndarray  #: error by the model [m], (n,)
     low: np.ndarray  #: 5 % of the plants, with the noise of the measurement [m], (n,)
     high: np.ndarray  #: 95 % [m], (n,)
     plants: int  #: drawn
@@ -59,7 +60,7 @@ class WallComparison:
 
     @property
     def inside(self) -> np.ndarray:
-        """Whether a measured error is in its band, (n,) bool."""
+        """Measured errors in their band, (n,) bool."""
         return (self.low <= self.measured.error) & (self.measured.error <= self.high)
 
 
@@ -84,13 +85,14 @@ def compare_wall(
     Raises InputError where a place is farther than 2 mm from every predicted wall.
     """
     result = simulate(cell, reference).result
-    ideal = ideal_part(cell, course(cell, result.time_ns), result.target)
+    ideal = ideal_part(cell, course(path_of(cell), result.time_ns), result.target)
     predicted = _errors_at(measured, _walls(cell, result, ideal))
     nominal, rng = coarser(cell), np.random.default_rng(seed)
     drawn = [perturbed(nominal, rng) for _ in range(plants)]
-    known = nominal.target() if reference is None else reference
-    stamps = nominal.clock.stamp(np.arange(nominal.clock.steps(nominal.target().duration_ns) + 1))
-    coarse = ideal_part(nominal, course(nominal, stamps), nominal.target().sample(stamps))
+    path, target = path_of(nominal), path_of(nominal).target
+    known = target if reference is None else reference
+    stamps = path.clock.stamp(np.arange(path.clock.steps(target.duration_ns) + 1))
+    coarse = ideal_part(nominal, course(path, stamps), target.sample(stamps))
     rows: list[np.ndarray] = []
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for row in pool.map(lambda plant: _plant_errors(plant, nominal, known, measured, coarse), drawn):
@@ -105,18 +107,19 @@ def compare_wall(
 def _plant_errors(plant: Cell, nominal: Cell, reference: Trajectory, measured: WallPlaces, ideal: IdealPart):
     """Errors of the wall of one plant [m], (n,); NaN where the plant fails."""
     try:
-        arm = imperfect_arm(plant, reference, plant.arm_model(reference))
+        arm = imperfect_arm(plant, reference, arm_model_of(plant, reference))
         course_of = imperfect_course(plant, reference, 0)
-        silent = plant.programmed.drilling_at
-        ran = run_pass(arm, plant.cut(), plant.clock, nominal.target(), course_of, plant.exchange.iterations,
-                       silent=silent)  # fmt: skip
-        return _errors_at(measured, _walls(nominal, ran, ideal))
+        clock, iterations, silent = path_of(plant).clock, plant.exchange.iterations, path_of(plant).drilling_at
+        target = path_of(nominal).target
+        result = run_pass(arm, cut_of(plant), clock, target, course_of, iterations, silent=silent)
+        return _errors_at(measured, _walls(nominal, result, ideal))
     except MillingError:
         return np.full(len(measured.error), np.nan)
 
 
 def _walls(cell: Cell, result: PassResult, ideal: IdealPart) -> Walls:
-    return remaining_walls(ideal.walls, course(cell, result.time_ns), result.actual - result.target, ideal.level)
+    path = course(path_of(cell), result.time_ns)
+    return remaining_walls(ideal.walls, path, result.actual - result.target, ideal.level)
 
 
 def _errors_at(measured: WallPlaces, walls: Walls) -> np.ndarray:

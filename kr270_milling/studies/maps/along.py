@@ -5,8 +5,8 @@ Sought is psi(t) in q(t) = IK(target(t) Rz(psi(t))), which makes the least of
     J^2 = 1/T int e(t, psi)^2 + (w dpsi/dt)^2 dt,
 
 e the static error across the feed under the mean cutting force (0 where nothing is cut), under the limits of the
-joints and of their speeds. Dynamic programming [Bellman1957] finds the best way through a grid of turns at even
-times, for each branch of the arm; then the same over five turns about that way, with half the step each time, until
+joints and of their speeds. Dynamic programming [Bellman1957] finds the best path through a grid of turns at even
+times, for each branch of the arm; then the same over five turns about that path, with half the step each time, until
 the steps are small: J falls each time, and the limits hold throughout.
 """
 
@@ -22,27 +22,27 @@ from scipy.interpolate import PchipInterpolator
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.path.timing import limit_by_joints
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import inverse_near
 from kr270_milling.studies.maps.placements import MARGIN, PathPlaces, about_z
 from kr270_milling.studies.maps.postures import postures
 
-__all__ = ["NoWayError", "Turns", "Way", "constant_way", "find_way", "turned"]
+__all__ = ["NoTurnsError", "Turns", "TurnPath", "constant_turn", "best_turns", "turned"]
 
 FINEST = 1e-4  #: [rad] of the last grid
-NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a way
+NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a path
 ROUNDS = 60
 
 
-class NoWayError(MillingError):
+class NoTurnsError(MillingError):
     """No turns keep the joints within their limits."""
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """A way through the turns at n evenly spaced times."""
+class TurnPath:
+    """Turns of the tool at n evenly spaced times."""
 
     branch: int
     turn: np.ndarray  #: psi [rad], (n,), without jumps
@@ -53,74 +53,74 @@ class Way:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """What a turn costs at each of n times ``step`` [s] apart, and where it takes the joints."""
+    """Cost and joint angles of turns at n times ``step`` [s] apart."""
 
-    cell: Cell
-    course: PathPlaces  #: n places, in the order of time
+    arm: PlacedArm
+    places: PathPlaces  #: n places, in the order of time
     step: float  #: [s]
     weight: float  #: w [m s/rad]
 
     def at(self, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint angles [rad], (n, s, 8, 6), and errors [m], (n, s, 8), of turns (n, s) [rad]; NaN out of reach."""
-        cell, course = self.cell, self.course
+        """Return joint angles [rad], (n, s, 8, 6), and errors [m], (n, s, 8), of turns (n, s) [rad]; NaN: no reach."""
+        placed, places = self.arm, self.places
         n, s = turn.shape
-        tool = cell.workpiece.pose @ Pose(course.position, course.rotation)
+        tool = placed.place @ Pose(places.position, places.rotation)
         rotation = tool.rotation[:, None] @ about_z(turn)
         place = Pose(np.repeat(tool.position, s, axis=0), rotation.reshape(-1, 3, 3))
-        force, feed = (vectors @ cell.workpiece.pose.rotation.T for vectors in (course.force, course.feed))
-        q, way = postures(cell.arm, cell.mount, place, np.repeat(force, s, axis=0), cell.dynamics.gravity)
-        q, way = q.reshape(n, s, 8, 6), way.reshape(n, s, 8, 3)
-        along = np.einsum("nsbi,ni->nsb", way, feed)[..., None] * feed[:, None, None]
-        return q, np.linalg.norm(way - along, axis=-1)
+        force, feed = (vectors @ placed.place.rotation.T for vectors in (places.force, places.feed))
+        q, deflection = postures(placed.arm, placed.mount, place, np.repeat(force, s, axis=0), placed.dynamics.gravity)
+        q, deflection = q.reshape(n, s, 8, 6), deflection.reshape(n, s, 8, 3)
+        along = np.einsum("nsbi,ni->nsb", deflection, feed)[..., None] * feed[:, None, None]
+        return q, np.linalg.norm(deflection - along, axis=-1)
 
-    def searched(self, branch: int, turn, q, error, period: float) -> Way | None:
-        """The best way through states (n, s) of turn, (n, s, 6) of joints, (n, s) of errors; None: there is none."""
-        arm = self.cell.arm
+    def searched(self, branch: int, turn, q, error, period: float) -> TurnPath | None:
+        """Return the best path through states of turn (n, s), joints (n, s, 6) and errors (n, s), or None."""
+        arm = self.arm.arm
         n, room = len(turn), arm.joint_speed_limit * self.step * (1 + 1e-9)  # [rad] from a place to the next
         inside = ((q >= arm.joint_lower + MARGIN) & (q <= arm.joint_upper - MARGIN)).all(-1) & np.isfinite(error)
         cost = np.where(inside, error**2 / n, np.inf)
         slope = self.weight**2 / (self.step**2 * n)
-        value, chosen = _best_way(cost, np.nan_to_num(q), turn, room, slope, period)
+        value, chosen = _least_path(cost, np.nan_to_num(q), turn, room, slope, period)
         if not np.isfinite(value):
             return None
         rows = np.arange(n)
-        way = turn[rows, chosen]
+        path = turn[rows, chosen]
         if np.isfinite(period):
-            way = np.unwrap(way, period=period)
-        return Way(branch, way, q[rows, chosen], error[rows, chosen], float(np.sqrt(value)))
+            path = np.unwrap(path, period=period)
+        return TurnPath(branch, path, q[rows, chosen], error[rows, chosen], float(np.sqrt(value)))
 
 
-def constant_way(turns: Turns, grid: np.ndarray) -> Way | None:
-    """The best turn of the grid that is the same everywhere, within the same limits; None: there is none."""
+def constant_turn(turns: Turns, grid: np.ndarray) -> TurnPath | None:
+    """Return the best turn of the grid that is the same everywhere, within the same limits; None without one."""
     return _shortest(_least(turns, np.array([turn])) for turn in grid)
 
 
-def _shortest(ways: Iterable[Way | None]) -> Way | None:
-    return min(filter(None, ways), key=lambda way: way.value, default=None)
+def _shortest(paths: Iterable[TurnPath | None]) -> TurnPath | None:
+    return min(filter(None, paths), key=lambda path: path.value, default=None)
 
 
-def find_way(turns: Turns, grid: np.ndarray) -> Way:
-    """The best of all branches over a grid of turns (s,) [rad], then refined. Raises NoWayError.
+def best_turns(turns: Turns, grid: np.ndarray) -> TurnPath:
+    """Return the best path of all branches over a grid of turns (s,) [rad], then refined. Raises NoTurnsError.
 
-    A grid of a whole turn has no ends: the way may pass from the last to the first.
+    A grid of a whole turn has no ends: the path may pass from the last to the first.
     """
     step = float(grid[1] - grid[0]) if len(grid) > 1 else 0.0
     period = 2 * np.pi if np.ptp(grid) + 1.5 * step > 2 * np.pi else np.inf
     best = _least(turns, grid, period)
     if best is None:
-        raise NoWayError(
-            f"no turns of the tool at {len(turns.course.position)} places keep every joint within its range and its "
+        raise NoTurnsError(
+            f"no turns of the tool at {len(turns.places.position)} places keep every joint within its range and its "
             "speed: lower the feed, or move the workpiece"
         )
     return _refined(turns, best, step, (-np.inf, np.inf) if np.isfinite(period) else (grid[0], grid[-1]))
 
 
-def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> Way | None:
-    """The best way of all branches over a grid.
+def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> TurnPath | None:
+    """Return the best path of all branches over a grid.
 
     States: every turn of the grid with every whole turn of the joints that their limits may leave room for.
     """
-    arm, n = turns.cell.arm, len(turns.course.position)
+    arm, n = turns.arm.arm, len(turns.places.position)
     first = np.ceil((arm.joint_lower - np.pi) / (2 * np.pi)).astype(int)
     last = np.floor((arm.joint_upper + np.pi) / (2 * np.pi)).astype(int)
     wholes = 2 * np.pi * np.array(list(itertools.product(*map(range, first, last + 1))))
@@ -130,38 +130,37 @@ def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> Way | None
     return _shortest(turns.searched(b, turn, q_b, errors[..., b], period) for b, q_b in enumerate(states))
 
 
-def _refined(turns: Turns, way: Way, step: float, ends: tuple[float, float]) -> Way:
-    """The same way with ever smaller steps [rad] about it, within ``ends``."""
+def _refined(turns: Turns, path: TurnPath, step: float, ends: tuple[float, float]) -> TurnPath:
+    """Refine the path with ever smaller steps [rad] about it, within ``ends``."""
     for _ in range(ROUNDS):
         if step < FINEST:
             break
-        turn = np.clip(way.turn[:, None] + step * NEAR, *ends)
+        turn = np.clip(path.turn[:, None] + step * NEAR, *ends)
         q, error = turns.at(turn)
-        q = way.q[:, None] + (q[:, :, way.branch] - way.q[:, None] + np.pi) % (2 * np.pi) - np.pi
-        better = turns.searched(way.branch, turn, q, error[:, :, way.branch], np.inf)
-        if better is None or not better.value < way.value * (1 - 1e-6):
+        q = path.q[:, None] + (q[:, :, path.branch] - path.q[:, None] + np.pi) % (2 * np.pi) - np.pi
+        better = turns.searched(path.branch, turn, q, error[:, :, path.branch], np.inf)
+        if better is None or not better.value < path.value * (1 - 1e-6):
             step /= 2
-        way = way if better is None or better.value > way.value else better
-    return way
+        path = path if better is None or better.value > path.value else better
+    return path
 
 
-def turned(cell: Cell, time_ns: np.ndarray, way: Way) -> tuple[Trajectory, np.ndarray]:
-    """The target of the cell with the turns of a way at times [ns], (n,), and its joint angles [rad] at the knots.
+def turned(placed: PlacedArm, run: Trajectory, time_ns: np.ndarray, path: TurnPath) -> tuple[Trajectory, np.ndarray]:
+    """A target trajectory with the turns of a way at times [ns], (n,), and its joint angles [rad] at the knots.
 
     Between two places the turn is a monotone cubic, without overshoot. Knots come later where a joint would run too
     fast or accelerate too hard. Raises ReachError, JointLimitError.
     """
-    run = cell.target()
-    turn = PchipInterpolator(time_ns, way.turn)(run.time_ns)
+    turn = PchipInterpolator(time_ns, path.turn)(run.time_ns)
     rotation = rotation_from_quaternion(run.quaternion) @ about_z(turn)
-    q = inverse_near(cell.arm, cell.mount, cell.workpiece.pose @ Pose(run.position, rotation), way.q[0])
+    q = inverse_near(placed.arm, placed.mount, placed.place @ Pose(run.position, rotation), path.q[0])
     run = Trajectory(run.time_ns, run.position, quaternion_from_rotation(rotation), run.velocity)
-    return limit_by_joints(run, q, cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit), q
+    return limit_by_joints(run, q, placed.arm.joint_speed_limit, placed.arm.joint_acceleration_limit), q
 
 
 @njit(cache=True)
-def _best_way(cost, q, turn, room, slope, period):
-    """The least sum of cost (n, s) and slope (psi' - psi)^2 along n places, and the chosen states (n,).
+def _least_path(cost, q, turn, room, slope, period):
+    """Return the least sum of cost (n, s) and slope (psi' - psi)^2 along n places, and the chosen states (n,).
 
     No joint of q (n, s, 6) may go farther than ``room`` (6,) from a place to the next. psi is ``turn`` (n, s), its
     differences are taken modulo ``period``.

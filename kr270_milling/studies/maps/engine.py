@@ -32,12 +32,11 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.record import read_tree
-from kr270_milling.cell.cell import Cell
 
 __all__ = ["EngineError", "StudyRows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
-ALONE = 4.0  #: [s] of work that is done before local workers have imported the package
+ALONE = 4.0  #: [s] of work before local workers have imported the package
 ANSWER = 10.0  #: [s] for a scheduler to answer
 PATIENCE = 30.0  #: [s] for a first worker
 PLAN = "_study.json"  # Arrow leaves out names that begin with "_" where it reads the folder
@@ -100,7 +99,7 @@ class Study:
         _write_whole(place, json.dumps(self.plan, indent=1).encode())
 
     def chunk(self, number: int) -> Path:
-        """Where the rows of a chunk are, or will be."""
+        """Return the file of a chunk, which may not exist yet."""
         return self.folder / f"rows-{number:06d}.parquet"
 
     def missing(self, count: int) -> list[int]:
@@ -115,10 +114,10 @@ class Study:
             yield parquet.read_table(self.chunk(number), columns=columns)
 
 
-def content(path, cell: Cell) -> str:
-    """Return a hash of a parameter file and its tool path: rows of another cell have another hash."""
+def content(path, program: str) -> str:
+    """Return a hash of a parameter file and of the hash of its program: rows of another cell have another hash."""
     tree = json.dumps(read_tree(path), sort_keys=True, default=str)
-    return hashlib.sha256(f"{tree}{cell.programmed.sha256}".encode()).hexdigest()
+    return hashlib.sha256(f"{tree}{program}".encode()).hexdigest()
 
 
 def _write_whole(path: Path, data: bytes) -> None:
@@ -142,29 +141,29 @@ def run_chunks(
     missing, start = study.missing(count), time.monotonic()
     first = count - len(missing)
     if scheduler is None:
-        missing = missing[_alone(study, missing, rows_of, lambda made: progress and progress(first + made, count)) :]
+        missing = missing[_alone(study, missing, rows_of, lambda n: progress and progress(first + n, count)) :]
     if not missing:
         return time.monotonic() - start
-    done = count - len(missing)
+    complete = count - len(missing)
     try:
         with _executor(scheduler, rows_of) as (executor, workers):
             for number, data in _made(executor, workers, missing, rows_of):
                 _write_whole(study.chunk(number), data)
-                done += 1
+                complete += 1
                 if progress is not None:
-                    progress(done, count)
+                    progress(complete, count)
     except (BrokenExecutor, CancelledError, OSError, TimeoutError) as error:
         text = f"the workers have stopped, or lack this package ({error}); the same command continues the study"
         raise EngineError(text) from None
     return time.monotonic() - start
 
 
-def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], made: Callable[[int], object]) -> int:
+def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], report: Callable[[int], object]) -> int:
     """Make chunks here as long as the rest takes less than the start of workers; returns how many were made."""
     for k, number in enumerate(missing):
         start = time.monotonic()
         _write_whole(study.chunk(number), rows_of(number))
-        made(k + 1)
+        report(k + 1)
         took = time.monotonic() - start
         # the first chunk may compile, so that a short one has a second try
         if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > ALONE / 4):

@@ -10,6 +10,7 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.stability import modes_of
 from kr270_milling.physics.motion.stability import Lobe, Modes, has_uniform_pitch, stability_limit
 from kr270_milling.studies.identification.cuts import engagement_angles
@@ -48,5 +49,5 @@ def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
     tool = cell.tool
     mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
     entry, leave = (float(angle) for angle in engagement_angles(mode, cell.path.radial_immersion, 1.0))
-    feed_per_tooth = 2.0 * math.pi * cell.feed_rate / (tool.spindle_speed * tool.teeth)
+    feed_per_tooth = 2.0 * math.pi * path_of(cell).feed_rate / (tool.spindle_speed * tool.teeth)
     return Lobe(speed, *stability_limit(modes, tool, cell.cutting, feed_per_tooth, entry, leave, speed))

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,8 +23,10 @@ from kr270_milling.base.column import column, columns
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc, rotation_from_quaternion
 from kr270_milling.base.parameter_file import merge, override, shipped_directories, write_include
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.cell.paths import CellPath
+from kr270_milling.cell.sections import Workpiece
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.robot import cartesian_mass, jacobian
 from kr270_milling.physics.robot.inverse import branches
@@ -72,23 +74,23 @@ MAPPED = {c.key: c.heading() for c in columns(PlacementRow) if c.title}
 class PathPlaces:
     """m places on the path of a cell, workpiece frame."""
 
-    position: np.ndarray  #: of the tool tip [m], (m, 3)
-    rotation: np.ndarray  #: of tcp, (m, 3, 3)
+    position: np.ndarray  #: position of the tool tip [m], (m, 3)
+    rotation: np.ndarray  #: rotation of tcp, (m, 3, 3)
     feed: np.ndarray  #: unit vectors, (m, 3)
     force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
 
 
-def grid_axes(cell: Cell, given: Sequence) -> tuple[np.ndarray, ...]:
-    """The axes of ``Placements``: x, y, z [m], turn [rad] of the workpiece, turn of the tool [rad].
+def grid_axes(workpiece: Workpiece, values: Sequence) -> tuple[np.ndarray, ...]:
+    """Return the axes of ``Placements``: x, y, z [m], turn [rad] of the workpiece, turn of the tool [rad].
 
-    given: values of each axis in mm and deg; None: where the workpiece of the cell is, not turned. Raises
+    values: values of each axis in mm and deg; None: where the workpiece of the cell is, not turned. Raises
     ParameterError for more than 10 million placements.
     """
-    here = (*cell.workpiece.xyz, 0.0, 0.0)
+    here = (*workpiece.xyz, 0.0, 0.0)
     scales = (1e-3, 1e-3, 1e-3, 1.0 / DEGREES, 1.0 / DEGREES)
     axes = tuple(
-        np.array([value]) if values is None else scale * np.asarray(values, float).reshape(-1)
-        for values, value, scale in zip(given, here, scales, strict=True)
+        np.array([value]) if axis is None else scale * np.asarray(axis, float).reshape(-1)
+        for axis, value, scale in zip(values, here, scales, strict=True)
     )
     count = math.prod(len(axis) for axis in axes)
     if not 0 < count <= MOST:
@@ -96,27 +98,26 @@ def grid_axes(cell: Cell, given: Sequence) -> tuple[np.ndarray, ...]:
     return axes
 
 
-def path_places(cell: Cell, progress: Callable[[int, int], None] | None = None) -> PathPlaces:
-    """Places where the tool cuts in one pass of the cell, and REST over the whole path for its reach and limits."""
-    result = simulate(cell, progress=progress).result
+def path_places(path: CellPath, result: PassResult) -> PathPlaces:
+    """Places where the tool cuts in a pass along a path, and REST over the whole path for its reach and limits."""
     cutting = np.flatnonzero(result.volume > 0.0)
     chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
     rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)
     both = np.union1d(chosen, rest)
-    course = places_at(cell, result, both)
-    course.force[np.isin(both, rest)] = 0.0
-    return course
+    places = places_at(path, result, both)
+    places.force[np.isin(both, rest)] = 0.0
+    return places
 
 
-def places_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> PathPlaces:
+def places_at(path: CellPath, result: PassResult, chosen: np.ndarray) -> PathPlaces:
     """The exchange periods ``chosen`` (m,) of a pass, with the mean force of the revolution there.
 
     The feed of a resting tool is 0.
     """
-    time_ns, target = result.time_ns[chosen], cell.target()
+    time_ns, target = result.time_ns[chosen], path.target
     feed = target.sample_velocity(time_ns)
     feed = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-12)
-    window = max(1, round(2.0 * math.pi / cell.tool.spindle_speed / cell.exchange.period))  # a revolution
+    window = max(1, round(2.0 * math.pi / path.tool.spindle_speed / path.exchange.period))  # a revolution
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(result.wrench[:, :3], axis=0)])
     first = np.maximum(chosen + 1 - window, 0)
     mean = (total[chosen + 1] - total[first]) / (chosen + 1 - first)[:, None]
@@ -127,15 +128,15 @@ def places_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> PathPlaces:
 class Placements(StudyRows):
     """A grid of placements, each with 8 rows, one a branch."""
 
-    cell: Cell
-    course: PathPlaces
+    arm: PlacedArm
+    left: float  #: share of an error that compensation leaves, one standard deviation of the models
+    places: PathPlaces
     axes: tuple[np.ndarray, ...]  #: x, y, z [m], turn [rad] of the workpiece; turn of the tool about its axis [rad]
     chunk: int = 500  #: placements a file, 8 rows each
     base: Pose = field(init=False)
 
     def __post_init__(self):
-        object.__setattr__(self, "base", self.cell.workpiece.pose)
-        object.__setattr__(self, "cell", dataclasses.replace(self.cell))  # goes with each chunk, without its path
+        object.__setattr__(self, "base", self.arm.place)
 
     def __len__(self) -> int:
         return math.prod(len(axis) for axis in self.axes)
@@ -156,27 +157,26 @@ class Placements(StudyRows):
         }
 
     def rows(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
-        """The measures of placements (n, 5), each (n, 8): one a branch."""
-        cell, course = self.cell, self.course
+        """Return the measures of placements (n, 5), each (n, 8): one a branch."""
+        placed, places = self.arm, self.places
         turn, tool_turn = about_z(chosen[:, 3]), about_z(chosen[:, 4])
         frame = turn @ self.base.rotation  # workpiece axes in base axes, (n, 3, 3)
         back = np.swapaxes(frame, -1, -2)
-        position = chosen[:, None, :3] + course.position @ back
-        rotation = frame[:, None] @ course.rotation @ tool_turn[:, None]
-        force, feed = course.force @ back, course.feed @ back
+        position = chosen[:, None, :3] + places.position @ back
+        rotation = frame[:, None] @ places.rotation @ tool_turn[:, None]
+        force, feed = places.force @ back, places.feed @ back
         n, m = position.shape[:2]
         place = Pose(position.reshape(-1, 3), rotation.reshape(-1, 3, 3))
-        q, way = postures(cell.arm, cell.mount, place, force.reshape(-1, 3), cell.dynamics.gravity)
-        q, way = q.reshape(n, m, 8, 6), way.reshape(n, m, 8, 3)
-        if tip := cell.tool.lateral_compliance:
+        q, deflection = postures(placed.arm, placed.mount, place, force.reshape(-1, 3), placed.dynamics.gravity)
+        q, deflection = q.reshape(n, m, 8, 6), deflection.reshape(n, m, 8, 3)
+        if tip := placed.tool.lateral_compliance:
             axis = rotation[..., 2]
             lateral = force - np.sum(force * axis, axis=-1, keepdims=True) * axis
-            way = way + tip * lateral[:, :, None]
+            deflection = deflection + tip * lateral[:, :, None]
         size = np.linalg.norm(force, axis=-1)
-        within, measures = along_path(cell.arm, q, way, feed, size, MARGIN)
+        within, measures = along_path(placed.arm, q, deflection, feed, size, MARGIN)
         singular, soft, largest, mean = np.moveaxis(measures, -1, 0)
         reachable, feasible = np.isfinite(singular), within & (singular > SINGULAR)
-        left = math.hypot(cell.uncertainty.joint_compliance, cell.uncertainty.force_coefficient)
         return {
             "feasible": feasible,
             "reachable": reachable,
@@ -186,14 +186,14 @@ class Placements(StudyRows):
             "compliance_um_per_n": 1e6 * soft,
             "error_max_um": 1e6 * largest,
             "error_mean_um": 1e6 * mean,
-            "compensated_max_um": 1e6 * left * largest,
-            "compensated_mean_um": 1e6 * left * mean,
+            "compensated_max_um": 1e6 * self.left * largest,
+            "compensated_mean_um": 1e6 * self.left * mean,
         }
 
     def lowest_mode(self, q: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """[Hz], (n, 8), of the chosen ones of the postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
-        cell, frequency = self.cell, np.full(q.shape[:2], np.nan)
-        measured = cell.dynamics.modes.frequency
+        """Frequency [Hz], (n, 8), of the chosen postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
+        placed, frequency = self.arm, np.full(q.shape[:2], np.nan)
+        arm, mount, measured = placed.arm, placed.mount, placed.dynamics.modes.frequency
         if measured.size:
             frequency[chosen] = measured.min()
             return frequency
@@ -201,28 +201,29 @@ class Placements(StudyRows):
         if not some.any():
             return frequency
         posture = q[:, ::2][some]  # chosen or not, it is regular: the measures do not see the sign of A5
-        turned = jacobian(cell.arm, cell.mount, cell.arm.on_base(posture))
-        soft = np.tile(cell.arm.spring_compliance, (len(posture), 1))
-        if cell.dynamics.gravity:
-            slope = cell.arm.compensator.moment_slope(np.cos(posture[:, 1]), np.sin(posture[:, 1]))
+        turned = jacobian(arm, mount, arm.on_base(posture))
+        soft = np.tile(arm.spring_compliance, (len(posture), 1))
+        if placed.dynamics.gravity:
+            slope = arm.compensator.moment_slope(np.cos(posture[:, 1]), np.sin(posture[:, 1]))
             soft[:, -5] /= 1.0 - soft[:, -5] * slope
-        mass = cartesian_mass(cell.arm, cell.mount, posture, cell.dynamics.mass_model)
+        mass = cartesian_mass(arm, mount, posture, placed.dynamics.mass_model)
         lowest = mode_frequencies((turned * soft[:, None]) @ np.swapaxes(turned, -1, -2), mass)[..., 0]
         frequency[:, ::2][some] = lowest
         frequency[:, 1::2][some] = lowest
         return np.where(chosen, frequency, np.nan)
 
 
-def present_row(cell: Cell, course: PathPlaces) -> dict[str, float]:
-    """The row of the workpiece where the cell has it, on the branch of the commanded joints; keys as of ``columns``."""
-    here = tuple(np.array([value]) for value in (*cell.workpiece.pose.position.tolist(), 0.0, 0.0))
-    stamp, target = np.zeros(1, np.int64), cell.target()
+def present_row(grid: Placements, target: Trajectory) -> dict[str, float]:
+    """The row of the workpiece where the arm of a grid has it, on the branch of the commanded joints."""
+    placed, stamp = grid.arm, np.zeros(1, np.int64)
+    here = tuple(np.array([value]) for value in (*placed.place.position.tolist(), 0.0, 0.0))
     rotation = rotation_from_quaternion(target.sample_orientation(stamp))
-    joints = cell.joints_along(target, stamp)
-    q, _ = branches(cell.arm, cell.mount, cell.workpiece.pose @ Pose(target.sample(stamp), rotation), joints)
+    joints = placed.joints_along(target, stamp)
+    q, _ = branches(placed.arm, placed.mount, placed.place @ Pose(target.sample(stamp), rotation), joints)
     away = np.abs(np.exp(1j * q[0]) - np.exp(1j * joints)).max(axis=-1)
     branch = int(np.nanargmin(away))
-    return {name: values[branch].item() for name, values in Placements(cell, course, here).columns(0, 1).items()}
+    rows = dataclasses.replace(grid, axes=here).columns(0, 1)
+    return {name: values[branch].item() for name, values in rows.items()}
 
 
 def about_z(angle) -> np.ndarray:
@@ -230,27 +231,29 @@ def about_z(angle) -> np.ndarray:
     return rotation_from_abc(np.asarray(angle)[..., None] * [1.0, 0.0, 0.0])
 
 
-def moved_cell(cell: Cell, course: PathPlaces, row: dict) -> dict:
-    """What a parameter file must say for a placement: workpiece, mount, posture hint; lengths in mm, angles in deg."""
+def moved_cell(placed: PlacedArm, places: PathPlaces, row: dict, posture_key: str) -> dict:
+    """Sections of a parameter file for a placement: workpiece, mount, posture; lengths in mm, angles in deg."""
+    arm = placed.arm
     origin = np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) * 1e-3
-    frame = Pose(origin, about_z(np.radians(row["turn_deg"])) @ cell.workpiece.pose.rotation)
+    frame = Pose(origin, about_z(np.radians(row["turn_deg"])) @ placed.place.rotation)
     tool_turn = about_z(np.radians(row["tool_turn_deg"]))
-    mount = Pose(cell.mount.pose.position, cell.mount.pose.rotation @ tool_turn.T)
-    middle = len(course.position) // 2
-    place = frame @ Pose(course.position[middle], course.rotation[middle] @ tool_turn)
-    q, _ = branches(cell.arm, cell.mount, place, (cell.arm.joint_lower + cell.arm.joint_upper) / 2)
+    mount = Pose(placed.mount.pose.position, placed.mount.pose.rotation @ tool_turn.T)
+    middle = len(places.position) // 2
+    place = frame @ Pose(places.position[middle], places.rotation[middle] @ tool_turn)
+    q, _ = branches(arm, placed.mount, place, (arm.joint_lower + arm.joint_upper) / 2)
     hint = q[int(row["branch"])][None]
-    whole_turns(hint, cell.arm.joint_lower, cell.arm.joint_upper)
+    whole_turns(hint, arm.joint_lower, arm.joint_upper)
     return {
-        "workpiece": place_of(frame),
+        "workpiece": place_of(frame, placed.workpiece.at_start_joints),
         "mount": {"abc_deg": _abc(mount)},
-        "posture_deg": _listed(np.degrees(hint[0])),
+        posture_key: _listed(np.degrees(hint[0])),
     }
 
 
-def place_of(frame: Pose) -> dict:
-    """The section ``workpiece`` for a workpiece frame on base_link."""
-    return {"xyz_mm": _listed(1e3 * frame.position), "abc_deg": _abc(frame), "at_start_joints": False}
+def place_of(frame: Pose, at_start_joints: bool) -> dict:
+    """The section ``workpiece`` for a workpiece frame on base_link; at_start_joints: of the cell before."""
+    place = {"xyz_mm": _listed(1e3 * frame.position), "abc_deg": _abc(frame)}
+    return place | {"at_start_joints": False} if at_start_joints else place
 
 
 def _abc(pose: Pose) -> list[float]:
@@ -268,11 +271,11 @@ class Summary:
         self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count
         self.rows = self.feasible = 0
         self.best: list[dict] = []  #: the placements of the smallest largest error, the best branch of each
-        #: of the row with the least error at each x and y, (y, x)
+        #: values of the row with the least error at each x and y, (y, x)
         self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in MAPPED}
 
     def add(self, table) -> None:
-        """One chunk, an Arrow table."""
+        """Add a chunk, an Arrow table."""
         usable = table.filter(table["feasible"]).sort_by("error_max_um")
         for row in usable.slice(0, 8 * self.count).to_pylist():
             self._enter(row)
@@ -286,33 +289,30 @@ class Summary:
 
     def _enter(self, row: dict) -> None:
         names = ("x_mm", "y_mm", "z_mm", "turn_deg")
-        rivals = [one for one in self.best if all(one[name] == row[name] for name in names)]
+        rivals = [best for best in self.best if all(best[name] == row[name] for name in names)]
         if rivals and rivals[0]["error_max_um"] <= row["error_max_um"]:
             return
-        others = [one for one in self.best if one not in rivals]
-        self.best = sorted([*others, row], key=lambda one: one["error_max_um"])[: self.count]
+        others = [best for best in self.best if best not in rivals]
+        self.best = sorted([*others, row], key=lambda best: best["error_max_um"])[: self.count]
 
 
-def write_cells(folder, source: Path, settings, cell: Cell, course: PathPlaces, rows: list[dict]) -> list[Path]:
+def write_cells(folder, source: Path, settings, grid: Placements, rows: list[dict], posture_key: str) -> list[Path]:
     """A parameter file for each row, which includes ``source`` and moves workpiece, mount and posture."""
     written = []
     for number, row in enumerate(rows, 1):
         note = (f"Placement {number} of the map: largest static error across the feed {row['error_max_um']:.1f} um "
                 f"before, {row['compensated_max_um']:.1f} um after compensation (predicted, one sigma)")  # fmt: skip
         written.append(Path(folder) / f"best_{number}.yaml")
-        write_placement(written[-1], source, settings, cell, moved_cell(cell, course, row), note)
+        write_placement(written[-1], source, settings, moved_cell(grid.arm, grid.places, row, posture_key), note)
     return written
 
 
-def write_placement(path: Path, source: Path, settings, cell: Cell, changes: dict, note: str) -> None:
+def write_placement(path: Path, source: Path, settings, changes: dict, note: str) -> None:
     """A parameter file that includes ``source``, with the ``key=value`` texts of the command line and the changes.
 
-    changes: as of ``moved_cell``, its posture as ``posture_deg``.
+    changes: as of ``moved_cell``.
     """
-    sections = merge(override({}, settings)[0], {key: value for key, value in changes.items() if key != "posture_deg"})
-    sections["start_joints_deg" if cell.start_joints.size else "posture_hint_deg"] = changes["posture_deg"]
-    if not cell.workpiece.at_start_joints:
-        sections["workpiece"].pop("at_start_joints", None)
+    sections = merge(override({}, settings)[0], changes)
     write_include(path, {"includes": [_included(source, path.parent)], **sections}, [note], digits=12)
 
 

@@ -32,20 +32,20 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
     if gravity and (c := arm.compensator).present:
         spring = tuple(map(float, (c.stiffness, c.free_length, c.base_x, c.base_z, c.arm_length)))
     middle = 0.5 * float(arm.joint_lower[3] + arm.joint_upper[3])
-    q, way = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)
+    q, deflection = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)
     soft = np.concatenate([arm.joint_compliance, arm.base_compliance])
     _fill(lengths_of(arm), spring, middle, _dense(soft), _dense(place.position),
-          _dense(flange.position), _dense(flange.rotation), _dense(force), q, way)  # fmt: skip
-    return q, way
+          _dense(flange.position), _dense(flange.rotation), _dense(force), q, deflection)  # fmt: skip
+    return q, deflection
 
 
 def _dense(array: np.ndarray) -> np.ndarray:
-    """One layout, so that one compilation serves."""
+    """Return the array in a single layout, so that a single compilation serves."""
     return np.ascontiguousarray(array, float)
 
 
 @njit(cache=True, nogil=True)
-def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, way):
+def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, deflection):
     d1, a1, a2, _, d6, _ = lengths
     distance = np.empty(8)
     for k in range(len(position)):
@@ -62,7 +62,7 @@ def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, wa
             if spring[0] > 0.0:
                 c2 /= 1.0 - c2 * _slope(spring, np.cos(q2), np.sin(q2))
             high = a2 * np.cos(q2) + a1
-            gives = way[k, both]
+            gives = deflection[k, both]
             gives[:] = 0.0
             _add(gives, soft[0] + soft[8], 0.0, 0.0, -1.0, p[0], p[1], p[2], force[k])
             if soft[6] + soft[7] > 0.0:
@@ -75,12 +75,12 @@ def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, wa
             _add(gives, soft[3], -c1 * c, s1 * c, s, u, v, w, force[k])
             _add(gives, soft[4], s1 * c4 - c1 * s * s4, c1 * c4 + s1 * s * s4, -c * s4, u, v, w, force[k])
             _add(gives, soft[5], -flange[0, 0], -flange[1, 0], -flange[2, 0], u, v, w, force[k])
-            way[k, both + 1] = gives
+            deflection[k, both + 1] = gives
 
 
 @njit(cache=True, nogil=True)
 def _add(gives, soft, ax, ay, az, rx, ry, rz, force):
-    """One joint with axis a, the tool at r from it: column j = a x r of the Jacobian, gives += c j (j . F)."""
+    """Add a joint with axis a, the tool at r from it: column j = a x r of the Jacobian, gives += c j (j . F)."""
     jx, jy, jz = jacobian_column(ax, ay, az, rx, ry, rz)
     turned = soft * (jx * force[0] + jy * force[1] + jz * force[2])
     gives[0] += jx * turned
@@ -109,30 +109,30 @@ def whole_turns(q, lower, upper):
     return within
 
 
-def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size: np.ndarray, margin: float):
+def along_path(arm: Arm, q: np.ndarray, deflection: np.ndarray, feed: np.ndarray, size: np.ndarray, margin: float):
     """Measures of paths of m places, each (n, 8): within the limits, and (n, 8, 4): see below; q is unwrapped in place.
 
-    q, way: (n, m, 8, 6) and (n, m, 8, 3) of ``postures``; feed: unit vectors (n, m, 3); size: of the force [N], (n, m),
+    q, deflection: (n, m, 8, 6) and (n, m, 8, 3) of ``postures``; feed: unit vectors (n, m, 3); size: force [N], (n, m),
     0 where nothing is cut: such a place counts for reach and limits alone. margin [rad]: distance to each limit.
     The four are the least of ``robot.singularity_measures``, the largest compliance in the direction of the force
-    [m/N], the largest and the mean part of ``way`` across the feed [m]. NaN where a place is out of reach.
+    [m/N], the largest and the mean part of ``deflection`` across the feed [m]. NaN where a place is out of reach.
     """
     within, measures = np.zeros(q.shape[::2][:2], np.bool_), np.full((*q.shape[::2][:2], 4), np.nan)
     lengths = tuple(map(float, (arm.a1, arm.a2, arm.forearm, arm.elbow_offset)))
     lower, upper = arm.joint_lower + margin, arm.joint_upper - margin
-    _reduce(lengths, lower, upper, q, _dense(way), _dense(feed), _dense(size), within, measures)
+    _reduce(lengths, lower, upper, q, _dense(deflection), _dense(feed), _dense(size), within, measures)
     return within, measures
 
 
 @njit(cache=True, nogil=True)
-def _reduce(lengths, lower, upper, q, way, feed, size, within, measures):
+def _reduce(lengths, lower, upper, q, deflection, feed, size, within, measures):
     a1, a2, forearm, elbow_offset = lengths
     n, m = q.shape[:2]
     for i in range(n):
         for b in range(8):
             singular, soft, largest, total, cuts, reached = np.inf, 0.0, 0.0, 0.0, 0, True
             for k in range(m):
-                u, f, angles = way[i, k, b], feed[i, k], q[i, k, b]
+                u, f, angles = deflection[i, k, b], feed[i, k], q[i, k, b]
                 if not np.isfinite(u[0]):
                     reached = False
                     break

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import MillingError, ParameterError, nearest
-from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.cell.jobs import mean_force, simulate
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import ScoredPass, mean_force, simulate
 from kr270_milling.cell.keys import keys_of
-from kr270_milling.physics.motion.exchange import Exchange
+from kr270_milling.physics.motion.periods import Exchange
 from kr270_milling.studies.maps.engine import StudyRows
 
 __all__ = ["Axis", "Sweep", "SweepSummary", "parse_axis"]
@@ -37,18 +37,18 @@ class Axis:
 
 def parse_axis(text: str) -> Axis:
     """``key=LOW:HIGH:STEP``, ``key=LOW:HIGH/COUNT`` or ``key=A,B,C``; raises ParameterError."""
-    key, equals, given = text.partition("=")
+    key, equals, listed = text.partition("=")
     wrong = ParameterError("--vary", text, "key=LOW:HIGH:STEP, key=LOW:HIGH/COUNT or key=A,B,C")
     if not equals or not key:
         raise wrong
-    if ":" not in given:
-        values = tuple(given.split(","))
+    if ":" not in listed:
+        values = tuple(listed.split(","))
         if not all(values):
             raise wrong
         return Axis(key, tuple(map(_value, values)))
-    ends, slash, last = given.rpartition("/")
+    ends, slash, last = listed.rpartition("/")
     try:
-        low, high, number = map(float, (*ends.split(":"), last) if slash else given.split(":"))
+        low, high, number = map(float, (*ends.split(":"), last) if slash else listed.split(":"))
     except ValueError:
         raise wrong from None
     if not (math.isfinite(low) and math.isfinite(high) and low <= high and 0.0 < number < math.inf):
@@ -83,7 +83,7 @@ class Sweep(StudyRows):
     cell: str  #: file
     settings: tuple[str, ...]  #: ``key=value`` for all rows
     axes: tuple[Axis, ...]
-    samples: int | None = None  #: of a Latin hypercube; None: the grid, the last axis fastest
+    samples: int | None = None  #: number of a Latin hypercube; None: the grid, the last axis fastest
     seed: int = 1
     chunk: int = 0  #: rows a file; 0: as many as make 64 to 20,000 files, 1 to 8 where that allows
 
@@ -119,13 +119,14 @@ class Sweep(StudyRows):
         return columns | {key: list(map(str, columns[key])) for key in mixed}
 
     def row(self, index: int) -> dict:
-        """One pass."""
+        """A pass of the sweep."""
         chosen = dict(zip([axis.key for axis in self.axes], self.values(index), strict=True))
         chosen |= self._period(chosen)
         scores, error = dict.fromkeys(SCORES, math.nan), ""
         try:
             texts = (f"{key}={_text(value)}" for key, value in chosen.items())
-            scores = _scores(read_cell(Path(self.cell), (*self.settings, *texts)))
+            cell = read_cell(Path(self.cell), (*self.settings, *texts))
+            scores = _scores(simulate(cell), cell.tool.spindle_speed)
         except MillingError as refusal:
             error = str(refusal)
         return {"index": index, **chosen, **scores, "error": error}
@@ -158,13 +159,13 @@ class SweepSummary:
 
     def add(self, table) -> None:
         """Add the rows of an Arrow table."""
-        ran = [row for row in table.to_pylist() if not row["error"]]
-        self.failed += len(table) - len(ran)
+        complete = [row for row in table.to_pylist() if not row["error"]]
+        self.failed += len(table) - len(complete)
         order = "max_deviation_um"
-        self.best = sorted([*self.best, *ran], key=lambda row: row[order])[: self.count]
-        others = [row for row in [*self.worst, *ran] if row not in self.best]
+        self.best = sorted([*self.best, *complete], key=lambda row: row[order])[: self.count]
+        others = [row for row in [*self.worst, *complete] if row not in self.best]
         self.worst = sorted(others, key=lambda row: -row[order])[: self.count]
-        self.shown += [row for row in ran if row["index"] % self._every == 0]
+        self.shown += [row for row in complete if row["index"] % self._every == 0]
 
 
 @functools.lru_cache(maxsize=1)
@@ -182,11 +183,10 @@ def _exchange(sweep: Sweep) -> Exchange:
     return read_cell(Path(sweep.cell), sweep.settings).exchange
 
 
-def _scores(cell: Cell) -> dict[str, float]:
-    ran = simulate(cell)
-    torque = float(ran.result.torque.max())
-    deviations = 1e6 * ran.scores.static_deviation, 1e6 * ran.scores.max_deviation
-    removed = 1e9 * ran.result.removed_volume
-    power = torque * cell.tool.spindle_speed
-    values = *deviations, *mean_force(ran.result).tolist(), torque, power, removed, float(ran.result.time[-1])
+def _scores(scored: ScoredPass, spindle_speed: float) -> dict[str, float]:
+    torque = float(scored.result.torque.max())
+    deviations = 1e6 * scored.scores.static_deviation, 1e6 * scored.scores.max_deviation
+    removed = 1e9 * scored.result.removed_volume
+    power = torque * spindle_speed
+    values = *deviations, *mean_force(scored.result).tolist(), torque, power, removed, float(scored.result.time[-1])
     return dict(zip(SCORES, values, strict=True))

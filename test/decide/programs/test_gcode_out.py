@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import refused, settings
-from small_part import small_part, swayed
+from samples.small_part import small_part, swayed
 
+from kr270_milling.cell.models import path_of
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.gcode.rewriter import read_source
@@ -74,14 +75,14 @@ def far(points: np.ndarray, line: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("tolerance_um", [2.0, 20.0])
 def test_the_read_program_is_the_corrected_path(tmp_path, program, half_digit, tolerance_um):
     cell = small_part(tmp_path, program, f"program.tolerance_um={tolerance_um}")
-    run = swayed(cell.target(), 0.1e-3)
+    run = swayed(path_of(cell).target, 0.1e-3)
     path, (written,) = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23")
     read = read_gcode(path)
-    rows, source = rows_of(read), rows_of(cell.timed_path.toolpath)
+    rows, source = rows_of(read), rows_of(path_of(cell).timed.toolpath)
     assert len(rows) == len(source) == 2
     times = np.linspace(0, run.duration_ns, 20_000).astype(np.int64)
-    fine, block = run.sample(times), cell.timed_path.block_at(times)
-    cut = (~cell.timed_path.toolpath.rapid & ~cell.timed_path.toolpath.drilling)[block]
+    fine, block = run.sample(times), path_of(cell).timed.block_at(times)
+    cut = (~path_of(cell).timed.toolpath.rapid & ~path_of(cell).timed.toolpath.drilling)[block]
     tolerance, digit = 1e-6 * tolerance_um, np.sqrt(3) * half_digit
     half = len(times) // 2
     for row, programmed, now in zip(rows, source, (slice(0, half), slice(half, None)), strict=True):
@@ -99,7 +100,7 @@ def test_the_read_program_is_the_corrected_path(tmp_path, program, half_digit, t
 
 def test_everything_but_the_feed_moves_stays_in_place_and_order(tmp_path):
     cell = small_part(tmp_path, PART.replace("(spindle)", "(Müller)").encode("latin-1"))
-    run = swayed(cell.target(), 0.1e-3)
+    run = swayed(path_of(cell).target, 0.1e-3)
     path, _ = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23", decision=["decision: (yes)"])
     text = path.read_text("latin-1")
     lines = text.splitlines()

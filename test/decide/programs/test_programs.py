@@ -13,16 +13,17 @@ import pinocchio as pin
 import pytest
 from arm_oracle import pinocchio_arm
 from krl_robot import NUMBER, Robot
+from samples.small_part import GCODE, small_part, swayed
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
-from small_part import GCODE, small_part, swayed
 from splines import spline
 
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import commanded_joints, compensated, simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.programs.files import (
@@ -252,7 +253,7 @@ def cell(tmp_path_factory):
 
 @pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
 def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, motion):
-    target = cell.target()
+    target = path_of(cell).target
     write_programs(tmp_path, cell, target, swayed(target), method="swayed", date=DATE, motions=(motion,))
     for kind, name, run in (("ORG", "original", target), ("CMP", "swayed", swayed(target))):
         read = Robot(next(tmp_path.glob(f"krl_{motion.lower()}_*")), f"MILLING_{kind}")
@@ -264,7 +265,7 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
         assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
         assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
         away = np.linalg.norm(np.diff(run.position[knots], axis=0), axis=1)
-        least = 0.9 * cell.program.point_spacing
+        least = 0.9 * cell.krl.point_spacing
         assert away.min() > least and len(knots) > 0.9 * len(run)  # nothing but close points is left out
 
 
@@ -272,7 +273,7 @@ def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of
     """A part straight ahead: A1, A4 and A6 start at exactly 0, and rounding would decide what T says of them."""
     words = ['program.spindle_on=["$OUT[1]=TRUE"]', "stock.max_mm=[50,50,4]"]
     cell = read_cell(find_file("test_piece.yaml"), words)
-    time_ns, quaternion = np.arange(3) * 12_000_000, cell.target().quaternion[0]
+    time_ns, quaternion = np.arange(3) * 12_000_000, path_of(cell).target.quaternion[0]
     line = Trajectory(time_ns, np.outer(np.arange(3), [1e-3, 0.0, 0.0]), quaternion)
     for sign in (1.0, -1.0):
         beside = line.with_position(line.position + [0.0, sign * 1e-5, 0.0])
@@ -283,7 +284,7 @@ def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of
             above = np.array(robot.approach) / 1e3
             assert np.linalg.norm(above[:2] - run.position[0, :2]) < 0.5e-3
             assert above[2] == pytest.approx(0.054)  # 50 mm above the top of the stock
-            (joints,) = cell.joints_at(above[None], quaternion[None])
+            (joints,) = arm_of(cell).joints_at(above[None], quaternion[None])
             assert np.degrees(np.abs(joints)).min() > 1e-3
             assert robot.turn == sum(1 << axis for axis in range(6) if joints[axis] < 0)
             # 130 mm out of the flange and 60 mm below it: out of the flange is the controller's z, up is its minus x
@@ -293,7 +294,7 @@ def test_an_axis_at_zero_gets_an_approach_beside_it_and_the_load_has_the_axes_of
 
 def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, tmp_path):
     own = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
-    line = Trajectory(np.arange(4) * 10**8, np.outer(np.arange(4), [1e-3, 0, 0]), cell.target().quaternion[0])
+    line = Trajectory(np.arange(4) * 10**8, np.outer(np.arange(4), [1e-3, 0, 0]), path_of(cell).target.quaternion[0])
     write_programs(tmp_path, own, line, line, method="same", date=DATE)
     read = Robot(next(tmp_path.glob("krl_spline_*")), "MILLING_ORG")
     assert_flange(read, own.arm, commanded_joints(own, line))
@@ -304,7 +305,7 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
 # --- RSI context, offset tables and joint tables ---
 def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_path):
     """Object and parameter numbers of POSCORR and ETHERNET: those of two contexts of others that run on a KR C4."""
-    target = cell.target()
+    target = path_of(cell).target
     address = rsi_address("192.168.1.10:50000")
     files, _ = write_tool_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
     src, context, _, ethernet = files["rsi_context"]
@@ -401,16 +402,16 @@ def test_the_written_program_leaves_what_the_plan_leaves(part, method, tolerance
     """Points are written to 0.1 um; a step of the path by the tolerance makes an arm with little damping swing."""
     cell, original = part
     planned = compensated(cell, original, method)
-    left = written_pass(cell.replace(program=cell.program.replace(tolerance=tolerance)), planned).scores.max_deviation
+    left = written_pass(cell.replace(krl=cell.krl.replace(tolerance=tolerance)), planned).scores.max_deviation
     assert left == pytest.approx(planned.scores.max_deviation, rel=0.02, abs=2 * tolerance + 0.12 * UM)
     if method in SMOOTH:  # the slopes of a smooth reference follow from its points
-        run, target = planned.reference, cell.target()
+        run, target = planned.reference, path_of(cell).target
         np.testing.assert_array_equal(run.velocity, controller_motion(run, target).velocity)
         assert not run.velocity[block_ends(target)].any() and target.standing[1:-1].any()
 
 
 def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
-    cell = part[0].replace(program=part[0].program.replace(tolerance=0.0))
+    cell = part[0].replace(krl=part[0].krl.replace(tolerance=0.0))
     done = compensate(cell, "inverse", motions=("LIN",))
     (finding,) = [f for f in done.checked.findings if f.what == "written program"]
     assert finding.severity == "warning"
@@ -425,8 +426,10 @@ def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
 def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, tmp_path, motion, law, names):
     """Both readers have the limits of ``timing`` and of the turning tool after BAS(#INITMOV,0), which resets them."""
     cell, original = part
-    cell = cell.replace(program=cell.program.replace(time_law=law, turn_speed=np.radians(90.0)))
-    files = write_programs(tmp_path, cell, cell.target(), cell.target(), method="m", date=DATE, motions=[motion])
+    cell = cell.replace(krl=cell.krl.replace(time_law=law, turn_speed=np.radians(90.0)))
+    files = write_programs(
+        tmp_path, cell, path_of(cell).target, path_of(cell).target, method="m", date=DATE, motions=[motion]
+    )
     timing = cell.timing
     values = {"$ACC.CP": timing.acceleration, "$JERK.CP": timing.jerk, "$VEL.ORI1": 90.0, "$VEL.ORI2": 90.0,
               "$ACC.ORI1": 200.0, "$ACC.ORI2": 200.0}  # fmt: skip
@@ -445,24 +448,26 @@ def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, t
 @pytest.mark.parametrize(("motion", "limit"), [("SPLINE", 1400), ("SPLINE", 120), ("LIN", 1400)])
 def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_path, motion, limit):
     cell, original = part
-    cell = cell.replace(program=cell.program.replace(line_limit=limit))
+    cell = cell.replace(krl=cell.krl.replace(line_limit=limit))
     run = compensated(cell, original, "spline").reference
-    files = write_programs(tmp_path, cell, cell.target(), run, method="spline", date="2030-01-01", motions=[motion])
+    files = write_programs(
+        tmp_path, cell, path_of(cell).target, run, method="spline", date="2030-01-01", motions=[motion]
+    )
     folder = files[f"krl_{motion.lower()}"][0].parent
-    main = f"{cell.program.name}_CMP"
+    main = f"{cell.krl.name}_CMP"
     written, robot = read_krl(folder, main), Robot(folder, main)
     assert written.spline == (motion == "SPLINE") and written.number.tolist() == robot.numbers.tolist()
     assert [1, *robot.rests] == written.number[written.stops].tolist()
     assert written.pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
     assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
-    assert any(time_law(cell)[:40] in line for line in robot.steps)
+    assert any(time_law(path_of(cell))[:40] in line for line in robot.steps)
 
 
 @pytest.mark.parametrize("motion", ["SPLINE", "LIN"])
 def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_path, motion):
     """The path of the points is that of another library: from stop to stop a natural spline over the planned way."""
     cell, original = part
-    program, target = cell.program.replace(motion=motion), cell.target()
+    program, target = cell.krl.replace(motion=motion), path_of(cell).target
     run = compensated(cell, original, "inverse").reference
     write_programs(tmp_path, cell, target, run, method="inverse", date=DATE, motions=(motion,))
     for kind, planned in (("ORG", target), ("CMP", run)):
@@ -489,8 +494,8 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
 
 def test_a_straight_cut_stops_where_a_module_ends_and_has_no_second_time_law():
     cell = read_cell(find_file("paper.yaml"), ["timing.controller_step_ms=12"])
-    run = controller_motion(cell.target(), cell.target())
-    short, long = (cell.replace(program=cell.program.replace(line_limit=n, tolerance=0.0)) for n in (100, 1400))
+    run = controller_motion(path_of(cell).target, path_of(cell).target)
+    short, long = (cell.replace(krl=cell.krl.replace(line_limit=n, tolerance=0.0)) for n in (100, 1400))
     assert not run.standing.any() and written_trajectory(short, run, "SPLINE").standing[1:-1].any()
     assert not written_trajectory(long, run, "SPLINE").standing.any()
     assert softer_pass(cell, run) is None

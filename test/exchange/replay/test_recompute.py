@@ -7,17 +7,17 @@ import dataclasses
 import struct
 
 import numpy as np
-import pass_recording as made
 import pytest
 from budget import budget
-from pass_recording import STEPS, files_of, flip, force_offset, one_pass, recomputed, without
+from samples import pass_recording as made
+from samples.pass_recording import STEPS, files_of, flip, force_offset, one_pass, recomputed, without
 
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.base.version import __version__
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.cell_file import cell_text
+from kr270_milling.cell.cell_file import cell_text, read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.cli import main
 from kr270_milling.exchange.cut import CutProtocol
@@ -329,7 +329,7 @@ def test_a_pass_of_a_folder_is_recomputed_alone_and_its_revision_where_no_earlie
 def test_a_method_that_is_chosen_between_two_passes_starts_from_the_named_pass(tmp_path):
     """As ``run`` does: the reference of ``spline`` follows from the original pass, not from that of ``linear``."""
     compensator, files = made.CompensatorProtocol(made.cell_of()), {}
-    latched = made.messages(compensator.begin(made.cell_of().target()))
+    latched = made.messages(compensator.begin(path_of(made.cell_of()).target))
     for name, method in (("original", None), ("linear", "linear"), ("spline", "spline")):
         if method is not None:
             latched = made.messages(compensator.choose(method))
@@ -349,7 +349,7 @@ def test_a_revision_without_the_last_wrench_is_recomputed_without_it(tmp_path):
     cell, whole = made.cell_of("mirror"), list(one_pass("mirror"))
     last = max(i for i, m in enumerate(whole) if m.topic == "wrench")
     compensator = made.CompensatorProtocol(cell)
-    compensator.begin(cell.target())
+    compensator.begin(path_of(cell).target)
     compensator.recording = "r/r.mcap"
     for message in whole[:last]:
         if message.topic in ("tool_pose", "wrench"):
@@ -390,7 +390,7 @@ def test_references_without_states_are_taken_as_recorded(tmp_path):
 def foreign(method: str) -> made.Message:
     """A reference of another compensator, with other knots than the pass, which end before its end."""
     knots = np.linspace(0, 48_000_000, 7).astype(np.int64)  # [ns]
-    target = made.cell_of(method).target()
+    target = path_of(made.cell_of(method)).target
     reference = Trajectory(knots, target.sample(knots), target.sample_orientation(knots))
     return made.Message("reference_trajectory", to_bytes(reference), 0)
 
@@ -444,7 +444,7 @@ def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed_wi
 ):
     """One recording a pass, as ``run --plant`` makes them."""
     cell = made.cell_of("learned")
-    runs, by = Plant(cell, plant), compensator(cell, cell.target(), "learned")
+    runs, by = Plant(cell, plant), compensator(cell, path_of(cell).target, "learned")
     for number, (name, messages) in enumerate(zip(PASSES, files_of("learned", PASSES, plant), strict=True)):
         of_pass = plant.replace(imperfections=plant.imperfections.replace(first_pass=number))
         attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(of_pass)}
@@ -469,5 +469,5 @@ def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
     from kr270_milling.live.graph.processes import recording_parameters
 
     (tmp_path / "log").mkdir()
-    attached = recording_parameters(made.cell_of("learned"), tmp_path, "learned_2", plant)["attach"]
+    attached = recording_parameters(tmp_path, "learned_2", (), cell_text(plant))["attach"]
     assert attached == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]

@@ -6,19 +6,19 @@ import json
 import time
 
 import numpy as np
-import pass_recording as made
 import pytest
 from foreign_cell import foreign_pass
 from hostile import ask
-from recording_samples import STORE
 from rosbags.rosbag2 import StoragePlugin, Writer
+from samples import pass_recording as made
+from samples.recording_samples import STORE
 
 from kr270_milling.base.errors import ConfigError, RecordingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.cell_file import cell_text
+from kr270_milling.cell.cell_file import cell_text, read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.replay.attached import attached_cell
@@ -185,7 +185,7 @@ def test_a_pass_that_cannot_be_used_does_not_stop_the_others(tmp_path):
 
 def test_a_pass_is_scored_along_the_target_in_force(tmp_path):
     """A target that lies 0.5 mm to the side: the deviation is that from this target, not from the path of the cell."""
-    target = made.cell_of().target()
+    target = path_of(made.cell_of()).target
     shifted = target.with_position(target.position + [0.0, 5e-4, 0.0])
     bag = made.write(tmp_path / "moved", made.target_of_user(shifted))
     ((moved, recorded),), replayed = passes_from_recording(bag), recompute(bag)
@@ -267,7 +267,7 @@ def driven(tmp_path_factory):
     """Two passes of the paper's cell with a driver at 4 ms and a sensor at 1 kHz, and the true passes."""
     cell = read_cell(find_file("paper.yaml"), ["compensation.method=learned"])
     protocol = CompensatorProtocol(cell, now=lambda: LATE)
-    messages, true = made.messages(protocol.begin(cell.target())), []
+    messages, true = made.messages(protocol.begin(path_of(cell).target)), []
     for number in range(2):
         true.append(simulate(cell, protocol.active.reference))
         for sample in foreign_pass(true[-1].result, number):

@@ -20,6 +20,7 @@ pytest.importorskip("rclpy")
 
 from kr270_milling.base.files import fresh_directory
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
@@ -198,7 +199,7 @@ def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_
         for name in NODES:
             partner = world.partner(name, space)
             publishers = [partner.create_publisher(*topics.BY_NAME[t]) for t in ("tool_pose", "reference_trajectory")]
-            publishers[1].publish(to_bytes(short_cell.target()))
+            publishers[1].publish(to_bytes(path_of(short_cell).target))
     monkeypatch.setattr("kr270_milling.show.commands.run.table_of", lambda *_: os.kill(os.getpid(), signal.SIGINT))
     assert main(run_words(tmp_path, "--namespace", "left", "--passes", "1", "--processes")) == 130
     out, errors = capsys.readouterr()
@@ -221,7 +222,7 @@ def run(monkeypatch, short_cell):
 
     def run(methods, passes=None, **parameters):
         cell = short_cell.replace(compensation=short_cell.compensation.replace(**parameters))
-        graph, ran = compensator(cell, cell.target()), {}
+        graph, ran = compensator(cell, path_of(cell).target), {}
 
         def run_pass(name: str) -> RunValues:
             ran[name] = simulate(cell, graph.reference, name)

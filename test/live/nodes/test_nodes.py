@@ -26,8 +26,9 @@ from std_msgs.msg import Header
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.samples import JointSample, PoseSample, WrenchSample
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.live.nodes import compliant_robot
 from kr270_milling.live.nodes.compliant_robot import CompliantRobot
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
@@ -117,7 +118,7 @@ def test_a_pass_waits_for_the_nodes_of_a_parameter_and_starts_when_all_are_match
 @pytest.fixture(scope="module")
 def revised(short_cell, ran):
     """Positions of the reference after this pass."""
-    return compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran)).position
+    return compensator(short_cell, path_of(short_cell).target).revise(record_of(short_cell, ran)).position
 
 
 @pytest.fixture
@@ -149,7 +150,7 @@ def test_a_paced_pass_gives_the_plain_loop_bit_for_bit_and_is_not_quicker(world,
     loop.start()
     plain = simulate(cell).result
     loop.matches(plain)
-    expected = compensator(cell, cell.target()).revise(record_of(cell, plain))
+    expected = compensator(cell, path_of(cell).target).revise(record_of(cell, plain))
     assert np.array_equal(loop.revised(1).position, expected.position)
     world.until(lambda: "wall_s" in loop.reports.last.get(ROBOT, {}))
     wall = float(loop.reports.last[ROBOT]["wall_s"])
@@ -326,7 +327,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     world, node, machine, ran, short_cell
 ):
     """Names and order as a driver publishes them, best effort; a controller that comes late receives nothing."""
-    target, stands = short_cell.target(), short_cell.posture + 0.1
+    target, stands = path_of(short_cell).target, arm_of(short_cell).posture + 0.1
 
     def answered(text: str, success: bool = False) -> None:
         def matches() -> bool:
@@ -351,7 +352,7 @@ def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_n
     assert 0.9e9 < Time.from_msg(sent.header.stamp).nanoseconds - before < 10e9
     assert sent.joint_names == [f"joint_{i}" for i in range(1, 7)]
     assert sent.points[0].positions.tolist() == stands.tolist() and not any(sent.points[-1].velocities)
-    assert np.allclose(sent.points[2].positions, short_cell.joints(target)[0], rtol=0, atol=1e-12)
+    assert np.allclose(sent.points[2].positions, arm_of(short_cell).joints(target)[0], rtol=0, atol=1e-12)
     late = world.listen(world.partner("late"), topics.JOINT_TRAJECTORY)
     world.step(1.1)
     assert not late
@@ -367,7 +368,7 @@ def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, r
     machine.play(ran, range(ran.time_ns.size))
     reference = machine.reference(1)
     latecomer = world.partner("viewer")
-    for topic, run in ((topics.TARGET_PATH, short_cell.target()), (topics.REFERENCE_PATH, reference)):
+    for topic, run in ((topics.TARGET_PATH, path_of(short_cell).target), (topics.REFERENCE_PATH, reference)):
         paths = world.listen(latecomer, topic)
         world.until(lambda paths=paths: paths)
         (path,) = paths
@@ -388,13 +389,13 @@ def test_refused_targets_leave_the_node_waiting_for_another_or_with_the_one_befo
     node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
     machine = Machine(world)
     publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
-    target = short_cell.target()
+    target = path_of(short_cell).target
     out_of_reach = to_bytes(target.with_position(target.position + [0.0, 0.0, 9.0]))
     publisher.publish(out_of_reach)
     machine.reports.until(COMPENSATOR, "reach", WARN)
     world.step(0.3)
     assert node.failure is None and not machine.references
-    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
+    longer = path_of(short_cell.replace(path=short_cell.path.replace(length=6e-3))).target
     for index, usable in enumerate((longer, target)):
         publisher.publish(to_bytes(usable))
         assert machine.reference(index).duration_ns == usable.duration_ns
@@ -489,7 +490,7 @@ def test_learning_converges_with_a_robot_and_a_sensor_of_other_makers(world, tmp
             if isinstance(sample, PoseSample):
                 poses.publish(to_bytes(sample))
                 at = np.clip([sample.stamp - WALL], 0, reference.duration_ns)
-                position = cell.joints_along(reference, at)[0]
+                position = arm_of(cell).joints_along(reference, at)[0]
                 joints.publish(to_bytes(JointSample(sample.stamp, cell.joint_names, position)))
             else:
                 force.publish(to_bytes(sample))
@@ -501,7 +502,7 @@ def test_learning_converges_with_a_robot_and_a_sensor_of_other_makers(world, tmp
         world.until(lambda n=number: len(references) > n)
         reference = from_msg(references[number])
         result = simulate(cell, reference).result
-        errors.append(np.abs((result.actual - result.target)[result.time > cell.full_engagement, 1]).max())
+        errors.append(np.abs((result.actual - result.target)[result.time > path_of(cell).full_engagement, 1]).max())
         if number == 0:
             samples = foreign_pass(result, 0, cell.imperfections.pose_noise, cell, WALL)
             still = [s for s in samples if s.stamp < WALL and isinstance(s, PoseSample)]

@@ -8,10 +8,10 @@ import os
 import signal
 from pathlib import Path
 
-import pass_recording as made
 import pytest
 from mcap.reader import make_reader
-from pass_recording import options
+from samples import pass_recording as made
+from samples.pass_recording import options
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cli import main

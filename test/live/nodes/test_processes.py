@@ -10,10 +10,10 @@ import sys
 import time
 from pathlib import Path
 
-import pass_recording as made
 import pytest
-from pass_recording import STEPS
 from ros_domain import running
+from samples import pass_recording as made
+from samples.pass_recording import STEPS
 
 pytest.importorskip("rclpy")
 

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
-from recording_samples import full_disk
+from samples.recording_samples import full_disk
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 

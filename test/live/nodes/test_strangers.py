@@ -13,6 +13,7 @@ pytest.importorskip("rclpy")
 
 from kr270_milling.base.samples import JointSample, PoseSample, Text, WrenchSample
 from kr270_milling.cell.jobs import compensator, record_of
+from kr270_milling.cell.models import path_of
 from kr270_milling.live.nodes.compliant_robot import CompliantRobot
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.nodes.recorder import Recorder
@@ -61,7 +62,7 @@ def joint_state(rng: random.Random) -> bytes:
 
 def trajectory(rng: random.Random, cell) -> bytes:
     """A trajectory that cannot be run: another frame, values that are not finite, out of reach, for years."""
-    target, data = cell.target(), to_bytes(cell.target())
+    target, data = path_of(cell).target, to_bytes(path_of(cell).target)
     kind = rng.randrange(4)
     if kind == 0:
         return data.replace(b"workpiece", b"elsewhere")
@@ -145,7 +146,7 @@ def test_messages_of_strangers_are_survived_counted_and_named_and_the_next_pass_
     for node in (nodes[CUT], nodes[ROBOT]):
         node.trigger_activate()
     world.until(lambda: nodes[COMPENSATOR].protocol.passes > passes)
-    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran)).position
+    expected = compensator(short_cell, path_of(short_cell).target).revise(record_of(short_cell, ran)).position
     assert np.array_equal(nodes[COMPENSATOR].protocol.active.reference.position, expected)
     assert recorder.close() is None
     with Recording(tmp_path / "r") as recording:

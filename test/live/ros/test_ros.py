@@ -16,8 +16,7 @@ from ros_domain import is_used
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import Record, specs
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.cell_file import cell_text, write_cell_file
+from kr270_milling.cell.cell_file import cell_text, read_cell, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, guarded

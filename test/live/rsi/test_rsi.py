@@ -12,14 +12,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from recording_samples import full_disk
 from ros_domain import open_ports
 from rsi_controller import Controller, telegram
+from samples.recording_samples import full_disk
 
 from kr270_milling.base.errors import InputError, MessageError
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.cell_file import cell_text
+from kr270_milling.cell.cell_file import cell_text, read_cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.decide.programs.files import write_rsi_table
 from kr270_milling.live.rsi import session as rsi_session
@@ -255,7 +255,7 @@ def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path
     """At 50 % override; the robot follows the correction, and its arm is commanded 0.5 mm lower because of its sag."""
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20", "stock.grid_step_um=50"])
     (tmp_path / "cell.yaml").write_text(cell_text(cell))
-    target = cell.target()
+    target = path_of(cell).target
     programmed = target.with_position(target.position - [0.0, 0.0, 5e-4])
     shift = np.array([0.0, 6e-5, 0.0])
     corrected = programmed.with_position(programmed.position + shift)

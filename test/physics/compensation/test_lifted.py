@@ -15,6 +15,7 @@ from splines import spline
 
 from kr270_milling import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation import arm_fit, response
 from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
@@ -153,7 +154,7 @@ def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
     """In the air the pass knows nothing but the inertia of the arm: correction and path against the lifted model."""
     short = ("path.length_mm=12", "stock.min_mm=[50,-1,-1]", "stock.max_mm=[51,1,0]", "timing.controller_step_ms=20")
     cell = read_cell("paper.yaml", *sets, *short, "dynamics.reference_inertia=true")
-    target = cell.target()
+    target = path_of(cell).target
     shift = np.random.default_rng(1).normal(0.0, 50e-6, (len(target), 3))
     smooth = spline(target.time_ns, target.position + shift, target.quaternion)
     ran = simulate(cell, smooth).result
@@ -168,9 +169,9 @@ def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
 
 def test_eq_1_as_printed_moves_the_tool_with_the_reference():
     cell = read_cell("paper.yaml", "path.length_mm=12")
-    segments, run = Segments.of(cell.target().time_ns), correction(True)
+    segments, run = Segments.of(path_of(cell).target.time_ns), correction(True)
     cubic = cubic_coefficients(KNOTS, run.position, run.velocity)[: len(segments)]
-    obtained = arm_response(cell, cell.target()).follow(segments, cubic)
+    obtained = arm_response(cell, path_of(cell).target).follow(segments, cubic)
     assert obtained == pytest.approx(segments.powers @ cubic, abs=1e-18)
 
 

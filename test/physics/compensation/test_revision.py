@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from arm_oracle import ARM, PAPER
 from book import check
+from samples.small_part import GCODE, assignments, small_part
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
-from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cli import main
 from kr270_milling.decide.path_limits import correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
@@ -144,16 +145,18 @@ def passes(cell):
     original = simulate(cell)
     runs = {"original": (None, original)}
     for method in METHODS:
-        by = compensator(cell, cell.target(), method)
+        by = compensator(cell, path_of(cell).target, method)
         runs[method] = by, compensated(cell, original, method, by=by)
     return runs
 
 
 def test_every_method_takes_the_error_away_by_a_c2_reference_at_rest_in_stops_and_near_in_the_air(cell, passes):
-    errors = {name: remaining_error(cell.target(), record_of(cell, one.result)) for name, (_, one) in passes.items()}
+    errors = {
+        name: remaining_error(path_of(cell).target, record_of(cell, one.result)) for name, (_, one) in passes.items()
+    }
     for method, left in (("linear", 0.25), ("spline", 0.1), ("learned", 0.1), ("mirror", 0.5)):
         assert errors[method] < left * errors["original"]
-    stops = np.flatnonzero(~cell.target().velocity.any(axis=1))
+    stops = np.flatnonzero(~path_of(cell).target.velocity.any(axis=1))
     for method in METHODS[1:]:
         run = passes[method][1].reference
         assert len(stops) == 5 and np.array_equal(run.velocity[stops], np.zeros((5, 3)))
@@ -169,7 +172,7 @@ def test_every_method_takes_the_error_away_by_a_c2_reference_at_rest_in_stops_an
     # the spline must not swing out where nothing is scored: beside the part it would cut
     run, ran = passes["learned"][1].reference, passes["original"][1].result
     largest = np.linalg.norm(ran.deflection[:, :3], axis=1).max()
-    assert np.linalg.norm(run.position - cell.target().position, axis=1).max() < 1.5 * largest
+    assert np.linalg.norm(run.position - path_of(cell).target.position, axis=1).max() < 1.5 * largest
 
 
 def test_a_rest_is_held_at_one_correction():
@@ -190,18 +193,18 @@ def test_a_rest_is_held_at_one_correction():
 
 def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
     """A wrench with moments: what (30) makes of the modified poses is the target again, its orientation as well."""
-    target = cell.target()
+    target = path_of(cell).target
     k = np.arange(0, len(target), 20)
     some = Trajectory(target.time_ns[k] - target.time_ns[k[0]], target.position[k], target.quaternion[k])
     wrench = np.tile([80.0, -150.0, 60.0, 20.0, -30.0, 40.0], (len(some), 1))
     points = mirrored(cell, some, wrench)
     modified, _ = corrected(some, points.position - some.position, False, quaternion=points.quaternion)
     turn, part = np.kron(np.eye(2), cell.workpiece.pose.rotation), cell.workpiece.pose
-    loaded = loaded_pose(cell.arm, cell.mount, cell.joints(modified), wrench @ turn.T, True)
+    loaded = loaded_pose(cell.arm, cell.mount, arm_of(cell).joints(modified), wrench @ turn.T, True)
     wanted = part @ Pose(some.position, rotation_from_quaternion(some.quaternion))
     assert np.abs(loaded.position - wanted.position).max() < 2e-9
     left = Rotation.from_matrix(loaded.rotation @ np.swapaxes(wanted.rotation, 1, 2)).magnitude()
-    bare = loaded_pose(cell.arm, cell.mount, cell.joints(some), wrench @ turn.T, True)
+    bare = loaded_pose(cell.arm, cell.mount, arm_of(cell).joints(some), wrench @ turn.T, True)
     turned = Rotation.from_matrix(bare.rotation @ np.swapaxes(wanted.rotation, 1, 2)).magnitude()
     assert turned.min() > 1e-5 and left.max() < 1e-7
 
@@ -237,9 +240,9 @@ def test_a_limit_shortens_the_turn_alike_bounds_a_spline_between_its_knots_and_s
 def test_limits_hold_along_the_path_and_what_they_took_is_stated(cell, passes, method):
     most, change = 40e-6, 4e-6
     own = cell.replace(compensation=cell.compensation.replace(max_correction=most, max_change_per_tick=change))
-    by = compensator(own, cell.target(), method)
+    by = compensator(own, path_of(cell).target, method)
     by.revise(record_of(cell, passes["original"][1].result))
-    target = cell.target()
+    target = path_of(cell).target
     assert correction_size(target, by.reference, own.compensation.tick_ns, most * 1.0001) == []
     assert correction_per_tick(target, by.reference, own.compensation.tick_ns, change * 1.0001) == []
     free = compensator(cell, target, method)

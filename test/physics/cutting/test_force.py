@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 from book import check
-from cuttings import ALUMINIUM, LAWS, PAPER_LAW, convergence, slot_chip
+from samples.cuttings import ALUMINIUM, LAWS, PAPER_LAW, convergence, slot_chip
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build, flatten

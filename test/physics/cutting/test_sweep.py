@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 from budget import budget
-from cuttings import PAPER_LAW
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from llvmlite import binding, ir
 from numba import njit
+from samples.cuttings import PAPER_LAW
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build

@@ -15,6 +15,7 @@ from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.cell.jobs import compensated, mirrored, simulate
+from kr270_milling.cell.models import arm_model_of, arm_of, modal_model_of, path_of
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.arm_model import Dynamics, MeasuredModes, arm_model, measured_model, modal_models
 from kr270_milling.physics.motion.dynamics import (
@@ -26,8 +27,8 @@ from kr270_milling.physics.motion.dynamics import (
     push,
     reference_motion,
 )
-from kr270_milling.physics.motion.exchange import Clock
 from kr270_milling.physics.motion.milling_pass import CompliantArm, follow
+from kr270_milling.physics.motion.periods import Clock
 from kr270_milling.physics.robot import cartesian_mass, compliance, equilibrium, mode_frequencies, rotate_matrix
 
 PAPER = read_cell("paper.yaml")
@@ -204,14 +205,14 @@ def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_i
     assert not reference_motion(corrected, stamps)[0, :6].any()
     jump = reference_motion(corrected, stamps, approach(target))[0, :6]
     np.testing.assert_allclose(jump, [0, 1e-3, 0, 0, 0, 0], atol=1e-15)
-    assert not PAPER.dynamics.reference_inertia and not PAPER.arm_model(PAPER.target()).reference.size
+    assert not PAPER.dynamics.reference_inertia and not arm_model_of(PAPER, path_of(PAPER).target).reference.size
     assert read_cell("test_piece.yaml").dynamics.reference_inertia
     assert Dynamics("lumped", 0.1).reference_inertia
 
 
 # --- Modes of the arm in workpiece axes, from its elastostatics and mass ---
 def test_frequencies_and_static_limit_are_those_of_the_loaded_arm_in_workpiece_axes():
-    arm, mount, joints = PAPER.arm, PAPER.mount, PAPER.joints(PAPER.target())[:1]
+    arm, mount, joints = PAPER.arm, PAPER.mount, arm_of(PAPER).joints(path_of(PAPER).target)[:1]
     turn = np.kron(np.eye(2), PAPER.workpiece.pose.rotation)
     for mass_model, gravity in itertools.product(("lumped", "consistent"), (True, False)):
         (model,) = modal_models(arm, mount, Dynamics(mass_model, ZETA, gravity), PAPER.workpiece.pose, joints)
@@ -239,9 +240,9 @@ GROUPS = """/**:
 
 def test_the_modes_of_an_arm_in_the_place_of_the_arm_give_the_same_pass():
     cell = read_cell("paper.yaml", *CUT, "dynamics.mass_model=rigid", "dynamics.reference_inertia=true")
-    target = cell.target()
+    target = path_of(cell).target
     bent = target.with_position(target.position + np.outer(np.arange(len(target)) % 2 * 2e-5, [1.0, 1.0, 0.5]))
-    arm = cell.modal_model  # whose modes an experiment without errors gives
+    arm = modal_model_of(cell)  # whose modes an experiment without errors gives
     frequency, shapes = arm.frequency / (2 * np.pi), (arm.output @ arm.shape).T.ravel()
     measured = MeasuredModes(frequency, np.full(frequency.size, 0.182), shapes)
     same = cell.replace(dynamics=cell.dynamics.replace(modes=measured))
@@ -350,17 +351,17 @@ def test_a_constant_force_moves_the_tool_by_the_sum_of_both_springs_and_a_step_w
     # static end of the equation of motion: C_arm F + C_tool (F - (F . z) z), rotations without the tool's
     for settings in ([], ["dynamics.mass_model=rigid", "dynamics.follow_pose=true"]):
         tried = cell(SOFT, "dynamics.damping_ratio=0.5", *settings)
-        model = tried.arm_model(tried.target())
+        model = arm_model_of(tried, path_of(tried).target)
         still, wrench = np.zeros((0, model.order)), np.tile([100.0, -80.0, 60.0, 2.0, 1.0, 3.0], (4000, 1))
         moved = follow(model, still, wrench)[-1]
-        at = tried.joints(tried.target())[-1 if settings else 0]
+        at = arm_of(tried).joints(path_of(tried).target)[-1 if settings else 0]
         soft = compliance(equilibrium(tried.arm, tried.mount, at), tried.arm)
         arm = rotate_matrix(soft, tried.workpiece.pose.rotation.T) @ wrench[0]
         assert moved == pytest.approx(arm + [50e-6, -40e-6, 0.0, 0.0, 0.0, 0.0], rel=2e-3, abs=1e-9)
     # a step of the force: 1 - exp(-t / T) of the displacement at the time t, T the revolution, whatever H is
     for period in (0.25, 0.5):
         soft, rigid = (cell(f"exchange.period_ms={period}", *more) for more in ((SOFT,), ()))
-        both = [CompliantArm(one.arm_model(one.target())) for one in (soft, rigid)]
+        both = [CompliantArm(arm_model_of(one, path_of(one).target)) for one in (soft, rigid)]
         steps = round(7.5 / period)  # [ms], a revolution at 8000 rpm
         for _ in range(steps):
             bent, plain = (arm.correct(np.array([0.0, 100.0, 0.0, 0.0, 0.0, 0.0])) for arm in both)
@@ -374,6 +375,6 @@ def test_the_mirror_and_other_methods_remove_the_displacement_of_the_tool_as_wel
     for method in ("linear", "mirror", "inverse"):
         left = compensated(tried, original, method).scores.static_deviation
         assert abs(left) < 0.08 * original.scores.static_deviation
-    wrench = np.tile([100.0, -80.0, 60.0, 0.0, 0.0, 0.0], (len(tried.target()), 1))
-    bent, rigid = (mirrored(one, one.target(), wrench).position for one in (tried, cell()))
+    wrench = np.tile([100.0, -80.0, 60.0, 0.0, 0.0, 0.0], (len(path_of(tried).target), 1))
+    bent, rigid = (mirrored(one, path_of(one).target, wrench).position for one in (tried, cell()))
     assert bent - rigid == pytest.approx(np.tile([-50e-6, 40e-6, 0.0], (len(bent), 1)), abs=1e-7)

@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 from book import check
 from budget import budget
-from cuttings import profile
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_part import GCODE, small_part
+from samples.cuttings import profile
+from samples.small_part import GCODE, small_part
 
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Cut, GridError, UndoError
 from kr270_milling.physics.motion import milling_pass
-from kr270_milling.physics.motion.exchange import Clock, Exchange
 from kr270_milling.physics.motion.milling_pass import run_pass
+from kr270_milling.physics.motion.periods import Clock, Exchange
 from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency, score
 
 MICRO_STEP = 1 / 48  # [ms], 1 deg at 8000 rpm
@@ -80,8 +81,8 @@ def test_a_second_iteration_brings_the_prediction_to_the_correction(period):
 
 def test_a_pass_covers_the_path_and_leaves_a_slot_as_wide_as_the_tool_that_ends_in_a_half_disc():
     cell = read_cell("paper.yaml")
-    cut, target = cell.cut(), cell.target()
-    result = run_pass(cell.arm_model(target), cut, cell.clock, target, target)
+    cut, target = cut_of(cell), path_of(cell).target
+    result = run_pass(arm_model_of(cell, target), cut, path_of(cell).clock, target, target)
     np.testing.assert_array_equal(result.time_ns, np.arange(2401) * 500_000)
     assert result.micro_steps == 57_600  # 1.2 s at 8000 rpm and 1 deg
     np.testing.assert_array_equal(result.target[-1], target.position[-1])
@@ -103,12 +104,19 @@ def test_a_pass_may_be_in_the_air_or_of_one_period_and_a_lack_of_log_or_tiles_is
     assert not result.wrench.any() and not result.deflection.any() and result.removed_area == 0.0
     np.testing.assert_array_equal(result.tool, result.reference)
     line = Trajectory(np.array([0, 1]), np.zeros((2, 3)), (1.0, 0.0, 0.0, 0.0))
-    result = run_pass(cell.arm_model(line), cell.cut(), Clock(5e-4, 24), line, line)
+    result = run_pass(arm_model_of(cell, line), cut_of(cell), Clock(5e-4, 24), line, line)
     assert len(result.time) == 2 and result.micro_steps == 24
     cell = read_cell("paper.yaml", *SHORT)
     cut = Cut(cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step, log_size=64)
     with pytest.raises(UndoError):
-        run_pass(cell.arm_model(cell.target()), cut, cell.clock, cell.target(), cell.target(), 2)
+        run_pass(
+            arm_model_of(cell, path_of(cell).target),
+            cut,
+            path_of(cell).clock,
+            path_of(cell).target,
+            path_of(cell).target,
+            2,
+        )
     monkeypatch.setattr("kr270_milling.physics.cutting.state.MAX_TILES", 3)
     with pytest.raises(GridError, match="3 tiles"):
         run(*SHORT)
@@ -242,11 +250,11 @@ def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatc
     peaks, periods = [], []
     for feed in ("F4000", "F4000", "F400"):  # the first pass loads compiled code
         cell = small_part(tmp_path, GCODE.replace("F4000", feed), "cutting.detail=engagement")
-        target, cut = cell.target(), cell.cut()
-        arm = cell.arm_model(target)
-        silent = cell.programmed.drilling_at
+        target, cut = path_of(cell).target, cut_of(cell)
+        arm = arm_model_of(cell, target)
+        silent = path_of(cell).drilling_at
         tracemalloc.start()
-        ran = milling_pass.run_pass(arm, cut, cell.clock, target, target, silent=silent, most_rows=50)
+        ran = milling_pass.run_pass(arm, cut, path_of(cell).clock, target, target, silent=silent, most_rows=50)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         periods.append(ran.micro_steps)

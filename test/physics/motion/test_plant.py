@@ -10,6 +10,7 @@ import pytest
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
+from kr270_milling.cell.models import arm_model_of, arm_of, path_of
 from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.findings import gathered
@@ -95,7 +96,7 @@ def reversing(ran: ScoredPass) -> tuple[ScoredPass, int]:
 
 
 def test_a_load_that_reverses_beyond_the_friction_torque_moves_the_tool_by_backlash_times_lever(cell):
-    plain = cell.arm_model(cell.target())
+    plain = arm_model_of(cell, path_of(cell).target)
     wrenches = lateral(100.0, -100.0, 100.0)  # 150 N m about the axis
     still = np.zeros((0, plain.order))
     moved = follow(dataclasses.replace(plain, gaps=one_axis()), still, wrenches) - follow(plain, still, wrenches)
@@ -117,12 +118,12 @@ def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path_and_single_teeth
     joints[:, 0] += swing * np.cos(speed * time)
     tool = cell.workpiece.pose.inverse() @ pose(cell.arm, cell.mount, joints)
     run = Trajectory(np.arange(41) * 50_000_000, tool.position, tool.quaternion)
-    gaps = joint_gaps(cell, run, cell.arm.backlash)
+    gaps = joint_gaps(arm_of(cell), path_of(cell), run, cell.arm.backlash)
     inertia = rigid_joint_mass(cell.arm, cell.mount, joints[20])[0, 0]
     assert gaps.torque[20, 0] == pytest.approx(-inertia * swing * speed**2, rel=0.01)
-    assert len(tool_jumps(gaps, np.zeros((cell.clock.steps(run.duration_ns) + 1, 6)))) >= 1
+    assert len(tool_jumps(gaps, np.zeros((path_of(cell).clock.steps(run.duration_ns) + 1, 6)))) >= 1
     # at 533 Hz the torque changes its sign, its mean over a revolution does not
-    share = joint_gaps(cell, cell.target(), cell.arm.backlash).share
+    share = joint_gaps(arm_of(cell), path_of(cell), path_of(cell).target, cell.arm.backlash).share
     revolution = 2 * np.pi / cell.tool.spindle_speed
     assert share == pytest.approx(1 - np.exp(-cell.exchange.period / revolution))
     gaps = dataclasses.replace(one_axis(0.0), share=share)
@@ -133,19 +134,24 @@ def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path_and_single_teeth
 
 def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(cell, ran):
     loaded, half = reversing(ran)
-    (one,) = load_reversals(cell, cell.target(), loaded)
+    (one,) = load_reversals(arm_of(cell), path_of(cell), path_of(cell).target, loaded)
     lever = np.linalg.norm(jacobian(cell.arm, cell.mount, cell.start_joints)[:3, 0])
     assert one.value == pytest.approx(cell.arm.backlash[0] * lever, rel=0.01) and one.severity == "note"
-    assert abs(cell.target().time_ns[one.point - 1] - ran.result.time_ns[half]) <= 60_000_000
+    assert abs(path_of(cell).target.time_ns[one.point - 1] - ran.result.time_ns[half]) <= 60_000_000
     assert "if axis 1 has 6.2 arcsec of backlash (assumed)" in one.sentence
     stiff = cell.replace(arm=cell.arm.replace(friction_torque=np.full(6, 1e4)))
-    assert load_reversals(stiff, stiff.target(), loaded) == []
+    assert load_reversals(arm_of(stiff), path_of(stiff), path_of(stiff).target, loaded) == []
     known = cell.replace(arm=cell.arm.replace(backlash=2 * cell.arm.backlash))
-    (twice,) = load_reversals(known, known.target(), loaded)
+    (twice,) = load_reversals(arm_of(known), path_of(known), path_of(known).target, loaded)
     assert twice.value == pytest.approx(2 * one.value) and "12.4 arcsec of backlash (arm.back" in twice.sentence
-    places = gathered(cell, cell.target(), [one])
-    assert backlash_statement(cell, places, True) == "backlash: in the verdict only, 0 to 12.4 arcsec"
-    assert "not included, up to 49.2 um" in backlash_statement(cell, places, False)
+    places = gathered(path_of(cell), path_of(cell).target, [one])
+    assert (
+        backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, places, True)
+        == "backlash: in the verdict only, 0 to 12.4 arcsec"
+    )
+    assert "not included, up to 49.2 um" in backlash_statement(
+        cell.arm.backlash, cell.uncertainty.backlash, places, False
+    )
     decision = compensate(cell, "linear").decision
     assert decision.backlash == "backlash: not included, no load reverses"
     assert decision.backlash in decision.headline and decision.backlash in decision.lines()
@@ -154,10 +160,10 @@ def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(
 
 def test_the_plant_moves_by_the_number_of_the_check_and_without_a_reversal_as_if_it_had_no_backlash(cell, ran):
     loaded, half = reversing(ran)
-    (one,), wrench = load_reversals(cell, cell.target(), loaded), loaded.result.wrench
+    (one,), wrench = load_reversals(arm_of(cell), path_of(cell), path_of(cell).target, loaded), loaded.result.wrench
     plant = cell.replace(imperfections=Imperfections(backlash=cell.arm.backlash))
-    plain = cell.arm_model(cell.target())
-    arm = imperfect_arm(plant, cell.target(), plain)
+    plain = arm_model_of(cell, path_of(cell).target)
+    arm = imperfect_arm(plant, path_of(cell).target, plain)
     still = np.zeros((0, plain.order))
     moved = follow(arm, still, wrench) - follow(plain, still, wrench)
     first = int(np.argmax(moved.any(axis=1)))
@@ -166,7 +172,7 @@ def test_the_plant_moves_by_the_number_of_the_check_and_without_a_reversal_as_if
     robot = CompliantArm(arm)
     assert np.array_equal([robot.correct(w) for w in wrench[1:]], follow(arm, still, wrench)[1:])
     # the paper's straight cut loads every joint to one side
-    assert load_reversals(cell, cell.target(), ran) == []
+    assert load_reversals(arm_of(cell), path_of(cell), path_of(cell).target, ran) == []
     cuts = simulate(cell, plant=Plant(cell, cell, Imperfections(backlash=cell.arm.backlash)))
     assert np.array_equal(cuts.result.actual, ran.result.actual)
 

@@ -13,9 +13,9 @@ import zstandard
 from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from recording_samples import POSE, STORE, poses, write_mcap
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
+from samples.recording_samples import POSE, STORE, poses, write_mcap
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows

@@ -7,11 +7,24 @@ import io
 import json
 
 import numpy as np
-import pass_recording as made
 import pytest
-import recording_samples as samples
 from mcap.writer import Writer
-from recording_samples import DIAGNOSTICS, PERIOD, POSE, TEXT, TOPICS, WRENCH, header, make, pose, raw, record, wrench
+from samples import pass_recording as made
+from samples import recording_samples as samples
+from samples.recording_samples import (
+    DIAGNOSTICS,
+    PERIOD,
+    POSE,
+    TEXT,
+    TOPICS,
+    WRENCH,
+    header,
+    make,
+    pose,
+    raw,
+    record,
+    wrench,
+)
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__

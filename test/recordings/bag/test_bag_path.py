@@ -7,13 +7,14 @@ import pytest
 from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recording_samples import PATH, STORE, header, make, path, pose, raw
+from samples.recording_samples import PATH, STORE, header, make, path, pose, raw
+from samples.small_part import path_error
 from scipy.spatial.transform import Rotation
-from small_part import path_error
 
 from kr270_milling.base.errors import ConfigError, InputError, RecordingError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
@@ -137,8 +138,8 @@ def test_a_recorded_path_is_cut_like_the_same_points_from_a_table(tmp_path):
     rows = [f"{x * 1e3!r},{y * 1e3!r},{z * 1e3!r},50.0" for x, y, z in at.tolist()]
     table.write_text("\n".join(["x_mm,y_mm,z_mm,feed_mm_per_s", *rows]) + "\n")
     ours, other = (read_cell(CELL, [f"path.file={name}"]) for name in (file, table))
-    np.testing.assert_allclose(ours.target().position, other.target().position, atol=1e-12)
-    np.testing.assert_array_equal(ours.target().time_ns, other.target().time_ns)
+    np.testing.assert_allclose(path_of(ours).target.position, path_of(other).target.position, atol=1e-12)
+    np.testing.assert_array_equal(path_of(ours).target.time_ns, path_of(other).target.time_ns)
 
 
 # --- MultiDOFJointTrajectory ---
@@ -165,7 +166,9 @@ def arc(period: float = 0.05, speed: float = 0.05, radius: float = 0.02) -> Traj
 def test_a_trajectory_is_the_target_as_it_is(tmp_path, run):
     for name in ("tcp", "tool0"):  # before 0.3 the tool tip was tool0
         file = record(tmp_path / name, reference=points_of(run, names=(name,)))
-        np.testing.assert_array_equal(read_cell(CELL, [f"path.file={file.parent}"]).target().position, run.position)
+        np.testing.assert_array_equal(
+            path_of(read_cell(CELL, [f"path.file={file.parent}"])).target.position, run.position
+        )
         actual = read_recorded(file)
         assert isinstance(actual, TimedPath) and actual.timed_by_source
         np.testing.assert_array_equal(actual.trajectory.time_ns, run.time_ns)
@@ -238,7 +241,7 @@ def test_of_several_topics_one_must_be_named(tmp_path):
     assert isinstance(read_recorded(file, "/reference"), TimedPath)
     assert "'/tool_pose', but on: /plan" in refusal(file, "/tool_pose")
     cell = read_cell(CELL, [f"path.file={file}", "path.topic=/plan"])
-    np.testing.assert_allclose(cell.feed_rate, FEED, rtol=1e-5)
+    np.testing.assert_allclose(path_of(cell).feed_rate, FEED, rtol=1e-5)
     for other in ("", "test_piece.nc"):
         with pytest.raises(ConfigError, match="path.topic"):
             read_cell(CELL, [f"path.file={other!r}", "path.topic=/plan"])
@@ -249,7 +252,7 @@ def test_the_commands_take_a_recorded_trajectory_and_one_of_days_is_refused(tmp_
     """Points and not lines are named, and the trajectory keeps its times although an axis would be too fast."""
     slow = record(tmp_path / "slow", reference=points_of(Trajectory([0, 10**14], line(2), TOOL_DOWN)))
     with pytest.raises(InputError, match="exchange periods"):
-        read_cell(CELL, [f"path.file={slow}"]).target()
+        assert path_of(read_cell(CELL, [f"path.file={slow}"])).target
     run = Trajectory(np.arange(15) * 15_000_000, line(), TOOL_DOWN)
     file = record(tmp_path / "a", reference=points_of(run))
     fast = ["--set", f"path.file={file}", "--set", f"arm.joint_speed_limit_deg_per_s={[0.5] * 6}"]

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pass_recording as made
 import pytest
 from budget import budget
 from hostile import answered, ask
@@ -22,7 +21,11 @@ from hypothesis import strategies as st
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType
-from recording_samples import (
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from samples import pass_recording as made
+from samples.recording_samples import (
     PERIOD,
     POSE,
     STORE,
@@ -37,9 +40,6 @@ from recording_samples import (
     whole_recording,
     write_mcap,
 )
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader, StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.exchange.replay.recompute import recompute

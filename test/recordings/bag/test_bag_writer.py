@@ -16,9 +16,22 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_samples import DIAGNOSTICS, PATH, PERIOD, POSE, TEXT, full_disk, header, make, path, pose, raw, record
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+from samples.recording_samples import (
+    DIAGNOSTICS,
+    PATH,
+    PERIOD,
+    POSE,
+    TEXT,
+    full_disk,
+    header,
+    make,
+    path,
+    pose,
+    raw,
+    record,
+)
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__

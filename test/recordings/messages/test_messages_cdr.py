@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import recording_samples as made
 from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic
-from recording_samples import JOINTS, PATH, POSE, STORE, TWIST, WRENCH, joints, pose, raw
 from rosbags.typesys import get_types_from_msg
+from samples import recording_samples as made
+from samples.recording_samples import JOINTS, PATH, POSE, STORE, TWIST, WRENCH, joints, pose, raw
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder, store_for

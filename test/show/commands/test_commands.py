@@ -6,15 +6,16 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pass_recording as made
 import pytest
 import yaml
 from hostile import answered, ask, contents, refused
+from samples import pass_recording as made
 
 from kr270_milling.base.record import flatten
 from kr270_milling.base.samples import WrenchSample
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.keys import keys_of
+from kr270_milling.cell.models import arm_model_of, path_of
 from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -43,7 +44,7 @@ def test_a_cell_of_a_program_reaches_the_whole_pocket(tmp_path, name, robot):
     assert cell.tool.diameter == pytest.approx(0.010)
     np.testing.assert_allclose(1e3 * cell.stock.min, [-24, -20, -6], atol=1e-9)
     np.testing.assert_allclose(1e3 * cell.stock.max, [24, 20, 0], atol=1e-9)
-    assert len(cell.target()) > 1000  # on the joints of the arm
+    assert len(path_of(cell).target) > 1000  # on the joints of the arm
     np.testing.assert_allclose(1e3 * cell.workpiece.xyz, [1500, 0, 800])
 
 
@@ -52,7 +53,7 @@ def test_the_stock_leaves_room_where_the_tool_comes_down_rapidly(tmp_path):
     cell = cell_of(tmp_path, "--gcode", tmp_path / "slot.nc")
     assert cell.stock.min[0] >= -20e-3 + cell.tool.radius and cell.stock.max[0] >= 0.0
     piece = cell_of(tmp_path, "--gcode", TEST_PIECE)
-    path = piece.timed_path.toolpath
+    path = path_of(piece).timed.toolpath
     down = path.position[path.rapid & (path.position[:, 2] < 0.0)][:, :2]
     beside = np.maximum(np.maximum(piece.stock.min[:2] - down, down - piece.stock.max[:2]), 0.0)
     assert np.hypot(*beside.T).min() > piece.tool.radius
@@ -61,8 +62,8 @@ def test_the_stock_leaves_room_where_the_tool_comes_down_rapidly(tmp_path):
 def test_a_program_that_takes_an_hour_is_modelled_at_as_many_postures_as_a_cell_may_have(tmp_path):
     (tmp_path / "slow.nc").write_text(SLOT.replace("F1200", "F1"))  # 18 mm at 1 mm/min
     cell = cell_of(tmp_path, "--gcode", tmp_path / "slow.nc")
-    assert cell.target().duration_ns > 1000e9 and cell.dynamics.posture_spacing > 5e-3
-    assert len(cell._postures(cell.target())[1]) < 50_000  # more than 100,000 are refused
+    assert path_of(cell).target.duration_ns > 1000e9 and cell.dynamics.posture_spacing > 5e-3
+    assert len(arm_model_of(cell, path_of(cell).target).transition) < 50_000  # more than 100,000 are refused
 
 
 def test_a_written_cell_moves_with_the_program_beside_it_and_an_error_leaves_no_file(tmp_path):
@@ -217,7 +218,7 @@ def test_copies_are_skipped_with_a_sentence_and_the_page_has_the_command(whole, 
 
 
 def test_passes_of_two_paths_are_not_compared(whole, tmp_path):
-    target = made.cell_of().target()
+    target = path_of(made.cell_of()).target
     shifted = target.with_position(target.position + [0.0, 5e-4, 0.0])
     other = made.write(tmp_path / "b", made.target_of_user(shifted))
     assert "is a pass of another path than" in refused("report", whole, str(other))

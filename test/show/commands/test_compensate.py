@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import answered, ask, contents, printed, refused, settings
-from small_part import GCODE, assignments
+from samples.small_part import GCODE, assignments
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cli import main

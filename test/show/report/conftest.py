@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from milled_part import POCKET, small_cell
+from samples.milled_part import POCKET, small_cell
 
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 
 

@@ -12,15 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from budget import budget
-from cuttings import SET_ALUMINIUM
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from milled_part import POCKET, RIGID, small_cell
+from samples.cuttings import SET_ALUMINIUM
+from samples.milled_part import POCKET, RIGID, small_cell
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file, flatten
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.models import arm_of, cut_of, path_of
 from kr270_milling.decide.findings import Finding, Place
 from kr270_milling.decide.part import assess_all
 from kr270_milling.path.trajectory_csv import read_csv
@@ -121,7 +122,7 @@ def test_the_decision_leads_the_page(tmp_path, straight):
     checked = SimpleNamespace(findings=(row,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
     decision = shown_decision("caution", "few robots", "method: spline, as set", "helps (1 to 3 um)")
     cell, passes = straight
-    cell = cell.replace(part=cell.part.replace(tolerance=30e-6))
+    cell = cell.replace(tolerances=cell.tolerances.replace(tolerance=30e-6))
     text = written(tmp_path, cell, passes, decision=decision, checked=checked)
     order = ["caution", "few robots", "fails", "30 µm allowed", "passes", "warning", "it is 31 µm", "Feed slower.",
              "ring, line 7, XP12", "spline", "helps", "1 to 3 µm", "stable"]  # fmt: skip
@@ -179,7 +180,7 @@ def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its
         np.testing.assert_allclose(table, expected, rtol=5e-13, atol=0)
 
     cell, passes = straight
-    paths = write_series(tmp_path, cell, passes)
+    paths = write_series(tmp_path, arm_of(cell), path_of(cell).target, passes)
     assert [p.name for p in paths[:3]] == ["original.csv", "linear.csv", "spline.csv"]
     for path, one in zip(paths[:3], passes, strict=True):
         assert path.read_text().splitlines()[0] == ",".join(COLUMNS)
@@ -193,17 +194,17 @@ def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its
             close(table[f"deflection_r{axis}_deg"], np.degrees(r.deflection[:, 3 + k]))
             close(table[f"force_{axis}_n"], r.wrench[:, k])
             close(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
-        close(table["path_deviation_um"], 1e6 * deviation_of(r, cell.target()))
+        close(table["path_deviation_um"], 1e6 * deviation_of(r, path_of(cell).target))
         close(table["pose_correction_um"], 1e6 * r.correction)
     trajectory, joints = read_csv(paths[5])
     np.testing.assert_array_equal(trajectory.position, passes[2].reference.position)
     np.testing.assert_array_equal(trajectory.velocity, passes[2].reference.velocity)
-    np.testing.assert_allclose(joints, cell.joints(passes[2].reference), atol=1e-12)
+    np.testing.assert_allclose(joints, arm_of(cell).joints(passes[2].reference), atol=1e-12)
 
 
 def test_file_names_are_plain_inside_the_directory_and_different_even_without_regard_to_case(tmp_path, straight):
     cell, (first, *_) = straight
-    write_series(tmp_path / "out", cell, [dataclasses.replace(first, name="../../etc/x")])
+    write_series(tmp_path / "out", arm_of(cell), path_of(cell).target, [dataclasses.replace(first, name="../../etc/x")])
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     names = file_names(["a b", "a/b", "A_B", "", "..", "../../etc/x", "x" * 300, "Ω"])
     assert len({n.lower() for n in names}) == len(names)
@@ -214,8 +215,8 @@ def test_file_names_are_plain_inside_the_directory_and_different_even_without_re
 def test_micro_step_forces_average_to_the_wrench_of_each_exchange_period():
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=6.0", "stock.grid_step_um=20.0"])
     result = simulate(cell).result
-    force = micro_step_forces(cell.cut(), result.tool, cell.clock.micro_steps)
-    means = force.reshape(-1, cell.clock.micro_steps, 3).mean(axis=1)
+    force = micro_step_forces(cut_of(cell), result.tool, path_of(cell).clock.micro_steps)
+    means = force.reshape(-1, path_of(cell).clock.micro_steps, 3).mean(axis=1)
     assert np.abs(result.wrench[1:, 1]).max() > 10.0
     np.testing.assert_allclose(means, result.wrench[1:, :3], atol=1e-9)
 
@@ -243,7 +244,7 @@ def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to(straight):
     assert [panel.title for panel in chart.panels] == ["left wall", "right wall"]
     for panel in chart.panels:
         (shown,) = panel.curves
-        at = cell.target().sample(ran.result.time_ns)[:, 0] * 1e3
+        at = path_of(cell).target.sample(ran.result.time_ns)[:, 0] * 1e3
         pushed = np.interp(shown.x, at, (ran.result.actual - ran.result.target)[:, 1] * 1e6)
         np.testing.assert_allclose(shown.y[5:-5], pushed[5:-5], atol=1.0)  # a cusp, and the nearest passage of a tooth
 
@@ -267,7 +268,7 @@ def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, 
 def case(milled):
     cell, passes = milled
     parts = assess_all(cell, passes)
-    return cell, passes, parts, linked(cell, passes, parts)
+    return cell, passes, parts, linked(path_of(cell), passes, parts)
 
 
 def test_the_largest_deviation_of_each_pass_is_a_station_as_in_the_table(case):
@@ -279,12 +280,12 @@ def test_the_largest_deviation_of_each_pass_is_a_station_as_in_the_table(case):
 
 def test_line_point_and_feature_of_a_station_are_those_of_its_time(case):
     cell, _, _, outcome = case
-    toolpath, target = cell.timed_path.toolpath, cell.target()
+    toolpath, target = path_of(cell).timed.toolpath, path_of(cell).target
     source = Path(cell.path.file).read_text().splitlines()
     assert [line.text for line in outcome.source] == source
     for k in range(0, outcome.time.size, 97):
         stamp = round(outcome.time[k] * 1e9)
-        block = int(cell.timed_path.block_at(np.array([stamp]))[0])
+        block = int(path_of(cell).timed.block_at(np.array([stamp]))[0])
         assert source[outcome.line[k] - 1].startswith("G") and outcome.line[k] == toolpath.line[block]
         assert outcome.features[outcome.feature[k]] == toolpath.features[toolpath.feature[block]]
         knot = outcome.point[k] - 1
@@ -299,7 +300,7 @@ def test_a_pass_that_was_cut_off_is_unknown_beyond_its_end(case):
     half = len(whole.time_ns) // 2
     fields = {name: value[:half] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
     short = dataclasses.replace(passes[1], result=dataclasses.replace(whole, **fields))
-    outcome = linked(cell, [passes[0], short], assess_all(cell, [passes[0], short]))
+    outcome = linked(path_of(cell), [passes[0], short], assess_all(cell, [passes[0], short]))
     late = outcome.time > short.result.time[-1]
     assert late.any() and np.isnan(outcome.passes[1].side[late]).all() and np.isfinite(outcome.passes[0].side).all()
 

@@ -10,11 +10,11 @@ import re
 import numpy as np
 import pages
 import pytest
-from campaigns import COEFFICIENTS, TRUE, cuts, loads, measured, measured_cuts
 from hostile import answered, ask, refused, settings
+from samples.campaigns import COEFFICIENTS, TRUE, cuts, loads, measured, measured_cuts
 
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import serialise
 from kr270_milling.show.commands.console import Answer

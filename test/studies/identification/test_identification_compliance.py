@@ -6,16 +6,17 @@ import dataclasses
 import itertools
 import math
 
-import campaigns
 import numpy as np
 import pytest
 from book import check
-from campaigns import ARM, MOUNT, TRUE, displacements
+from samples import campaigns
+from samples.campaigns import ARM, MOUNT, TRUE, displacements
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import path_of
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.physics.robot.elastostatics import equilibrium
@@ -281,7 +282,7 @@ def as_pass(result, lag=0.0, noise=0.0) -> ComparedSeries:
 
 
 def compared(measured: ComparedSeries, model):
-    feed, revolution = CELL.target().sample_velocity(model.time_ns), 2 * np.pi / CELL.tool.spindle_speed
+    feed, revolution = path_of(CELL).target.sample_velocity(model.time_ns), 2 * np.pi / CELL.tool.spindle_speed
     return comparison.compare(measured, as_pass(model), model.target, feed, revolution)
 
 

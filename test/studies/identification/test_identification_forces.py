@@ -8,12 +8,13 @@ import math
 import numpy as np
 import pytest
 from book import check
-from campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
+from samples.campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import arm_of, modal_model_of, path_of
 from kr270_milling.physics.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock
 from kr270_milling.studies.identification.cuts import Sensor, read_cuts
 from kr270_milling.studies.identification.doubts import hammer_doubts
@@ -271,14 +272,15 @@ def test_a_force_that_does_not_belong_to_the_motion_is_refused_with_its_cause(sh
 def test_a_hammer_in_another_unit_does_not_fit_the_compliance_of_the_cell():
     """A mode with all of the compliance along x, phi = sqrt(C) omega; accelerations in g give phi / sqrt(9.80665)."""
     cell = read_cell(find_file("test_piece.yaml"))
-    soft, omega = tool_compliance(cell)[0, 0], float(cell.modal_model.frequency[0])
+    static, omega = tool_compliance(arm_of(cell), path_of(cell).target), float(modal_model_of(cell).frequency[0])
+    soft = static[0, 0]
     mode = Mode(complex(-0.03 * omega, omega), np.ones(1), 100.0, 1.0, 0.03)
     for factor, sentence in ((1.0, ""), (9.80665**-0.5, "accelerations in g"), (1e3**0.5, "forces in kN")):
         shapes = np.array([[factor * omega * np.sqrt(soft), 0, 0, 0, 0, 0]])
-        doubts = hammer_doubts([mode], shapes, "x", cell)
+        doubts = hammer_doubts([mode], shapes, "x", static, omega)
         assert [doubt.forbids for doubt in doubts] == [True] * bool(sentence)
         assert all(sentence in doubt.text for doubt in doubts)
-    (stated,) = hammer_doubts([mode], shapes, "x", None)
+    (stated,) = hammer_doubts([mode], shapes, "x")
     assert not stated.forbids and "if the columns are in SI units" in stated.text
 
 

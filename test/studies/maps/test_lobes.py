@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hostile import answered, refused, settings
+from samples.small_part import small_part
 from scipy.optimize import brentq
 from semi_discretisation import BENCHMARK, MASS, TEETH, directional, limit, modal_radius, radius
-from small_part import small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.decide.stability import feature_limits
 from kr270_milling.physics.motion.stability import Modes, stability_limit
 from kr270_milling.studies.maps.lobes import lobes

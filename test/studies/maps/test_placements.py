@@ -11,13 +11,14 @@ from hostile import answered, refused, settings
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import NO_COMPENSATOR, GravityCompensator
-from kr270_milling.studies.maps.along import NoWayError, Turns, constant_way, find_way
+from kr270_milling.studies.maps.along import NoTurnsError, Turns, best_turns, constant_turn
 from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell, present_row
 from kr270_milling.studies.maps.postures import whole_turns
 from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
@@ -35,10 +36,10 @@ def line(start, end, count: int, force) -> PathPlaces:
 @pytest.fixture(scope="module")
 def placements() -> Placements:
     cell = read_cell(find_file("test_piece.yaml"), ["dynamics.gravity=false"])
-    course = line([-0.04, 0.0, -1e-3], [0.04, 0.0, -1e-3], 5, [-40.0, 150.0, 5.0])
+    places = line([-0.04, 0.0, -1e-3], [0.04, 0.0, -1e-3], 5, [-40.0, 150.0, 5.0])
     axes = (np.array([1.4, 1.5]), np.array([-0.1, 0.1]), np.array([0.8]), np.radians([0.0, 20.0]),
             np.radians([-30.0, 0.0]))  # fmt: skip
-    return Placements(cell, course, axes)
+    return Placements(arm_of(cell), cell.uncertainty.left, places, axes)
 
 
 def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
@@ -48,20 +49,20 @@ def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
     x, y, z, turn, tool_turn = chosen[number]
     row = {"x_mm": 1e3 * x, "y_mm": 1e3 * y, "z_mm": 1e3 * z, "turn_deg": np.degrees(turn),
            "tool_turn_deg": np.degrees(tool_turn), "branch": branch}  # fmt: skip
-    moved = moved_cell(placements.cell, placements.course, row)
+    moved = moved_cell(placements.arm, placements.places, row, "posture_deg")
     place = moved["workpiece"]
     settings = [f"workpiece.xyz_mm={place['xyz_mm']}", f"workpiece.abc_deg={place['abc_deg']}"]
     settings += [f"mount.abc_deg={moved['mount']['abc_deg']}", f"posture_hint_deg={moved['posture_deg']}"]
     cell = read_cell(find_file("test_piece.yaml"), settings)
     quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))  # the tool down
-    q = cell.joints_at(placements.course.position, quaternion)  # independent: the path of the cell itself
+    q = arm_of(cell).joints_at(placements.places.position, quaternion)  # independent: the path of the cell itself
     across = []
     for joints in q:
         step = 1e-6
         here = pose(cell.arm, cell.mount, joints).position
         turned = [(pose(cell.arm, cell.mount, joints + step * e).position - here) / step for e in np.eye(6)]
         turned = np.stack(turned, axis=1)
-        force = cell.workpiece.pose.rotation @ placements.course.force[0]
+        force = cell.workpiece.pose.rotation @ placements.places.force[0]
         way = turned @ (cell.arm.joint_compliance * (turned.T @ force))
         feed = cell.workpiece.pose.rotation[:, 0]
         across.append(np.linalg.norm(way - way @ feed * feed))
@@ -85,23 +86,23 @@ def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
 
 def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placements):
     """A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm."""
-    place, whole = np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]), placements.course
-    course = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
+    place, whole = np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]), placements.places
+    places = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
     spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
     cell = read_cell(find_file("test_piece.yaml"))
-    rows = Placements(cell, course, placements.axes).rows(place)
+    rows = Placements(arm_of(cell), placements.left, places, placements.axes).rows(place)
     branch = int(np.flatnonzero(rows["feasible"][0])[0])
     row = {"x_mm": 1500.0, "y_mm": 0.0, "z_mm": 800.0, "turn_deg": 0.0, "tool_turn_deg": 0.0, "branch": branch}
-    q = np.radians(moved_cell(cell, course, row)["posture_deg"])
+    q = np.radians(moved_cell(arm_of(cell), places, row, "posture_deg")["posture_deg"])
     long = spring.length(np.cos(q[1]), np.sin(q[1]))
     slack = spring.replace(preload=20e6 * (spring.length(0.0, -1.0) - long))
     ours = []
     for compensator in (NO_COMPENSATOR, slack):
         arm = cell.arm.replace(compensator=compensator)
-        made = Placements(cell.replace(arm=arm), course, placements.axes).rows(place)
+        made = Placements(arm_of(cell.replace(arm=arm)), placements.left, places, placements.axes).rows(place)
         model = modal_models(arm, cell.mount, cell.dynamics, cell.workpiece.pose, q[None])[0]
         assert made["lowest_mode_hz"][0, branch] == pytest.approx(model.frequency[0] / (2 * np.pi), rel=0.01)
-        way = compliance(equilibrium(arm, cell.mount, q), arm)[:3, :3] @ course.force[0]
+        way = compliance(equilibrium(arm, cell.mount, q), arm)[:3, :3] @ places.force[0]
         ours.append(made["compliance_um_per_n"][0, branch])
         assert ours[-1] == pytest.approx(1e6 * np.linalg.norm(way) / 150.0, rel=0.005)
     assert ours[1] < 0.95 * ours[0]
@@ -117,12 +118,14 @@ def test_turning_everything_about_axis_1_changes_nothing_else_and_a_place_out_of
 
 
 def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(placements):
-    cell, course = placements.cell, placements.course
-    row = present_row(cell, course)
+    cell, places = read_cell(find_file("test_piece.yaml"), ["dynamics.gravity=false"]), placements.places
+    row = present_row(placements, path_of(cell).target)
     assert [row["x_mm"], row["y_mm"], row["z_mm"]] == pytest.approx(1e3 * cell.workpiece.xyz)
     assert row["feasible"] and row["error_max_um"] > 0.0
-    joints = cell.joints_at(course.position, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))[2]
-    np.testing.assert_allclose(moved_cell(cell, course, row)["posture_deg"], np.degrees(joints), atol=1e-6)
+    joints = arm_of(cell).joints_at(places.position, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))[2]
+    np.testing.assert_allclose(
+        moved_cell(arm_of(cell), places, row, "posture_deg")["posture_deg"], np.degrees(joints), atol=1e-6
+    )
 
 
 def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
@@ -134,7 +137,7 @@ def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path):
     assert errors == sorted(errors)
     best = read_cell(result["best"][0]["cell"])
     assert 1e3 * best.workpiece.xyz[:2] == pytest.approx([result["best"][0]["x_mm"], result["best"][0]["y_mm"]])
-    assert best.joints(best.target()).shape[1] == 6
+    assert arm_of(best).joints(path_of(best).target).shape[1] == 6
 
 
 # --- Sweeps: axes, samples, rows that do not depend on the chunk. Workers are in ``test_engine`` ---
@@ -201,13 +204,13 @@ class Known(Turns):
         q = np.zeros((*turn.shape, 8, 6))
         q[..., 1:3] = np.radians([-80.0, 100.0])
         q[..., 5] = (turn[..., None] + np.pi) % (2 * np.pi) - np.pi
-        away = (turn - self.course.wish[:, None] + np.pi) % (2 * np.pi) - np.pi
+        away = (turn - self.places.wish[:, None] + np.pi) % (2 * np.pi) - np.pi
         return q, np.abs(away)[..., None] * np.where(np.arange(8) == 2, 1.0, 2.0)
 
 
 def known(wish: np.ndarray, weight: float, step: float = 1.0) -> Known:
-    course = SimpleNamespace(wish=wish, position=np.zeros((len(wish), 3)))
-    return Known(SimpleNamespace(arm=ARM), course, step, weight)
+    places = SimpleNamespace(wish=wish, position=np.zeros((len(wish), 3)))
+    return Known(SimpleNamespace(arm=ARM), places, step, weight)
 
 
 def test_a_wish_and_a_price_of_turning_have_a_closed_solution():
@@ -217,7 +220,7 @@ def test_a_wish_and_a_price_of_turning_have_a_closed_solution():
     for k in range(39):
         matrix[k : k + 2, k : k + 2] += 4.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     exact = np.linalg.solve(matrix, wish)
-    way = find_way(known(wish, 2.0), GRID)
+    way = best_turns(known(wish, 2.0), GRID)
     assert way.branch == 2  # the others have twice the error
     assert way.turn == pytest.approx(exact, abs=2e-3)
     value = np.mean((exact - wish) ** 2) + 4.0 * np.sum(np.diff(exact) ** 2) / 40
@@ -226,7 +229,7 @@ def test_a_wish_and_a_price_of_turning_have_a_closed_solution():
 
 def test_a_jump_is_taken_as_fast_as_the_joint_turns():
     """A wish that jumps by 0.8 rad in the middle is left and met on one straight line, half on each side."""
-    way = find_way(known(np.where(np.arange(41) < 20, 0.0, 0.8), 1e-6, 0.05), GRID)
+    way = best_turns(known(np.where(np.arange(41) < 20, 0.0, 0.8), 1e-6, 0.05), GRID)
     room = ARM.joint_speed_limit[5] * 0.05
     exact = np.clip(0.4 + room * (np.arange(41) - 19.5), 0.0, 0.8)
     assert np.abs(np.diff(way.turn)).max() <= room * (1 + 1e-9)
@@ -235,7 +238,7 @@ def test_a_jump_is_taken_as_fast_as_the_joint_turns():
 
 def test_a_whole_turn_has_no_seam():
     wish = np.radians(np.linspace(150.0, 210.0, 60))
-    way = find_way(known(wish, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
+    way = best_turns(known(wish, 1e-3), np.radians(np.arange(-180.0, 181.0, 10.0)))
     assert way.value < 2e-3
     assert np.ptp(way.turn) == pytest.approx(np.ptp(wish), abs=0.02)
     assert np.abs(np.diff(way.q[:, 5])).max() < 0.1  # joint 6 has room for it and makes no jump
@@ -243,19 +246,19 @@ def test_a_whole_turn_has_no_seam():
 
 def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_what_is_too_fast_is_refused():
     """A cut of 1.2 m across the front of the arm in 24 s, the spindle across axis 6."""
-    course = line([0.0, -0.6, 0.0], [0.0, 0.6, 0.0], 49, [150.0, -40.0, -20.0])
-    across = Turns(read_cell(find_file("test_piece.yaml")), course, 0.5, np.degrees(0.05e-6))
+    places = line([0.0, -0.6, 0.0], [0.0, 0.6, 0.0], 49, [150.0, -40.0, -20.0])
+    across = Turns(arm_of(read_cell(find_file("test_piece.yaml"))), places, 0.5, np.degrees(0.05e-6))
     grid = np.radians(np.arange(-180.0, 181.0, 10.0))
-    way, arm = find_way(across, grid), across.cell.arm
-    same = constant_way(across, np.radians(np.arange(-180.0, 181.0, 2.0)))
+    way, arm = best_turns(across, grid), across.arm.arm
+    same = constant_turn(across, np.radians(np.arange(-180.0, 181.0, 2.0)))
     assert way.value < 0.99 * same.value
     turning = np.degrees(np.gradient(way.turn, 0.5))
     own = np.sqrt(np.mean((1e6 * way.error) ** 2) + np.mean((0.05 * turning) ** 2))  # the criterion once more
     assert 1e6 * way.value == pytest.approx(own, rel=0.01)
     assert np.all(np.abs(np.diff(way.q, axis=0)) <= arm.joint_speed_limit * 0.5)
     assert np.all((way.q >= arm.joint_lower) & (way.q <= arm.joint_upper))
-    with pytest.raises(NoWayError, match="lower the feed"):
-        find_way(Turns(across.cell, course, 1e-3, across.weight), GRID)
+    with pytest.raises(NoTurnsError, match="lower the feed"):
+        best_turns(Turns(across.arm, places, 1e-3, across.weight), GRID)
 
 
 def test_the_command_writes_a_cell_that_runs(tmp_path):
@@ -265,8 +268,8 @@ def test_the_command_writes_a_cell_that_runs(tmp_path):
     result = answered(*words, *settings(*slot))
     assert result["criterion_um"] <= result["criterion_constant_um"] and max(result["joint_speed_share"]) < 1.0
     cell, old = read_cell(result["best"][0]["cell"]), read_cell(find_file("test_piece.yaml"), slot)
-    run = cell.target()
-    assert run.position == pytest.approx(old.target().position, abs=1e-12)
-    assert cell.joints(run).shape == (len(run), 6)
+    run = path_of(cell).target
+    assert run.position == pytest.approx(path_of(old).target.position, abs=1e-12)
+    assert arm_of(cell).joints(run).shape == (len(run), 6)
     assert len((tmp_path / "along.csv").read_text().splitlines()) == len(run) + 1
     assert refused(*words, "--x", "1:2/2")

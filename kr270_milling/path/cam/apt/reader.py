@@ -19,7 +19,9 @@ from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.apt.words import (
     ADVICE,
     CENTRE,
+    CYCLES,
     DATUM,
+    DISTANCES,
     FEEDS,
     LENGTHS,
     MILL,
@@ -29,6 +31,7 @@ from kr270_milling.path.cam.apt.words import (
     TEXTS,
 )
 from kr270_milling.path.cam.comments import kind_of, operation_name
+from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.gcode.words import SILENT_M
 from kr270_milling.path.cam.machine import INCH, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -70,11 +73,13 @@ class _AptReader(Machine):
         self.absolute_centre = True
         self.speed = 0.0  #: [rad/s]
         self.rapid = False
-        self.numbered = False  #: whether LOADTL names the tools
+        self.numbered = False  #: True if LOADTL names the tools
         self.circle: tuple[list[float], int] | None = None  #: its numbers and line, until the GOTO of its end
         self.systems: dict[str, list] = {}  #: word -> its values
         self.units_given = False
         self.announced = False  #: a comment announced an operation by word
+        self.holes: dict[str, float] = {}  #: of the active CYCLE/: depth, clear, step and back [m]
+        self.feed_beside: tuple = ()  #: mode and feed of the moves that are no holes
         self.retracted = 0  #: line of a RETRCT/ that the tool has not come back from
         self.actions: dict[str, Callable[[list[str]], None]]
         self.actions = {"GOTO": self._goto, "FROM": self._from, "GODLTA": self._delta, "CIRCLE": self._circle,
@@ -82,12 +87,13 @@ class _AptReader(Machine):
                         "UNITS": self._units, "FINI": self._end_program, "END": self._end_program,
                         "GOHOME": self._home, "LOADTL": self._load, "LOAD": self._load, "TOOLNO": self._load,
                         "CUTTER": self._cutter, "TLDATA": self._cutter, "CUTCOM": self._compensation,
-                        "RETRCT": self._retract, "AUXFUN": self._auxiliary, "PREFUN": self._preparatory,
+                        "RETRCT": self._retract, "CYCLE": self._cycle,
+                        "AUXFUN": self._auxiliary, "PREFUN": self._preparatory,
                         **{word: functools.partial(self._system, word) for word in SYSTEMS}}  # fmt: skip
 
     @property
     def started(self) -> bool:
-        """Whether the program has stated the place of the tool."""
+        """Return whether the program has stated the place of the tool."""
         return not math.isnan(self.position[0])
 
     # --- lines to statements ---
@@ -175,6 +181,8 @@ class _AptReader(Machine):
         try:
             if self.circle is not None and word in ("CIRCLE", "RAPID", "FROM", "GODLTA", "FINI"):
                 raise StatementError(NO_END)
+            if self.holes and word not in ("GOTO", "CYCLE", "SPINDL", "FINI", "END"):
+                raise StatementError(f"{word} before CYCLE/OFF")
             self.actions[word](values)
         except StatementError as error:
             self.circle = None
@@ -273,6 +281,9 @@ class _AptReader(Machine):
             reason = "RETRCT lifts the tool to a plane of the machine"
             self.program.refuse("RETRCT", reason, MOVES, lost=True, line=self.retracted)
             self.retracted = 0
+        if self.holes:
+            self._drilled(end)
+            return
         axes = dict(zip("XYZ", end, strict=True))
         mode = 0 if self.rapid or not self.started else 1
         if self.circle is not None and mode:
@@ -282,6 +293,74 @@ class _AptReader(Machine):
         self.rapid = False
         self.circle = None
         self.move(axes, mode)
+
+    def _cycle(self, values: list[str]) -> None:
+        """CYCLE/DRILL and others in the words of Creo (fixed and couplet), NX, CATIA: each GOTO that follows is a hole.
+
+        Distances are counted from the point of the GOTO. PTC Creo help, "CL output for holemaking cycles": CYCLE/type,
+        depth, feed, unit, clear, step, or DEPTH, unit and feed, CLEAR, STEP, RETURN; RETURN,0 leads to the height
+        before the cycle, as RTRCTO,AUTO of NX does. Without either the tool returns to the clear height.
+        """
+        if self.holes:
+            (self.feed_mode, self.feed), self.holes = self.feed_beside, {}
+        self.cycle = None
+        if values in (["OFF"], ["NOMORE"]):
+            self.program.count("CYCLE")
+            return
+        kinds, units, numbers, holes = [], [], [], {}
+        rest = iter(values)
+        for value in rest:
+            if value in CYCLES:
+                kinds.append(value)
+            elif value in FEEDS:
+                units.append(value)
+            elif name := DISTANCES.get(value):
+                number = next(rest, "")
+                if name in holes:
+                    raise StatementError(f"CYCLE/ has two words for one distance, the second is {value}")
+                holes[name] = math.inf if (name == "back" and number == "AUTO") else _number(number) * self.unit
+            elif value == "DWELL":
+                _number(next(rest, ""))
+                self.program.silent["DWELL"] += 1
+            elif value[:1].isalpha():
+                raise StatementError(f"CYCLE/ with {short(value)}; {ADVICE['CYCLE']}")
+            else:
+                numbers.append(value)
+        bare = (["depth"] if "depth" not in holes else []) + (["feed"] if units else [])
+        if len(bare) == 2:
+            bare += ["clear", "step"]
+        if len(numbers) > len(bare) or len(units) > 1 or len(numbers) < len(units):
+            sentence = f"CYCLE/ with {len(numbers)} numbers and {len(units)} units of feed"
+            raise StatementError(f"{sentence}; {ADVICE['CYCLE']}")
+        stated = dict(zip(bare, numbers, strict=False))
+        for name in stated.keys() - {"feed"}:
+            if name in holes:
+                raise StatementError(f"CYCLE/ states the {name} twice")
+            holes[name] = _number(stated[name]) * self.unit
+        depth, step, deep = abs(holes.get("depth", 0.0)), holes.get("step", 0.0), CYCLES[kinds[-1]] if kinds else 0
+        if not (kinds and depth and "clear" in holes) or (deep in (73, 83)) != (step > 0.0):
+            raise StatementError("CYCLE/ needs a kind, a depth, a height to go to rapidly and, if DEEP or BRKCHP, STEP")
+        if not self.started:
+            raise StatementError("CYCLE/ before a first GOTO/")
+        self.feed_beside = self.feed_mode, self.feed
+        if units:
+            self._feed([stated["feed"], *units])
+        self.holes = holes | {"depth": depth}
+        self.cycle = Cycle(deep, self.position[2], math.nan, peck=step)
+
+    def _drilled(self, point: list[float]) -> None:
+        """Drill a hole at the point of a GOTO."""
+        cycle, holes, (x, y, z) = self.cycle, self.holes, (value * self.unit for value in point)
+        if cycle is None or self.program.quaternion != TOOL_DOWN:
+            raise StatementError("CYCLE/ along an axis that is not z")
+        cycle.retract, cycle.bottom = z + holes["clear"], z - holes["depth"]
+        back = holes.get("back", 0.0)
+        before = cycle.initial
+        self.to_initial = "back" in holes
+        if math.isfinite(back) and back > 0.0:
+            cycle.initial = z + back
+        self._hole(x, y, cycle)
+        cycle.initial = before
 
     def _circle(self, values: list[str]) -> None:
         """k = 1 is counterclockwise, by the right-hand rule, and in NX, which adds tolerance and tool, clockwise.

@@ -4,12 +4,30 @@ from __future__ import annotations
 
 from kr270_milling.path.cam.machine import INCH, MM
 
-__all__ = ["ADVICE", "CENTRE", "DATUM", "FEEDS", "LENGTHS", "MILL", "MOVES", "SILENT", "SYSTEMS", "TEXTS"]
+__all__ = [
+    "ADVICE",
+    "CENTRE",
+    "CYCLES",
+    "DATUM",
+    "DISTANCES",
+    "FEEDS",
+    "LENGTHS",
+    "MILL",
+    "MOVES",
+    "SILENT",
+    "SYSTEMS",
+    "TEXTS",
+]
 
 LENGTHS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "CM": 1e-2}
 #: unit of FEDRAT -> length [m], None: that of UNITS, and whether it is per revolution
 FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MMPR": (MM, True), "IPR": (INCH, True),
          "PERREV": (None, True)}  # fmt: skip
+#: kind of CYCLE/ -> the cycle of G-code that makes the same hole
+CYCLES = {"DRILL": 81, "FACE": 82, "DEEP": 83, "BRKCHP": 73, "REAM": 85}
+#: word of CYCLE/ -> the distance that follows
+DISTANCES = {"DEPTH": "depth", "FEDTO": "depth", "CLEAR": "clear", "RAPTO": "clear", "STEP": "step", "INCR": "step",
+             "RETURN": "back", "RTRCTO": "back"}  # fmt: skip
 #: words without effect on the path, whatever their values
 SILENT = frozenset({
     "REMARK", "MACHIN", "COOLNT", "DISPLY", "PAINT", "INTOL", "OUTTOL", "TOLER", "END-OF-PATH", "STOP", "OPSTOP",
@@ -18,7 +36,7 @@ SILENT = frozenset({
     "MCHTOL", "ARCSLP", "BREAK", "UNLOAD", "TLON",
 })  # fmt: skip
 TEXTS = ("PARTNO", "PPRINT", "REMARK", "INSERT", "LETTER")  #: their values are text, in which $ is a character
-SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: what the coordinates are counted from
+SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: words that set the origin of the coordinates
 CENTRE = "let the CAM output the path of the tool's centre"
 MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
 ARCS = "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"

@@ -138,6 +138,8 @@ class Interpreter(Machine):
             elif groups.get("tool") == 61:
                 self.program.refuse("M61", "M61 without Q, the number of the tool")
             self.change_tool(self.next_tool)
+            if groups.get("tool") == 6:  # it stops the spindle: NIST RS274/NGC 3.6.3
+                self.turning, self.program.spindle_speed = 0, 0.0
         if "dwell" in groups:
             self._dwell(groups, axes)
         if "offset" in groups or "G15" in groups:

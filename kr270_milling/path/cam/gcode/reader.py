@@ -91,6 +91,9 @@ class GcodeReader:
                 cuts, program.moved = program.cuts, False
             self.run_line(line)
             if self.machine.ended or program.hopeless:
+                codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[program.line :])
+                program.silent["lines after the end"] += sum(map(bool, codes))
+                program.silent = +program.silent
                 return
         # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move
         retract = program.moved and program.cuts == cuts > 0

@@ -100,7 +100,7 @@ class GcodeSource:
     """The lines of a program, and the moves that the corrected tools make in them."""
 
     lines: tuple[str, ...]
-    moves: dict[int, SourceMove]  #: by line, from 1
+    moves: dict[int, SourceMove]  #: line number, from 1 -> blocks
 
     def rewritten(self, ends: dict[int, np.ndarray]) -> list[str]:
         """Return the lines with other end points; ends: line -> points (k, 3) [m].
@@ -161,7 +161,7 @@ def _words(point: np.ndarray, unit: float) -> str:
 
 
 def _rewritten(line: str, move: SourceMove, places: list[str]) -> list[str]:
-    """One line as the blocks that lead to ``places``."""
+    """Return a line as the blocks that lead to ``places``."""
     code = line.lstrip()
     skip = ""
     if mark := SKIP.match(code):

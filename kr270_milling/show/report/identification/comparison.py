@@ -16,7 +16,7 @@ RINGS_ALIKE = 0.05  #: relative difference of two frequencies that agree
 DAMPS_ALIKE = 0.5  #: relative difference of two damping ratios that agree
 SURE = 2.0  #: standard deviations
 LARGE = 0.2  #: share of the largest force component from which a component is compared
-MOST_POINTS = 5000  #: of a channel in the figure
+MOST_POINTS = 5000  #: points of a channel in the figure
 COLUMNS = ("quantity", "measured / simulated", "95 % +-", "offset", "difference RMS")
 UNITS = {"m": (1e6, "um", "um"), "N": (1.0, "n", "N")}  #: unit of a channel -> factor, suffix of keys, unit in tables
 

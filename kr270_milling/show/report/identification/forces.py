@@ -79,7 +79,7 @@ def _table(fit: LawFit) -> TextTable:
 
 
 def _sentences(edge: LawFit, *others: LawFit) -> list[str]:
-    """What the numbers mean."""
+    """Notes that explain the numbers."""
     sentences = []
     if np.isnan(edge.values[4]):
         sentences.append("K_ac and K_ae: fz_n was not measured")

@@ -16,7 +16,7 @@ from kr270_milling.studies.identification.signals import Signals
 __all__ = ["mode_outcome"]
 
 MOST_HZ = 200.0  #: end of the spectrum in the figure
-MOST_POINTS = 4000  #: of a signal in the figure
+MOST_POINTS = 4000  #: points of a signal in the figure
 
 
 def mode_outcome(

@@ -25,8 +25,8 @@ class Outcome:
     tables: Sequence[TextTable]
     sentences: Sequence[str]
     figures: Callable[[], list] | None = None  #: makes the figures of the page; None: no page
-    sections: dict | None = None  #: of the parameter file; None: no parameter file
-    use: str = ""  #: how to include the parameter file
+    sections: dict | None = None  #: text of the parameter file; None: no parameter file
+    use: str = ""  #: sentence that says where to include the parameter file
     refused: bool = False  #: the result must not be used: no parameter file is written
 
     def write(self, directory, self_contained: bool = False) -> list[Path]:

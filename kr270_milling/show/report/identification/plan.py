@@ -15,7 +15,7 @@ from kr270_milling.studies.identification.plan import Candidates, Design
 
 __all__ = ["blind_spots", "load_text", "plan_as_dict", "plan_tables", "write_plan"]
 
-LOADS = ("hang", "pull outward", "pull sideways", "pull between both")  #: by the kind of a candidate
+LOADS = ("hang", "pull outward", "pull sideways", "pull between both")  #: kind of a candidate -> text
 BLIND = 0.5  #: relative standard deviation from which a compliance is practically unknown
 MODULE = "LOADTEST"
 JOINTS = 6  #: further sought numbers are those of the base

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 
-CONFIG = Path(__file__).parent.parent / "config"
+CONFIG = Path(__file__).parents[2] / "config"
 RADIUS = 5e-3  # [m] of the cutter here
 SETTINGS = [  # one level of the stock is 0.1 um
     "tool.diameter_mm=10", "tool.teeth=2", "tool.spindle_speed_rpm=6000", "stock.min_mm=[-20,-15,-6.5535]",

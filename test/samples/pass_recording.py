@@ -10,11 +10,12 @@ import struct
 from pathlib import Path
 
 import pytest
-from recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH
+from samples.recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell_file
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.replay.recompute import recompute
@@ -79,7 +80,7 @@ def passes_of(
     cuts = plant or cell
     robot, cut = RobotProtocol(cuts), CutProtocol(cuts)
     compensator = CompensatorProtocol(cell, plant, now=lambda: begin)
-    parts = [messages(compensator.begin(cell.target()))]
+    parts = [messages(compensator.begin(path_of(cell).target))]
     for file in files:
         parts.append(_exchange(robot, cut, compensator, file))
     return parts

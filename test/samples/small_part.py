@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.path.controller_motion import controller_motion
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,10 @@ class Exchange(Record):
         unit = self.micro_step / spindle_speed
         return self.replace(period=unit * max(1, round(self.engagement_period / unit)))
 
+    def steps_of(self, period: float) -> int:
+        """Exchange periods that make ``period`` [s] at least."""
+        return max(1, math.ceil(period / self.period - 1e-9))
+
     def clock(self, spindle_speed: float) -> Clock:
         """Raises ParameterError where the period is not a whole number of micro-steps at spindle_speed [rad/s]."""
         steps = spindle_speed * self.period / self.micro_step
@@ -57,6 +62,10 @@ class Publish(Record):
         0, low=0, high=1_000_000,
         text="exchange periods from one deflection, and one joint state, to the next; 1: all; 0: as many as make 10 ms",
     )  # fmt: skip
+
+    def steps(self, exchange: Exchange) -> int:
+        """Exchange periods from one published deflection to the next."""
+        return self.every or exchange.steps_of(0.01)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,164 @@
+"""The models of a cell: arm, programmed path and cut; equal cells share what is expensive to make."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.path import check_postures
+from kr270_milling.cell.paths import CellPath, ProgramPath, StraightCut
+from kr270_milling.cell.sections import PathSection
+from kr270_milling.cell.stage import Removal, cleared, removal_along
+from kr270_milling.path.timing import Timing
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import Cut, CutModel, EngagementCut, Stock, Tool
+from kr270_milling.physics.motion.arm_model import arm_model
+from kr270_milling.physics.motion.dynamics import ArmFactors, ArmModel, ModalModel, approach, discretise
+from kr270_milling.physics.motion.periods import Exchange
+
+__all__ = [
+    "arm_model_of",
+    "arm_of",
+    "cut_of",
+    "cut_text_of",
+    "low_frequency_of",
+    "modal_model_of",
+    "path_of",
+    "removal_of",
+]
+
+MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
+RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: a slot then has 97 % of its force
+
+
+def arm_of(cell: Cell) -> PlacedArm:
+    """Return the arm of a cell at its workpiece."""
+    near = cell.start_joints if cell.start_joints.size else cell.posture_hint
+    return PlacedArm(cell.arm, cell.mount, cell.workpiece, cell.dynamics, cell.tool, tuple(near.tolist()))
+
+
+def path_of(cell: Cell) -> CellPath:
+    """Return the programmed path of a cell; its file is read and timed when the path is first used."""
+    by_teeth = not cell.cutting.by_engagement
+    return _path(cell.path.loaded(), cell.stock, cell.tool, cell.timing, cell.exchange, arm_of(cell), by_teeth)
+
+
+@functools.lru_cache(maxsize=4)  # the path of a program of an hour has some 60 MB
+def _path(
+    path: PathSection, stock: Stock, tool: Tool, timing: Timing, exchange: Exchange, arm: PlacedArm, by_teeth: bool
+) -> CellPath:
+    if path.file:
+        return ProgramPath(path, stock, tool, timing, exchange, arm, by_teeth)
+    return StraightCut(path, stock, tool, timing, exchange)
+
+
+def cut_of(cell: Cell, rigid: bool = False) -> CutModel:
+    """Fresh workpiece; of a later tool the stock that the earlier tools leave, rigid: on their programmed paths."""
+    cut: CutModel
+    common = cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step
+    cut = EngagementCut(*common, give=_give(cell)) if cell.cutting.by_engagement else Cut(*common)
+    if cell.earlier:
+        cut.continue_from(cleared(cell.earlier, cell.stock, not rigid))
+    return cut
+
+
+def _give(cell: Cell) -> float:
+    """Displacement of the tip along z after an exchange period under a force along z, from rest [m/N]."""
+    ratio, period = cell.dynamics.damping_ratio, cell.exchange.period
+    _, driven, output, feedthrough = discretise(modal_model_of(cell), ratio, period)
+    return float((output @ driven + feedthrough)[2, 2])
+
+
+def modal_model_of(cell: Cell) -> ModalModel:
+    """Modes at the posture where the target trajectory starts, in workpiece axes."""
+    return _start_modes(arm_of(cell), path_of(cell))
+
+
+@functools.lru_cache(maxsize=8)
+def _start_modes(arm: PlacedArm, path: CellPath) -> ModalModel:
+    return arm.modes_at(arm.joints(path.target)[:1])[0]
+
+
+def arm_model_of(cell: Cell, reference: Trajectory, factors: ArmFactors | None = None) -> ArmModel:
+    """Eq. (1) over one exchange period, at the posture where the reference starts or along all of it.
+
+    factors: of an identified arm on the modes.
+    """
+    arm, dynamics = arm_of(cell), cell.dynamics
+    between, stamps = _postures(cell, reference)
+    models = arm.modes_at(arm.joints_along(reference, stamps))
+    if factors is not None:
+        models = [model.scaled(factors, dynamics.damping_ratio) for model in models]
+    before = np.zeros(6) if reference.standing[0] else approach(path_of(cell).target)
+    ratio, inertia = dynamics.damping_ratio, dynamics.reference_inertia
+    revolution = 2.0 * math.pi / cell.tool.spindle_speed
+    return arm_model(models, ratio, cell.exchange.period, between, inertia, before, revolution)
+
+
+def _postures(cell: Cell, reference: Trajectory) -> tuple[int, np.ndarray]:
+    """Exchange periods between two modelled postures, and the stamps [ns] of the postures."""
+    if not cell.dynamics.follow_pose:
+        return 1, np.zeros(1, np.int64)
+    path, spacing = path_of(cell), cell.dynamics.posture_spacing
+    steps, least = path.clock.steps(reference.duration_ns), 1
+    if cell.cutting.by_engagement:  # a rapid move has no force, and a long program does not need every posture
+        fastest, least = path.feed_rate, -(-steps // MOST_LONG_POSTURES)
+    else:
+        fastest = float(np.max(reference.feed(reference.time_ns)))
+    between = max(least, int(spacing / max(fastest, 1e-9) / cell.exchange.period))
+    knots = -(-steps // between)
+    check_postures(knots + 1, spacing)
+    return between, path.clock.stamp(np.arange(knots + 1) * between)
+
+
+def low_frequency_of(cell: Cell) -> float:
+    """[Hz], the lowest mode that moves the tool across the feed more than along it.
+
+    The feed is that of a straight cut, +x of the workpiece frame; NaN for a tool path, which has no one feed.
+    """
+    if not path_of(cell).straight:
+        return math.nan
+    model = modal_model_of(cell)
+    moves = model.output @ model.shape
+    lateral = np.abs(moves[1]) > np.abs(moves[0])
+    return float(model.frequency[lateral][0] if lateral.any() else model.frequency[0]) / (2 * np.pi)
+
+
+def cut_text_of(cell: Cell) -> str:
+    """The models of cut and tool in one line."""
+    tool = cell.tool.compliance_text
+    if not cell.cutting.by_engagement:
+        return f"cut: teeth, each tooth by itself{_thin_chips(path_of(cell))}; {tool}"
+    period, step = 1e3 * cell.exchange.period, 1e3 * cell.stock.grid_step
+    return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
+
+
+def _thin_chips(path: CellPath) -> str:
+    """A clause where the sweep of the teeth resolves the chips of a slow feed too coarsely, else empty.
+
+    A tooth meets f R dphi / ds^2 nodes in a micro-step, f the feed per tooth. A micro-step that meets none has no
+    force of the edge: with 5, 2.7, 1.4 and 0.7 nodes a slot showed 95, 88, 73 and 46 % of its force.
+    """
+    feed, tool = path.slow_feed, path.tool
+    per_tooth = feed * 2.0 * math.pi / (tool.spindle_speed * tool.teeth) if tool.spindle_speed else math.inf
+    nodes = per_tooth * float(tool.radii.max()) * path.exchange.micro_step / path.stock.grid_step**2
+    if feed == 0.0 or nodes >= RESOLVED_NODES:
+        return ""
+    return (
+        f" (at {6e4 * feed:.3g} mm/min a tooth meets {nodes:.2g} nodes of the grid a micro-step, below "
+        f"{RESOLVED_NODES:g}: the force of thin chips is too low; set a finer stock.grid_step_um or a coarser "
+        "exchange.micro_step_deg)"
+    )
+
+
+def removal_of(cell: Cell) -> Removal:
+    """What the tool removes along its programmed path; raises InputError without a program."""
+    fed = path_of(cell).fed
+    if fed is None:
+        raise InputError("path.file", "is empty, and a straight cut is no program")
+    return removal_along(cell.path.tool, cell.tool, fed.toolpath)

@@ -1,0 +1,9 @@
+(expect: refused G83 without Q)
+G21 G90 G17
+(T1 D=8. - DRILL)
+T1 M6
+S2000 M3
+G0 X0 Y0 Z5
+G83 X0 Y0 Z-30 R2 F100
+G80
+M30

@@ -1,0 +1,14 @@
+(expect: warning plunge)
+(set: cutting.detail=engagement)
+(set: tool.centre_cutting=false)
+(set: tool.type=indexable)
+G21 G90 G17
+(T1 D=25. CR=0. - FLAT END MILL 2 FLUTES)
+T1 M6
+S4000 M3
+G0 X0 Y0 Z5
+G1 Z0 F400
+X11.196 Z-3 F500
+X0
+G0 Z5
+M30

@@ -1,0 +1,11 @@
+(expect: may be run)
+(set: cutting.detail=engagement)
+G21 G90 G17
+(T1 END MILL D10 FOR BALL SEAT POCKET)
+T1 M6
+S8000 M3
+G0 X0 Y0 Z5
+G1 Z-1 F200
+X40 F800
+G0 Z5
+M30
