@@ -12,8 +12,9 @@ from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, long_p
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
-from kr270_milling.decide.decision import Decision, decided
+from kr270_milling.decide.decision import ENOUGH, Decision, decided
 from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.decide.limits import Limit, limits
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
@@ -114,8 +115,12 @@ def compensate(
         with progress("verdict") as report:
             judged = _verdict(cell, compared, revised, robots, seed, report, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
+    rows: tuple[Limit, ...] = ()
+    if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
+        with progress("limits"):
+            rows = limits(cell, written_trajectory(cell, revised.reference, motion))
     backlash = backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, checked.load_reversals, bool(judged))
-    decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
+    decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)
     return JudgedCompensation(programmed, plan, revised, by, parts, checked, decision, motions)
 
 

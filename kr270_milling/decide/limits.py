@@ -60,6 +60,16 @@ class Limit:
         """Robots within tolerance if this is measured; shares: errors of the robots as shares of the tolerance."""
         return int(np.sum(shares * np.sqrt(1.0 - self.share) <= 1.0))
 
+    def as_dict(self, shares: np.ndarray | None) -> dict:
+        """For JSON; shares: see ``within``, None without a tolerance."""
+        within = None if shares is None else self.within(shares)
+        return {
+            "unknown": self.name,
+            "share": self.share,
+            "measurement": self.measurement,
+            "within_if_measured": within,
+        }
+
 
 def limits(cell: Cell, reference: Trajectory) -> tuple[Limit, ...]:
     """The unknowns of a cell along the reference of a program, the largest share first."""

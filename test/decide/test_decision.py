@@ -20,6 +20,7 @@ from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide import compensation
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 from kr270_milling.decide.exchange_share import exchange_share
+from kr270_milling.decide.limits import Limit, limits
 from kr270_milling.decide.tolerance import SURFACE_ERROR, Gauge, Judgement, judge_part
 from kr270_milling.decide.tolerance import judge as tolerance_judge
 from kr270_milling.decide.verdict import (
@@ -91,8 +92,8 @@ MEETS = "largest wall or floor error meets 100 um on the model (5 um)"
 @pytest.mark.parametrize(("result", "level", "sentence"), [
     (decision(verdict=plants(*[50] * 9, 300)), YES, f"{MEETS} and in 9 of 10 simulated robots (90 %, median 50 um)"),
     (decision(verdict=plants(*[50] * 5, *[300] * 5)), CAUTION, f"{MEETS} and in 5 of 10 simulated robots (50 %"),
-    (decision(verdict=plants(*[50] * 9, *[118] * 19)), NO,
-     f"{MEETS} and in 9 of 28 simulated robots (32 %, median 118 um); reduce the uncertainty: identify compliances"),
+    (decision(verdict=plants(*[50] * 9, *[118] * 19), limits=(Limit("base", 0.4, "load tests"),)), NO,
+     f"{MEETS} and in 9 of 28 simulated robots (32 %, median 118 um); measure: base, load tests: 9 -> 28 of 28 robots"),
     (decision(verdict=plants(*[50] * 8, np.nan, np.nan)), CAUTION, f"{MEETS} and in 8 of 10"),  # two plants failed
     (decision(130 * UM, verdict=plants(*[50] * 10)), NO, "misses 100 um on the model (130 um at pocket)"),
     (decision(stops=("axis 5 leaves its range", "another"), verdict=plants(*[50] * 10)), NO,
@@ -104,6 +105,18 @@ MEETS = "largest wall or floor error meets 100 um on the model (5 um)"
 def test_stop_model_and_nine_of_ten_plants_decide_and_the_sentence_has_the_reason(result, level, sentence):
     assert (result.level, result.exit_code) == (level, level == NO) and sentence in result.sentence
     assert result.may_be_run == ("must not be run" not in sentence)
+
+
+def test_the_only_unknown_has_the_whole_band_and_a_measurement_of_it_brings_every_robot_within(tmp_path):
+    """Two unknowns, of which one changes nothing here: a delay of motors that follow no correction."""
+    part = small_part(tmp_path, GCODE, *MOVING)
+    numbers = {k: 0.0 for k, v in vars(part.uncertainty).items() if isinstance(v, float) and k != "reference_inertia"}
+    known = part.uncertainty.replace(servo_frequency=np.array([]), end_share=np.array([]), **numbers)
+    soft = part.replace(uncertainty=known.replace(base_compliance=0.08e-6, servo_delay=4e-3))
+    first, second = limits(soft, path_of(soft).target)
+    assert (first.name, second.name) == ("base", "servo lag") and (first.share, second.share) == (1.0, 0.0)
+    assert first.within(np.array([0.9, 1.5, 3.0])) == 3 and second.within(np.array([0.9, 1.5, 3.0])) == 1
+    assert limits(part.replace(uncertainty=known), path_of(part).target) == ()
 
 
 def test_a_method_is_recommended_only_where_methods_were_compared():
