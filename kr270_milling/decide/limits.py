@@ -63,12 +63,7 @@ class Limit:
     def as_dict(self, shares: np.ndarray | None) -> dict:
         """For JSON; shares: see ``within``, None without a tolerance."""
         within = None if shares is None else self.within(shares)
-        return {
-            "unknown": self.name,
-            "share": self.share,
-            "measurement": self.measurement,
-            "within_if_measured": within,
-        }
+        return {"unknown": self.name, "share": self.share, "measurement": self.measurement, "within": within}
 
 
 def limits(cell: Cell, reference: Trajectory) -> tuple[Limit, ...]:
