@@ -28,7 +28,6 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 
 __all__ = ["Limit", "limit_line", "limits", "measurements"]
 
-DRAWN = 6  #: robots of each unknown
 SEED = 1_000_001  #: of these robots, beyond the seeds of verdicts and of ``robust``
 SHOWN = 3  #: unknowns in a line
 #: name of each unknown: its keys of ``uncertainty``, and the measurement with its instrument and minutes (assumed)
@@ -66,8 +65,11 @@ class Limit:
         return {"unknown": self.name, "share": self.share, "measurement": self.measurement, "within": within}
 
 
-def limits(cell: Cell, reference: Trajectory) -> tuple[Limit, ...]:
-    """The unknowns of a cell along the reference of a program, the largest share first."""
+def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
+    """The unknowns of a cell along the reference of a program, the largest share first.
+
+    count: robots drawn for each unknown; four know a share to about a third of it.
+    """
     model, assumed = coarser(cell), cell.uncertainty
     ran = Plant(model, model, Imperfections()).run(reference)
     known = assumed.replace(
@@ -78,7 +80,7 @@ def limits(cell: Cell, reference: Trajectory) -> tuple[Limit, ...]:
         left = {key: getattr(assumed, key) for key in keys}
         if any(np.any(value) for value in left.values()):
             rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
-            drawn += [(name, perturbed(other, rng)) for _ in range(DRAWN)]
+            drawn += [(name, perturbed(other, rng)) for _ in range(count)]
     with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
         squares = list(pool.map(lambda one: _change(model, one[1], reference, ran), drawn))
     size = dict.fromkeys((name for name, _ in drawn), 0.0)

@@ -113,10 +113,10 @@ def test_the_only_unknown_has_the_whole_band_and_a_measurement_of_it_brings_ever
     numbers = {k: 0.0 for k, v in vars(part.uncertainty).items() if isinstance(v, float) and k != "reference_inertia"}
     known = part.uncertainty.replace(servo_frequency=np.array([]), end_share=np.array([]), **numbers)
     soft = part.replace(uncertainty=known.replace(base_compliance=0.08e-6, servo_delay=4e-3))
-    first, second = limits(soft, path_of(soft).target)
+    first, second = limits(soft, path_of(soft).target, 2)
     assert (first.name, second.name) == ("base", "servo lag") and first.share == pytest.approx(1.0, abs=1e-12)
     assert first.within(np.array([0.9, 1.5, 3.0])) == 3 and second.within(np.array([0.9, 1.5, 3.0])) == 1
-    assert limits(part.replace(uncertainty=known), path_of(part).target) == ()
+    assert limits(part.replace(uncertainty=known), path_of(part).target, 2) == ()
 
 
 def test_a_method_is_recommended_only_where_methods_were_compared():
