@@ -374,7 +374,8 @@ def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]
     results = violations("plunge", met.sunk, 0.0, steep, part="cutter plunges", most="", **where)
     core = core_radius(tool.radius)
     solid, part = 2.0 * core * SOLID_RAMP, f"middle of the cutter, {2e3 * core:.3g} mm wide, sinks"
-    program = path_of(cell).timed.toolpath.program.current if cell.timed_path else None
+    timed = path_of(cell).timed
+    program = timed.toolpath.program.current if timed else None
     inserts = tool.type == "indexable" or (tool.type == "program" and program is not None and program.inserts)
     limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if inserts and tool.diameter >= LEAST_INSERTS else solid
     for allowed, severity in ((limit, "stop"), (solid, "warning")):

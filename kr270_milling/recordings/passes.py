@@ -18,7 +18,7 @@ from kr270_milling.recordings.bag.series import TopicSeries, several
 from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes, type_of
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["GraphRecord", "PassSeries", "Series", "read_graph", "topic_of"]
+__all__ = ["EXCHANGED", "GraphRecord", "PassSeries", "Series", "own_topics", "read_graph"]
 
 EXCHANGED = ("tool_pose", "wrench", "deflection")
 UNIT_LENGTH = 1e-3  #: allowed difference of a quaternion's length from 1, as the nodes allow it
@@ -60,7 +60,7 @@ NOTHING = Series(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PassSeries:
-    """One pass, along the reference that states its start."""
+    """One pass along one reference, of the simulated robot, of a robot with another clock or of an RSI session."""
 
     number: int  #: of the reference in the recording, from 0
     reference: Trajectory
@@ -68,6 +68,10 @@ class PassSeries:
     series: dict[str, Series]  #: by topic
     maps: tuple[StockMap, ...] = ()  #: of the workpiece
     reason: str = ""  #: why the pass cannot be used; empty: it can
+    wall_s: float = float("nan")  #: wall time that the robot reported [s]
+    stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
+    driven_lost: int = 0  #: poses that are missing where a driver stamps them
+    driven_whole: bool = False  #: a driven pass has no gap and runs to the end of its reference
 
     def topic(self, name: str) -> Series:
         return self.series.get(name, NOTHING)
@@ -90,7 +94,6 @@ class GraphRecord:
     published: list[Trajectory] = dataclasses.field(default_factory=list)  #: the same, with the bits of the messages
     targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: by fingerprint, in this order
     states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: in this order
-    walls: list[float] = dataclasses.field(default_factory=list)  #: reported wall times of complete passes [s]
     refused: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that cannot be read
     outside: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages of no exchange of a pass
     passes: list[PassSeries] = dataclasses.field(default_factory=list)  #: of the simulated robot, by their starts
@@ -110,7 +113,7 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
         matches = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
         matches = [topic for topic in matches if topic in recording.topics()]
     else:
-        matches = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
+        matches = own_topics(recording, name)
         ours = [topic for topic in matches if recording.topics()[topic].type == TYPES[name]]
         matches = ours or matches
     if len(matches) != 1:
@@ -118,6 +121,16 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
         several += f" in the namespace {namespace}" if namespace is not None else ""
         raise RecordingError(recording.path, f"the topic {name} {several}")
     return matches[0]
+
+
+def own_topics(recording: Recording, name: str) -> list[str]:
+    """Return the topics that end with a name: those in the namespace of a reference trajectory, or all if none is.
+
+    Without a reference trajectory the namespace is empty.
+    """
+    spaces = [topic.rpartition("/")[0] for topic in recording.topics() if topic.endswith("/reference_trajectory")]
+    matches = [topic for topic in recording.topics() if topic.endswith(f"/{name}")]
+    return [topic for topic in matches if topic.removesuffix(f"/{name}") in (spaces or [""])] or matches
 
 
 def read_graph(
@@ -138,6 +151,7 @@ def read_graph(
     graph = GraphRecord(space, {**topics, "reference_trajectory": reference})
     joints: list[JointSample] = []
     maps: list[StockMap] = []
+    walls: list[float] = []  # of complete passes [s]
 
     def add_reference(data: bytes) -> Trajectory:
         reference, as_sent = trajectory_from_bytes(data), trajectory_from_bytes(data, as_sent=True)
@@ -156,7 +170,7 @@ def read_graph(
     if "/diagnostics" in recording.topics():
         with contextlib.suppress(RecordingError):  # of another kind; only the wall times are missing then
             decode = recording.decoder("/diagnostics")
-            others["/diagnostics"] = lambda data: graph.walls.extend(_wall_times(decode, data, graph.walls))
+            others["/diagnostics"] = lambda data: walls.extend(_wall_times(decode, data, walls))
     others = {name: take for name, take in others.items() if name in recording.topics()}
     series = several(recording, list(topics.values()), others, WORKPIECE, on_damage)
     if not graph.references:
@@ -166,7 +180,7 @@ def read_graph(
     if own:  # by name: a gripper may publish on the same topic
         table = np.array([[one.position[one.names.index(name)] for name in joint_names] for one in own])
         recorded["joint_states"] = TopicSeries(np.array([one.stamp for one in own], np.int64), table)
-    graph.passes = list(_passes(graph, clock, recorded, maps))
+    graph.passes = _passes(graph, clock, recorded, maps, walls)
     for name, one in recorded.items():
         graph.outside[name] = one.stamp.size - sum(part.topic(name).step.size for part in graph.passes)
     return graph
@@ -197,11 +211,18 @@ def _wall_times(decode: Callable, data: bytes, known: list[float]) -> list[float
     return []
 
 
-def _passes(graph: GraphRecord, clock: StepClock, recorded: dict[str, TopicSeries], maps: list[StockMap]):
-    """Yield the passes: references with a pose of the exchange between their start and the next one."""
+def _passes(
+    graph: GraphRecord,
+    clock: StepClock,
+    recorded: dict[str, TopicSeries],
+    maps: list[StockMap],
+    walls: list[float],
+) -> list[PassSeries]:
+    """Return the passes: references with a pose of the exchange between their start and the next one."""
     # of two references with one start, the later one replaced the other before the pass
     starts = {reference.start_ns: (number, reference) for number, reference in enumerate(graph.references)}
     ordered = sorted(starts)
+    passes: list[PassSeries] = []
     for start, end in zip(ordered, [*ordered[1:], np.iinfo(np.int64).max], strict=True):
         number, reference = starts[start]
         last = clock.steps(reference.duration_ns)
@@ -211,9 +232,12 @@ def _passes(graph: GraphRecord, clock: StepClock, recorded: dict[str, TopicSerie
             continue
         published = recorded.get("deflection")  # once an exchange
         starting = 0 if published is None else int(np.count_nonzero(published.stamp == start))
-        reason = f"{starting} passes have one start" if starting > 1 else ""
+        reason = f"does not separate its passes: {starting} passes have one start" if starting > 1 else ""
         inside = tuple(one for one in maps if start <= one.stamp < end)
-        yield PassSeries(number, reference, graph.target_of(reference), series, inside, reason)
+        passes.append(PassSeries(number, reference, graph.target_of(reference), series, inside, reason))
+    if len(walls) == len(passes):
+        return [dataclasses.replace(one, wall_s=wall) for one, wall in zip(passes, walls, strict=True)]
+    return passes
 
 
 def _cut(clock: StepClock, one: TopicSeries, name: str, start: int, end: int, last: int) -> Series:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,19 +14,17 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
-from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import recorded_cells
-from kr270_milling.exchange.replay.driven import driven_passes, driven_steps, poses_lost, rsi_pass
+from kr270_milling.exchange.replay.driven import read_passes, too_long
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import series
-from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
+from kr270_milling.recordings.passes import EXCHANGED, PassSeries, Series
 
 __all__ = ["RecordedFacts", "pass_from_recording", "passes_from_recording"]
 
-EXCHANGED = ("tool_pose", "deflection", "wrench")
+NO_PASS = "poses, wrenches and deflections of at least one period"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ class RecordedFacts:
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
     program: str | None = None  #: text of the tool path file, where the recording carries it
     stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
-    unused: tuple[str, ...] = ()  #: of each pass of the recording that cannot be used, the reason
+    unused: Mapping[str, str] = dataclasses.field(default_factory=dict)  #: pass that cannot be used: reason
 
 
 def pass_from_recording(
@@ -59,98 +57,51 @@ def passes_from_recording(
 ) -> list[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
     """Return every pass of a recording and its facts, along reference and target of its time; the file is read once.
 
-    A file that was cut off gives the part that is there. A pass that cannot be used is left out; the facts of the
-    others name it. remap: see ``Recording``; cell_file: see ``recorded_cells``. Raises RecordingError where no pass
-    can be used.
+    A file that was cut off gives the part that is there. The facts name each pass that cannot be used.
+    remap: see ``Recording``; cell_file: see ``recorded_cells``. Raises RecordingError where no pass can be used.
     """
     with Recording(path, remap=remap) as recording:
         cells = recorded_cells(recording, cell_file)
-        cell, _ = cells
-        graph = read_graph(recording, path_of(cell).clock, namespace)
-        program = _program(recording, cell)
-        rsi = f"{graph.namespace}/correction" in recording.topics()
-        unused: list[str] = []
-        name = name or recording.path.stem
-        passes = [] if rsi else list(_exchanged(recording, cells, graph, name, program, unused))
-        passes = passes or list(_driven(recording, cells, graph, rsi, name, program, unused))
+        read = read_passes(recording, cells[0], namespace)
+        name, program = name or recording.path.stem, _program(recording, cells[0])
+        names = [f"{name}_{number}" if len(read) > 1 else name for number in range(1, len(read) + 1)]
+        results = [_scored(recording, cells, *one, program) for one in zip(read, names, strict=True)]
+    passes = [result for result in results if not isinstance(result, str)]
+    unused = {name: result for name, result in zip(names, results, strict=True) if isinstance(result, str)}
     if not passes:
-        reason = "poses, wrenches and deflections of at least one period, or a pass of a robot with another clock"
-        reason = unused[0] if unused else f"holds no pass: {reason}"
-        raise RecordingError(recording.path, reason)
-    passes = [(ran, dataclasses.replace(facts, unused=tuple(unused))) for ran, facts in passes]
-    if len(passes) == 1:
-        return passes
-    return [(dataclasses.replace(ran, name=f"{name}_{n}"), facts) for n, (ran, facts) in enumerate(passes, 1)]
-
-
-def _exchanged(
-    recording: Recording, cells: tuple[Cell, Cell], graph: GraphRecord, name: str, program: str | None,
-    unused: list[str],
-) -> Iterator[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
-    """Yield the scored passes of the simulated robot."""
-    walls = graph.walls if len(graph.walls) == len(graph.passes) else [float("nan")] * len(graph.passes)
-    for one, wall in zip(graph.passes, walls, strict=True):
-        if one.reason:
-            unused.append(f"does not separate its passes: {one.reason}")
-        elif (scored_pass := _scored(recording, cells, one, wall, name, program)) is not None:
-            yield scored_pass
-
-
-def _driven(
-    recording: Recording, cells: tuple[Cell, Cell], graph: GraphRecord, rsi: bool, name: str, program: str | None,
-    unused: list[str],
-) -> Iterator[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
-    """Yield the scored passes whose poses have the stamps of a driver. Raises RecordingError."""
-    cell, plant = cells
-    default = path_of(cell).target
-    if rsi:
-        (reference,) = graph.references
-        programmed = graph.target_of(reference) or reference
-        place = series(recording, graph.topics["tool_pose"]).values[:, :3]
-        driven = iter([rsi_pass(recording, cell, programmed, reference, place)])
-    else:
-        driven = driven_passes(recording, cell, graph.topics, unused)
-    for reference, received, whole in driven:
-        _check_duration(recording, cell, reference)
-        target = default if rsi else graph.target_of(reference) or default
-        steps, tool, wrench = driven_steps(path_of(cell).clock, reference, received, whole)
-        off = tool - reference.sample(path_of(cell).clock.stamp(steps))
-        rows = {"tool_pose": tool, "deflection": np.hstack([off, np.zeros_like(off)]), "wrench": wrench}
-        result = _result(cells, target, reference, steps, rows, float("nan"))
-        ran = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
-        lost, complete = poses_lost(received), whole and not recording.cut_off
-        stamps = "place" if rsi else "driver's"
-        yield ran, RecordedFacts(cell, target, lost, lost, complete, program, stamps)
-
-
-def _check_duration(recording: Recording, cell: Cell, reference: Trajectory) -> int:
-    """Return the last exchange of a pass. Raises RecordingError where the reference takes too long."""
-    last = path_of(cell).clock.steps(reference.duration_ns)
-    if last > MOST_STEPS:
-        raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
-    return last
+        reason = f"holds no pass: {NO_PASS}, or a pass of a robot with another clock"
+        raise RecordingError(recording.path, next(iter(unused.values()), reason))
+    return [(ran, dataclasses.replace(facts, unused=unused)) for ran, facts in passes]
 
 
 def _scored(
-    recording: Recording, cells: tuple[Cell, Cell], one: PassSeries, wall: float, name: str, program: str | None
-) -> tuple[ScoredPass, RecordedFacts] | None:  # fmt: skip
-    """Return the scored pass; None where poses, wrenches and deflections of at least one period are missing."""
+    recording: Recording, cells: tuple[Cell, Cell], one: PassSeries, name: str, program: str | None
+) -> tuple[ScoredPass, RecordedFacts] | str:
+    """Return the scored pass, or the reason why it cannot be used."""
     cell, plant = cells
     reference, target = one.reference, one.target or path_of(cell).target
-    last = _check_duration(recording, cell, reference)
+    if reason := one.reason or too_long(cell, reference):
+        return reason
+    last = path_of(cell).clock.steps(reference.duration_ns)
     recorded = {kind: one.topic(kind).last() for kind in EXCHANGED}
-    course = imperfect_course(plant, reference, 0)
-    whole = recorded | {"deflection": _all_deflections(plant, reference, course, recorded)}
-    steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in whole.values()))
+    driven = one.stamps != "exchange"
+    course = reference if driven else imperfect_course(plant, reference, 0)
+    if not driven:
+        recorded["deflection"] = _all_deflections(plant, reference, course, recorded)
+    steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in recorded.values()))
     if steps.size < 2:
-        return None
-    rows = {kind: part.values[np.searchsorted(part.step, steps)] for kind, part in whole.items()}
-    ended = int(steps[-1]) == last
-    lost, thinned = one.lost(int(steps[-1]), cell.publish.steps(cell.exchange)), cell.publish.steps(cell.exchange)
-    result = _result(cells, target, course, steps, rows, wall)
+        return f"has no {NO_PASS}"
+    rows = {kind: part.values[np.searchsorted(part.step, steps)] for kind, part in recorded.items()}
+    if driven:
+        lost = to_end = one.driven_lost
+        complete = one.driven_whole
+    else:
+        lost, to_end = (one.lost(end, cell.publish.steps(cell.exchange)) for end in (int(steps[-1]), last))
+        complete = int(steps[-1]) == last and not lost
+    result = _result(cells, target, course, steps, rows, one.wall_s)
     ran = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
-    complete = ended and not lost and not recording.cut_off
-    return ran, RecordedFacts(cell, target, lost, one.lost(last, thinned), complete, program)
+    complete = complete and not recording.cut_off
+    return ran, RecordedFacts(cell, target, lost, to_end, complete, program, one.stamps)
 
 
 def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, recorded: dict[str, Series]) -> Series:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import sys
@@ -104,7 +103,6 @@ class Graph:
         self._refuse_second()
         self._start_nodes()
         self.driver.transition("configure", *CELL, deadline=UP)
-        self._share_out_cores()
         self.up_s = time.monotonic() - started
         return self
 
@@ -137,18 +135,6 @@ class Graph:
         """Return arguments that limit the recording to the namespace and the reports of all nodes."""
         space = self.driver.namespace
         return () if space == "/" else ("-p", f"topics:=[{space}/*,/diagnostics]")
-
-    def _share_out_cores(self) -> None:
-        """Keep robot and cut on one core, and compensator and recorder on the others.
-
-        Robot and cut work in turns. To wake up a process on another core took as long as the whole exchange.
-        """
-        cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-        if len(cores) < 2:
-            return
-        own = sorted(cores)[os.getpid() % len(cores)]
-        for node, child in self.children.items():
-            child.keep_to({own} if node in CELL else cores - {own})
 
     def check(self) -> None:
         """Called some 50 times a second while the run waits; raises when the run cannot continue."""

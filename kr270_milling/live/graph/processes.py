@@ -116,15 +116,6 @@ class Child:
             lines = stream.read().decode("utf-8", "replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
-    def keep_to(self, cores: set[int]) -> None:
-        """Run every present and future thread of the process on these cores only."""
-        tasks: list[str] = []
-        with contextlib.suppress(OSError):  # the process has ended
-            tasks = os.listdir(f"/proc/{self.pid}/task")
-        for task in tasks:
-            with contextlib.suppress(OSError):  # the thread has ended
-                os.sched_setaffinity(int(task), cores)
-
     def signal(self, number: int) -> None:
         if self.alive:
             with contextlib.suppress(ProcessLookupError):

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange
+from rclpy.duration import Duration
 from rclpy.timer import Timer
 
 from kr270_milling.base.frames import WORKPIECE
@@ -16,14 +17,16 @@ from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, LOST, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
-from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, ROBOT
 
 __all__ = ["CompliantRobot"]
 
 LOOK = 0.1  # [s] of the wall clock between two checks
 AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
-MOST_EXCHANGES = 8000  # that the pass may be ahead of compensator or recorder, whose queues have 20,000 messages
-FRESH = 1.0  # [s] of the wall clock; the pass does not wait for a node whose last status is older
+#: exchanges from one check that every subscriber has the poses to the next: a fifth of the history of the publisher.
+#: A check takes 0 to 20 ms, the time to the next heartbeat of the profile; a subscriber that was killed delays the pass
+#: until its lease ends, 20 s
+CHECK = 4000
 
 
 class CompliantRobot(ManagedNode):
@@ -37,7 +40,6 @@ class CompliantRobot(ManagedNode):
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
         self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
         self._pace_timer: Timer | None = None
-        self._most_ahead = round(MOST_EXCHANGES * path_of(self.cell).clock.period * 1e9)  # [ns]
         self._given_up = False
         self._late: list = []  # outputs that wait for the wall clock
         self._silence = Silence()
@@ -46,8 +48,7 @@ class CompliantRobot(ManagedNode):
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
         self._planner = self.subscribe(status_topic(COMPENSATOR), self._on_planner)
         self._cut = self.subscribe(status_topic(CUT), self._on_cut)
-        self.subscribe(status_topic(RECORDER), self._on_recorder)
-        self._readers: dict[str, tuple[float, int]] = {}  # node: arrival of its status [s], stamp of its last pose [ns]
+        self._exchanges = 0  # since the last check
         self._ready = False  # as the compensator reported last
         self._cut_active = False  # as the cutting process reported last
         self.create_timer(LOOK, self._watch_answer)
@@ -76,26 +77,20 @@ class CompliantRobot(ManagedNode):
         self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
 
     def _on_planner(self, text: Text) -> None:
-        status = Status.from_text(text.text)
-        self._ready = not status.values.get("waiting_for")
-        self._note_reader(COMPENSATOR, status)
+        self._ready = not Status.from_text(text.text).values.get("waiting_for")
 
     def _on_cut(self, text: Text) -> None:
         self._cut_active = bool(Status.from_text(text.text).values.get("active"))
 
-    def _on_recorder(self, text: Text) -> None:
-        self._note_reader(RECORDER, Status.from_text(text.text))
-
-    def _note_reader(self, node: str, status: Status) -> None:
-        """Note the last pose that a node has read."""
-        stamp = status.stamps_ns.get(self.outlets["tool_pose"].topic_name, -1)
-        self._readers[node] = time.monotonic(), stamp
-
     def _is_too_far_ahead(self) -> bool:
-        """Return whether compensator or recorder are so far behind in this pass that they would lose messages."""
-        start, late = self.protocol.start_ns, self.protocol.awaited_ns - self._most_ahead
-        since = time.monotonic() - FRESH
-        return any(start <= stamp < late and arrival > since for arrival, stamp in self._readers.values())
+        """Return whether a subscriber lacks poses; one that is stopped, or has no room, confirms none."""
+        self._exchanges += 1
+        if self._exchanges < CHECK:
+            return False
+        if self.outlets["tool_pose"].wait_for_all_acked(Duration(seconds=LOOK)):
+            self._exchanges = 0
+            return False
+        return True
 
     @guarded
     def _watch_answer(self) -> None:
@@ -156,6 +151,9 @@ class CompliantRobot(ManagedNode):
         if self._pace_timer is not None:
             self.destroy_timer(self._pace_timer)
         self._silence.end()
+        if self.protocol.started and self._exchanges >= CHECK and self._is_too_far_ahead():
+            self._pace_timer = self.create_timer(LOOK, self._ask_late)
+            return
         late, self._late = self._late, []
         if self.protocol.started:
             self.send(late)

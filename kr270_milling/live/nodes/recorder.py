@@ -14,7 +14,6 @@ from kr270_milling.base.samples import Text
 from kr270_milling.live.nodes.recording_session import RecordingSession
 from kr270_milling.live.ros.names import resolved_topic
 from kr270_milling.live.ros.node import OK, ReportingNode
-from kr270_milling.live.ros.polling import POLL_PERIOD
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.topics import RECORDER
 
@@ -57,7 +56,6 @@ class Recorder(ReportingNode):
             self.report(OK, "waiting for a directory")
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(DISCOVERY_PERIOD, self._discover)
-        self.create_timer(POLL_PERIOD, self._poll)
 
     def _texts(self, name: str, about: str, **fields) -> list[str]:
         """Declare a parameter of one text, or of several as a list or separated by commas."""
@@ -105,10 +103,6 @@ class Recorder(ReportingNode):
         if self.session is not None:
             self.session.discover()
 
-    def _poll(self) -> None:
-        if self.session is not None:
-            self.session.poll()
-
     def watch(self) -> dict:
         return {} if self.session is None else self.session.watch()
 
@@ -116,7 +110,7 @@ class Recorder(ReportingNode):
         return {} if self.session is None else self.session.stamps()
 
     def close(self) -> str | None:
-        """Close the file with the messages that have arrived; return a sentence if that failed."""
+        """Close the file; return a sentence if that failed."""
         session, self.session = self.session, None
         return None if session is None else session.close()
 

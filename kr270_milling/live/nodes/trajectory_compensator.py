@@ -21,7 +21,6 @@ from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
-from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, poll
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
 from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.live.ros.topics import RosTopic
@@ -41,7 +40,7 @@ JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
 #: reliable and best-effort publishers match; of the joints only the last message counts
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-SENSOR = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+SENSOR = QoSProfile(depth=topics.LOOP.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
@@ -74,8 +73,8 @@ class TrajectoryCompensator(ReportingNode):
         self.open_outlets(COMPENSATOR)
         self.subscribe(status_topic(RECORDER), self._on_recorder)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
-        self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose, polled=True)
-        self._wrench = self.subscribe(topics.WRENCH, self._on_wrench, polled=True)
+        self._pose = self.subscribe(topics.TOOL_POSE._replace(qos=topics.EVERY), self._on_pose)
+        self._wrench = self.subscribe(topics.WRENCH._replace(qos=topics.EVERY), self._on_wrench)
         if self._start_topic:
             where = f"parameters of {self.get_fully_qualified_name()}: start_topic"
             start = resolved_topic(self, self._start_topic, where)
@@ -94,7 +93,6 @@ class TrajectoryCompensator(ReportingNode):
         self._report_time = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
-        self.create_timer(POLL_PERIOD, self._poll)
         if own:
             self._publish(self.protocol.begin(path_of(self.cell).target), TARGET)
         else:
@@ -138,16 +136,6 @@ class TrajectoryCompensator(ReportingNode):
         if missing:
             but = f", of which {missing} poses did not arrive"
         self.report(WARN if but else OK, f"reference: {what}{but}", **values)
-
-    def stamps(self) -> dict[str, int]:
-        """Return also the stamp of the last tool pose of a pass: the simulated robot does not run far ahead of it."""
-        read = {self._pose.topic_name: self.stamp_ns} if self.protocol.under_way else {}
-        return super().stamps() | read
-
-    @guarded
-    def _poll(self) -> None:
-        for message in poll((self._pose, self._wrench)):
-            message.callback(message.data)
 
     def _on_start(self, stamp: int | None) -> None:
         """Begin a pass at the stamp of the robot's own message."""
@@ -215,10 +203,10 @@ class TrajectoryCompensator(ReportingNode):
         """Subscribe with best effort where a tracker or a force sensor publishes so; this matches all publishers."""
         if self.incompatible(self._pose):
             self.destroy_subscription(self._pose)
-            self._pose = self.subscribe(topics.TOOL_POSE._replace(qos=SENSOR), self._on_pose, polled=True)
+            self._pose = self.subscribe(topics.TOOL_POSE._replace(qos=SENSOR), self._on_pose)
         if self.incompatible(self._wrench):
             self.destroy_subscription(self._wrench)
-            self._wrench = self.subscribe(topics.WRENCH._replace(qos=SENSOR), self._on_wrench, polled=True)
+            self._wrench = self.subscribe(topics.WRENCH._replace(qos=SENSOR), self._on_wrench)
 
     def _on_parameters(self, changes) -> SetParametersResult:
         """Accept another method while the node runs; it starts from the pass along the target."""

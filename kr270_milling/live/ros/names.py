@@ -9,9 +9,9 @@ from pathlib import Path
 
 from rclpy.exceptions import NameValidationException
 from rclpy.validate_namespace import validate_namespace
+from rclpy.validate_topic_name import validate_topic_name
 
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.live.ros.rclpy_private import RCLError
 
 __all__ = ["NameRefused", "full_namespace", "message_class", "resolved_topic"]
 
@@ -44,8 +44,9 @@ def message_class(type_name: str) -> type:
 def resolved_topic(node, name: str, where: str) -> str:
     """Return the full name of a topic from a user. Raises InputError; where: the place of the name."""
     try:
+        validate_topic_name(name)
         return node.resolve_topic_name(name)
-    except (RCLError, NameValidationException, ValueError, TypeError):
+    except (NameValidationException, RuntimeError, ValueError, TypeError):
         what = "must be the name of a topic: letters, digits and '_', in parts between '/' that begin with no digit"
         raise InputError(where, f"{name!r} {what}") from None
 

@@ -12,7 +12,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import ReliabilityPolicy
@@ -26,8 +26,6 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.polling import is_polled, polled_subscription
-from kr270_milling.live.ros.rclpy_private import RobustLifecycleNode
 from kr270_milling.live.ros.status import Status
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 from kr270_milling.recordings.messages.topics import published_by
@@ -153,10 +151,10 @@ class ReportingNode(Ending, Node):
             raise InputError(where, "cell_file is missing: -p cell_file:=CELL.yaml")
         return read_cell(find_file(name))
 
-    def subscribe(self, topic: topics.RosTopic, use: Callable, read: Callable | None = None, polled: bool = False):
+    def subscribe(self, topic: topics.RosTopic, use: Callable, read: Callable | None = None):
         """Subscribe to a topic; ``use`` receives the record of each message, see ``used``.
 
-        read: bytes -> record, default: as the table of topics states; polled: ``polling.poll`` takes the messages.
+        read: bytes -> record, default: as the table of topics states.
         """
         package, name = topic.type.__module__.partition(".")[0], topic.name.strip("/")
         read = read or functools.partial(_read, f"{package}/msg/{topic.type.__name__}", name)
@@ -164,8 +162,7 @@ class ReportingNode(Ending, Node):
         def take(data: bytes) -> None:
             self.used(name, lambda: use(read(data)))
 
-        create = polled_subscription if polled else functools.partial(ReportingNode.create_subscription, raw=True)
-        return create(self, topic.type, topic.name, take, topic.qos)
+        return self.create_subscription(topic.type, topic.name, take, topic.qos, raw=True)
 
     def used(self, source: str, use: Callable, *args):
         """Return ``use(*args)``: the one place where a message or a request of another node is read and used.
@@ -242,11 +239,6 @@ class ReportingNode(Ending, Node):
         """Return further values of the report; a node overrides this."""
         return {}
 
-    @property
-    def subscriptions(self):
-        """Subscriptions that an executor serves: all but the polled ones, which EventsExecutor would take."""
-        return (s for s in super().subscriptions if not is_polled(s))
-
     def incompatible(self, subscription: Subscription) -> list[str]:
         """Return the nodes that publish on the topic of a subscription with best effort where it is reliable."""
         takes = subscription.qos_profile.reliability
@@ -259,7 +251,7 @@ class ReportingNode(Ending, Node):
 
     def _report_incompatible(self) -> None:
         """Name the publishers whose messages this node does not receive."""
-        for subscription in super().subscriptions:
+        for subscription in self.subscriptions:
             names = self.incompatible(subscription)
             if names and subscription.topic_name not in self.unusable:
                 where = subscription.topic_name
@@ -273,7 +265,7 @@ class ReportingNode(Ending, Node):
         """Return the present status."""
         own = {*OWN, self._status_publisher.topic_name}
         listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers if p.topic_name not in own}
-        sources = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
+        sources = {s.topic_name: s.get_publisher_count() for s in self.subscriptions}
         refused = {f"refused {name}": f"{count}, the last: {text}" for name, (count, text, _) in self.unusable.items()}
         values = {**self._values, **self.watch(), "refused": self.refused, **refused}
         return Status(
@@ -299,7 +291,7 @@ class ReportingNode(Ending, Node):
         self._report_publisher.publish(array)
 
 
-class ManagedNode(ReportingNode, RobustLifecycleNode):
+class ManagedNode(ReportingNode, LifecycleNode):
     """A lifecycle node that reports why a transition failed.
 
     A child implements ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart``
@@ -308,10 +300,32 @@ class ManagedNode(ReportingNode, RobustLifecycleNode):
 
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
-        self.active = False
+        self.state = "unconfigured"  #: name of the lifecycle state
+        for service in self.services:
+            if service.service_name.endswith("/change_state"):
+                service.callback = functools.partial(self._change_state, service.callback)
         about = "configure and activate without a request; for a node that is started by hand"
         self._autostart = self.declared("autostart", False, about)
         self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
+
+    @property
+    def active(self) -> bool:
+        return self.state == "active"
+
+    def destroy_node(self) -> None:
+        """Destroy the state machine too: rclpy keeps it, and with it the participant of the node."""
+        super().destroy_node()
+        self._state_machine = None
+
+    def _change_state(self, change: Callable, request, response):
+        """Refuse an impossible transition, for which rclpy raises an error that ends the process."""
+        try:
+            return change(request, response)
+        except RuntimeError:
+            wanted = request.transition.label or request.transition.id
+            self.get_logger().warning(f"transition {wanted} is not possible in state {self.state}")
+            response.success = False
+            return response
 
     def _start_alone(self) -> None:
         if self._start_timer is not None:
@@ -327,30 +341,29 @@ class ManagedNode(ReportingNode, RobustLifecycleNode):
 
     def cleanup(self) -> None: ...
 
-    def _transition(self, step, name: str) -> TransitionCallbackReturn:
+    def _transition(self, step: Callable, state: str) -> TransitionCallbackReturn:
+        """Run the step of a transition; the node is in the new state during the step."""
+        before, self.state = self.state, state
         try:
             step()
         except Exception as error:  # noqa: BLE001 - every error is reported
-            self.fail(error, name)
+            self.state = before
+            self.fail(error, step.__name__)
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
     def on_configure(self, state):
-        return self._transition(self.configure, "configure")
+        return self._transition(self.configure, "inactive")
 
     def on_activate(self, state):
-        self.active = True
-        result = self._transition(self.activate, "activate")
-        self.active = result == TransitionCallbackReturn.SUCCESS
-        return result
+        return self._transition(self.activate, "active")
 
     def on_deactivate(self, state):
-        self.active = False
-        return self._transition(self.deactivate, "deactivate")
+        return self._transition(self.deactivate, "inactive")
 
     def on_cleanup(self, state):
-        return self._transition(self.cleanup, "cleanup")
+        return self._transition(self.cleanup, "unconfigured")
 
     def on_shutdown(self, state):
-        self.active = False
+        self.state = "finalized"
         return TransitionCallbackReturn.SUCCESS

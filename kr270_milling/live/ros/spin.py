@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import signal
@@ -58,24 +57,12 @@ def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
     """
     signals: list[int] = []
     before = {number: signal.signal(number, lambda caught, _: signals.append(caught)) for number in STOPS}
-    if args is None:
-        use_batch_scheduling()
     code = _run_nodes(makes, args, signals)
     if args is None:
         end_process(code)
     for number, handler in before.items():
         signal.signal(number, handler)
     return code
-
-
-def use_batch_scheduling() -> None:
-    """Set SCHED_BATCH, where the kernel has it, so that a process that wakes up does not interrupt its waker.
-
-    An exchange wakes every subscriber of its messages. On two cores each subscriber would interrupt the robot or the
-    cut, whose work all others wait for.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[int]) -> int:
@@ -119,7 +106,7 @@ def _leave_graph(nodes: list, executor, context: Context) -> None:
 
 
 def _spin(nodes: list, executor, signals: list[int]) -> int:
-    """Spin until the end, let the nodes write what they have received, and return the exit code."""
+    """Spin until the end, close the files, and return the exit code."""
     parent = int(os.environ.get(PARENT, 0))
     while not signals and not any(node.done for node in nodes):
         lap = Future()  # one lap is many callbacks: returning after each callback took a tenth of an exchange
@@ -128,6 +115,8 @@ def _spin(nodes: list, executor, signals: list[int]) -> int:
         executor.spin_until_future_complete(lap, timeout_sec=LAP)
         if parent and os.getppid() != parent:
             break
+    if not any(node.done for node in nodes):
+        executor.spin_until_future_complete(Future(), timeout_sec=LAP)  # messages that were received before the end
     code = 0
     for node in nodes:
         closing_failure = node.close()

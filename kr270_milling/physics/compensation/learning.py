@@ -68,10 +68,9 @@ class Learner:
         self.arm = arm  #: as the passes show it
         self.conditions = conditions
         self.criterion = criterion
-        self._predict, self._robots = models.predict, models.robots
+        self._predict, self._cut, self._robots = models.predict, models.cut, models.robots
         #: simulated robots: response and deviation [m] on the path without a correction, (m, parts, 3)
         self.ensemble: list[tuple[ArmResponse, np.ndarray]] = []
-        self._cut = models.cut
         self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)

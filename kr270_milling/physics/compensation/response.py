@@ -294,10 +294,9 @@ class ArmResponse:
             turn = np.swapaxes(arm.carry, 1, 2)[::-1]
             state = state @ arm.carry[-1]
             last = np.concatenate([turn[1:], np.eye(self.order)[None]])
-            rows = free[::-1], added[::-1], np.zeros(added[:, 0].shape), last
-            end, start = (
-                v[::-1] for v in _march(*map(np.ascontiguousarray, rows), 1, state)
-            )  # at the ends of segments
+            backward = [np.ascontiguousarray(rows) for rows in (free[::-1], added[::-1], last)]
+            ends = _march(backward[0], backward[1], np.zeros(added[:, 0].shape), backward[2], 1, state)
+            end, start = (rows[::-1] for rows in ends)  # at the ends of segments
             of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0] for f in arm.forced(duration))
             inside = [np.sum(f * u, axis=1) for f in arm.forced(place)[:2]]
             bend = inside[0] + of_bend * end[:, 0] + rate_of_bend * end[:, 1]

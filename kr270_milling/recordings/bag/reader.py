@@ -17,7 +17,7 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder
 from kr270_milling.recordings.bag.files import find_recording, is_rosbag
 from kr270_milling.recordings.bag.mcap_file import Damage, McapFile, OnDamage, RawMessage
-from kr270_milling.recordings.bag.remap import own_name
+from kr270_milling.recordings.bag.remap import namespaces_of, own_name
 from kr270_milling.recordings.bag.rosbag_file import RosbagFile
 
 __all__ = ["RawMessage", "RecordedTopic", "Recording"]
@@ -48,11 +48,8 @@ class Recording:
         self.channels, self.schemas, self.counts = self._file.channels, self._file.schemas, self._file.counts
         self.first_log_time, self.last_log_time = self._file.first, self._file.last
         self.attachments = self._file.attachments
-        self._recorded = {channel.topic for channel in self.channels.values()}
-        for channel in self.channels.values():
-            channel.topic = own_name(channel.topic, self.remap)
         try:
-            self._check_remap()
+            self._rename()
         except RecordingError:
             self.close()
             raise
@@ -66,11 +63,17 @@ class Recording:
             hint = "; recover may save the rest" if damage.offset else ""
             raise RecordingError(self.path, damage.reason + hint, damage.offset) from damage
 
-    def _check_remap(self) -> None:
-        for recorded in self.remap.values():
-            if not any(topic.endswith("/" + recorded.lstrip("/")) for topic in self._recorded):
-                listed = ", ".join(sorted(self._recorded)) or "no topic"
-                raise RecordingError(self.path, f"has no topic {recorded}, but {listed}")
+    def _rename(self) -> None:
+        """Give the channels our names of their topics."""
+        recorded = {channel.topic for channel in self.channels.values()}
+        spaces = namespaces_of(recorded)
+        for name in self.remap.values():
+            exact = {name} if name.startswith("/") else {f"{space}/{name}" for space in spaces}
+            if not exact & recorded:
+                listed = ", ".join(sorted(recorded)) or "no topic"
+                raise RecordingError(self.path, f"has no topic {name}, but {listed}")
+        for channel in self.channels.values():
+            channel.topic = own_name(channel.topic, self.remap, spaces)
 
     def _list_topics(self) -> dict[str, RecordedTopic]:
         topics: dict[str, RecordedTopic] = {}

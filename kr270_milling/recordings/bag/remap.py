@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from kr270_milling.base.errors import InputError, nearest
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["own_name", "remapping"]
+__all__ = ["namespaces_of", "own_name", "remapping"]
 
 OWN = tuple(topic.name for topic in TOPICS if not topic.name.startswith("/"))
 
@@ -30,12 +30,19 @@ def remapping(rules: Iterable[str]) -> dict[str, str]:
     return result
 
 
-def own_name(topic: str, remap: Mapping[str, str]) -> str:
-    """Return our name of a recorded topic; a recorded topic that has our name by chance gets the other one."""
+def own_name(topic: str, remap: Mapping[str, str], namespaces: Collection[str]) -> str:
+    """Return our name of a recorded topic; a recorded topic that has our name by chance gets the other one.
+
+    A relative name belongs to each of the namespaces of robots.
+    """
     for own, recorded in remap.items():
-        for old, new in ((recorded, own), (own, recorded)):
-            if topic == old:
-                return new
-            if not old.startswith("/") and topic.endswith(f"/{old}"):
-                return topic.removesuffix(old) + new
+        for space in [""] if recorded.startswith("/") else namespaces:
+            names = [f"{space}/{name.lstrip('/')}" for name in (recorded, own)]
+            if topic in names:
+                return names[topic == names[0]]
     return topic
+
+
+def namespaces_of(topics: Iterable[str]) -> set[str]:
+    """Return the namespaces that may be those of robots: of every topic with one of our names."""
+    return {space for space, _, name in (topic.rpartition("/") for topic in topics) if name in OWN}

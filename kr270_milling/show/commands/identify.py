@@ -361,7 +361,8 @@ def _measured(args):
 
     with Recording(args.recording) as recording:
         names = {topic.rpartition("/")[2] for topic in recording.topics()}
-    recorded = {name: name for name in names & {"wrench", "tool_pose"}} | remapping(args.remap)
+    remap = {own.rpartition("/")[2]: name for own, name in remapping(args.remap).items()}
+    recorded = {name: name for name in names & {"wrench", "tool_pose"}} | remap
     force = pose = None
     if topic := recorded.get("wrench"):
         sensor = Sensor(topic, turn_of(args.sensor_abc), args.sensor_on == "part")

@@ -150,12 +150,13 @@ def _reported(args, whole) -> Answer:
         {**ran.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
         for ran, about in recorded
     ]
-    unused = list(dict.fromkeys(reason for _, facts in recorded for reason in facts.unused))
+    reasons = {name: reason for _, facts in recorded for name, reason in facts.unused.items()}
+    unused = [f"{name} is not used: {one_line(reason)}" for name, reason in reasons.items()]
     about = {"passes": rows, "copies": copies, "unused": unused, "report": str(page), "out": str(directory)}
     return Answer(about, [
         table_of("Path deviation, from the recordings", _columns(), rows),
         *(f"skipped, a copy of another pass: {copy}" for copy in copies),
-        *(f"a pass is not used: {one_line(reason)}" for reason in unused),
+        *unused,
         f"report: {page}",
     ])  # fmt: skip
 

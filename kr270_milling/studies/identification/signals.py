@@ -13,6 +13,7 @@ from kr270_milling.base.extras import require_extra
 from kr270_milling.base.table import read_table
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import FIXED, series
+from kr270_milling.recordings.passes import own_topics
 
 __all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resampled"]
 
@@ -174,11 +175,12 @@ def _direction(history: dict, number: int) -> str:
 def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
     """Seconds of the stamps (n,), ascending, and the numbers (n, columns) of a topic of one of these types.
 
-    name: full, or the last parts where only one topic ends so. Raises RecordingError.
+    name: full, or the last parts where only one topic ends so, or one next to the reference trajectory. Raises
+    RecordingError.
     """
     with Recording(path) as recording:
         topics = recording.topics()
-        matches = [name] if name in topics else [t for t in topics if t.endswith("/" + name)]
+        matches = [name] if name in topics else own_topics(recording, name)
         if len(matches) != 1:
             what = f"has several topics {name} ({', '.join(matches)})" if matches else f"has no topic {name}"
             raise RecordingError(recording.path, f"{what}; it holds {', '.join(sorted(topics)) or 'nothing'}")

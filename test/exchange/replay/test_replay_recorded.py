@@ -178,7 +178,8 @@ def test_a_pass_that_cannot_be_used_does_not_stop_the_others(tmp_path):
     """The first two passes have one start; the third begins later."""
     bag = made.write(tmp_path / "r", [*made.one_pass()[:200], *made.one_pass()[2:], *made.one_pass(begin=LATE)])
     ((ran, recorded),) = passes_from_recording(bag)
-    assert recorded.complete and recorded.unused == ("does not separate its passes: 2 passes have one start",)
+    assert recorded.complete and ran.name == "r_2"
+    assert recorded.unused == {"r_1": "does not separate its passes: 2 passes have one start"}
     ((plain, _),) = passes_from_recording(made.write(tmp_path / "plain", made.one_pass(begin=LATE)))
     np.testing.assert_equal(ran.row() | {"name": ""}, plain.row() | {"name": ""})
 
@@ -296,3 +297,27 @@ def test_a_pass_of_a_robot_with_another_clock_is_compared_along_its_reference_an
     assert abs(channels["deviation"]["gain"] - 1.0) < 0.02 and channels["deviation"]["residual_rms_um"] < 0.2
     with pytest.raises(RecordingError, match="its poses have the stamps of a driver"):
         recompute(driven[0])
+
+
+def test_a_pass_that_breaks_off_and_one_off_the_reference_have_a_reason_and_the_others_are_scored(tmp_path, driven):
+    """The first pass stops after 40 %; the second one is 8 mm from its reference in its last third."""
+    directory, (first, second) = driven
+    cell = read_cell(find_file("paper.yaml"), ["compensation.method=learned"])
+    protocol = CompensatorProtocol(cell, now=lambda: LATE)
+    messages = made.messages(protocol.begin(path_of(cell).target))
+    for number, share in enumerate((0.4, 1.0, 1.0)):
+        samples = foreign_pass(first.result, number)
+        poses = [sample for sample in samples if isinstance(sample, PoseSample)]
+        begin, end = (sample.stamp for sample in (poses[0], poses[-1]))
+        for sample in samples:
+            part = (sample.stamp - begin) / (end - begin)
+            away = [0.0, 8e-3 * (number == 1 and part > 0.7), 0.0]
+            if part <= share and isinstance(sample, PoseSample):
+                sample = sample._replace(position=sample.position + away)
+            if part <= share:
+                name = "tool_pose" if isinstance(sample, PoseSample) else "wrench"
+                messages.append(made.Message(name, to_bytes(sample), sample.stamp))
+    ((ran, recorded),) = passes_from_recording(made.write(tmp_path / "r", messages, cell=cell_text(cell)))
+    assert ran.name == "r_3" and recorded.complete
+    assert "is over and is not used" in recorded.unused["r_1"]
+    assert "so the pass is not used" in recorded.unused["r_2"]

@@ -36,7 +36,6 @@ from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import stamp_from_ns
-from kr270_milling.live.ros.status import Status
 from kr270_milling.physics.robot.errors import ReachError
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import stamp_of
@@ -128,19 +127,17 @@ def loop(world, short_cell, tmp_path):
 
 def test_a_pass_does_not_run_far_ahead_of_a_recorder_that_is_late(world, short_cell, ran, tmp_path, monkeypatch):
     """A pass of minutes lost poses where robot and cut were quicker than the recorder."""
-    monkeypatch.setattr("kr270_milling.live.nodes.compliant_robot.MOST_EXCHANGES", 20)
-    monkeypatch.setattr("kr270_milling.live.nodes.compliant_robot.FRESH", 2.0)
+    monkeypatch.setattr(compliant_robot, "CHECK", 20)
     loop = Loop(world, short_cell, tmp_path)
-    recorder = loop.ear.create_publisher(topics.STATUS.type, "recorder/status", topics.STATUS.qos)
     loop.start(cut=False)
-    world.until(recorder.get_subscription_count)
-    start = loop.robot.protocol.reference.start_ns
-    recorder.publish(Status(1, 0, "recording", stamps_ns={"/tool_pose": start}).to_msg())
+    outlet, late = loop.robot.outlets["tool_pose"], [True]
+    monkeypatch.setattr(type(outlet), "wait_for_all_acked", lambda self, _: self is not outlet or not late)
     loop.cut.trigger_activate()
-    world.until(lambda: len(loop.series["wrench"]) > 20)
-    world.step(0.5)
-    assert len(loop.series["wrench"]) < 40  # one exchange in 0.1 s
-    loop.matches(ran)  # the status of the recorder is too old now
+    world.until(lambda: len(loop.series["wrench"]) == 19)
+    world.step(0.3)
+    assert len(loop.series["wrench"]) == 19
+    late.clear()
+    loop.matches(ran)
 
 
 def test_a_paced_pass_gives_the_plain_loop_bit_for_bit_and_is_not_quicker(world, short_cell, tmp_path):
@@ -227,17 +224,21 @@ def test_silent_and_second_robots_are_reported_and_the_pass_continues_with_the_s
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, loop):
     """Also for a pass by hand whose cut stays active."""
     maps, cut = world.listen(loop.ear, topics.WORKPIECE), loop.cut
-    loop.reach(20)
-    assert set(maps[0].data) == {100}  # latched, of the fresh part
-    cut.trigger_deactivate()
+    loop.start()
     world.until(lambda: len(maps) == 2)
-    cut.trigger_activate()
-    world.until(lambda: len(maps) == 3)
+    assert set(maps[0].data) == {100}  # latched, of the fresh part
     cut.trigger_deactivate()  # the map is known already
     assert world.request("/cutting_process/publish_workpiece").success
-    world.until(lambda: len(maps) == 4)
-    assert min(maps[2].data) < 100
-    assert maps[3].data == maps[2].data and maps[2].header.frame_id == "workpiece"
+    world.until(lambda: len(maps) == 3)
+    assert min(maps[1].data) < 100
+    assert maps[2].data == maps[1].data and maps[1].header.frame_id == "workpiece"
+
+
+def test_map_of_the_part_comes_when_the_cut_is_deactivated_in_mid_pass(world, loop):
+    maps = world.listen(loop.ear, topics.WORKPIECE)
+    loop.reach(20)
+    loop.cut.trigger_deactivate()
+    world.until(lambda: len(maps) == 2)
 
 
 def test_impossible_transition_is_refused_and_the_node_lives_on(world, loop):

@@ -62,7 +62,6 @@ def ended_here(monkeypatch, program: str, *words: str) -> int:
     """The exit code of a program in this process."""
     monkeypatch.setattr(sys, "argv", [program, *words])
     monkeypatch.setattr(spin, "end_process", sys.exit)
-    monkeypatch.setattr(spin, "use_batch_scheduling", lambda: None)
     handlers = {number: signal.getsignal(number) for number in STOPS}
     try:
         return start(program)
@@ -101,7 +100,6 @@ def test_every_node_says_how_it_is_started(monkeypatch, capsys, name):
 
 
 def test_the_script_makes_one_pass_that_recomputes_and_stops_everything(ros_environment, tmp_path):
-    """Compensator and recorder poll their subscriptions, which an EventsExecutor must permit."""
     cell = tmp_path / "cell.yaml"
     cell.write_text(made.cell_text())
     for name in ("recorder", "trajectory_compensator", "milling_cell"):  # as console scripts are on a user's PATH

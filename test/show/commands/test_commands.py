@@ -232,22 +232,26 @@ def test_names_that_are_alike_get_their_directories():
 # --- a graph whose topics were remapped ---
 @pytest.fixture(scope="module")
 def remapped(tmp_path_factory):
-    """A pass of a robot in /left whose wrench was on force/measured; another sensor was on wrench."""
+    """A pass of a robot in /left whose wrench was on force/measured; other sensors were on wrench and elsewhere."""
     pytest.importorskip("geometry_msgs")
     names, directory = {"wrench": "force/measured"}, tmp_path_factory.mktemp("remapped") / "r"
     with BagWriter(directory, attachments={"cell.yaml": made.cell_text()}) as writer:
         for name, kind in made.TYPES.items():
             profiles = [made.LATCHED] if name in made.LATCHED_TOPICS else [{}]
             writer.add_topic(f"/left/{names.get(name, name)}", kind, profiles)
-        writer.add_topic("/left/wrench", made.WRENCH)
+        for name in ("/left/wrench", "/old/force/measured"):
+            writer.add_topic(name, made.WRENCH)
         for k, message in enumerate(made.one_pass()):
             writer.write(f"/left/{names.get(message.topic, message.topic)}", message.data, 10**9 + k)
-        writer.write("/left/wrench", to_bytes(WrenchSample(0, "workpiece", np.ones(6))), 10**9)
+        for name in ("/left/wrench", "/old/force/measured"):
+            writer.write(name, to_bytes(WrenchSample(0, "workpiece", np.ones(6))), 10**9)
     return str(directory)
 
 
-def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_path):
-    rule = ("--remap", "wrench:=force/measured")
+@pytest.mark.parametrize("rule", ["wrench:=force/measured", "/left/wrench:=/left/force/measured"])
+def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_path, rule):
+    """The rule names a topic exactly: /old/force/measured is another one."""
+    rule = ("--remap", rule)
     result = answered("replay", remapped, "--recompute", *rule)
     assert result["verdict"] == "identical" and result["channels"]["/left/wrench"]["compared"] == made.STEPS
     assert answered("replay", remapped, "--compensate", "--out", tmp_path, *rule)["robots"]
@@ -255,6 +259,18 @@ def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_p
     assert ran["complete"] and not ran["messages_lost"]
     (tmp_path / "cell.yaml").write_text(made.cell_text())
     assert "force x" in ask("compare", remapped, str(tmp_path / "cell.yaml"), *rule).out
+
+
+def test_compare_takes_the_wrench_next_to_the_reference_of_several(tmp_path):
+    (tmp_path / "cell.yaml").write_text(made.cell_text())
+    with BagWriter(tmp_path / "r", attachments={"cell.yaml": made.cell_text()}) as writer:
+        for name, kind in made.TYPES.items():
+            writer.add_topic(f"/{name}", kind, [made.LATCHED] if name in made.LATCHED_TOPICS else [{}])
+        writer.add_topic("/ft/wrench", made.WRENCH)
+        for k, message in enumerate(made.one_pass()):
+            writer.write(f"/{message.topic}", message.data, 10**9 + k)
+            writer.write("/ft/wrench", to_bytes(WrenchSample(10**6 * k, "workpiece", np.ones(6))), 10**9 + k)
+    assert "force x" in ask("compare", str(tmp_path / "r"), str(tmp_path / "cell.yaml")).out
 
 
 @pytest.mark.parametrize(("rule", "sentence"), [
