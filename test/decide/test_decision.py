@@ -160,7 +160,7 @@ def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(tmp_path, ca
     assert f'<span class="label">decision</span><strong>{level}</strong>' in report
     assert result["sentence"].replace(" um", " µm") in report and typeset(chatter.removeprefix("stability: ")) in report
     method = result["recommended_method"]  # the method that is recommended is the one that is written
-    assert method == result["method"] == "inverse" and f"recommended method: {method}, because" in text
+    assert method == result["method"] == "robust" and f"recommended method: {method}, because" in text
     assert "exchange: largest correction of a predicted pose is" in text
     assert len(headers) == 2 and all(line in header and chatter in header for header in headers)
     assert any(f"method {method}" in header for header in headers)
@@ -180,15 +180,15 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
     cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best")
     original = simulate(cell)
     result = compare_methods(cell, original)
-    assert result.best == "inverse" and set(result.deviations) == {"none", "spline", "inverse"}
-    assert result.deviations["inverse"] == min(result.deviations.values())
+    assert set(result.deviations) == {"none", "spline", "inverse", "robust"}
+    assert result.deviations[result.best] == min(result.deviations.values())
     tracked = cell.replace(compensation=cell.compensation.replace(tracker=True))
     assert compare_methods(tracked, original).best == "learned"
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
         assert Compensator(one.compensation, path_of(one).target).method == method
     judged = cell.replace(tolerances=cell.tolerances.replace(tolerance=100 * UM))
     result = compensation.compensate(judged, robots=1).decision
-    assert list(result.verdict.methods) == ["inverse"]  # it runs no other method
+    assert list(result.verdict.methods) == [result.method]  # it runs no other method
     assert result.verdict.quantity == result.compensated.quantity
 
 
@@ -404,7 +404,7 @@ def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path
     expected = np.array(expected_deviations(part, references))
     passes = [remaining_error(target, record_of(part, simulate(part, reference))) for reference in references]
     assert expected[:3] == pytest.approx(passes[:3], rel=0.15) and max(expected[3], passes[3]) < 0.05 * passes[0]
-    assert list(alternatives(part, original, "learned")) == ["inverse"]
+    assert set(alternatives(part, original, "learned")) < {"inverse", "robust"}
 
 
 def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.ndarray]:
