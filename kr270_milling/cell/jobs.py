@@ -37,8 +37,6 @@ __all__ = [
 ]  # fmt: skip
 
 LONG_PASS = 500_000  #: exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
-
-
 PLANNED = 16  #: simulated robots for which ``robust`` plans
 PLANNING_SEED = 1_000_000  #: of these robots: no verdict draws them, whose seeds are smaller
 

@@ -12,8 +12,9 @@ from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, long_p
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
-from kr270_milling.decide.decision import Decision, decided
+from kr270_milling.decide.decision import ENOUGH, Decision, decided
 from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.decide.limits import Limit, limits
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
@@ -114,8 +115,13 @@ def compensate(
         with progress("verdict") as report:
             judged = _verdict(cell, compared, revised, robots, seed, report, motion)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
+    rows: tuple[Limit, ...] = ()
+    if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
+        with progress("limits"):
+            program = written_trajectory(cell, revised.reference, motion)
+            rows = limits(cell, program, max(1, robots // DRAWN_OF))
     backlash = backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, checked.load_reversals, bool(judged))
-    decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
+    decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)
     return JudgedCompensation(programmed, plan, revised, by, parts, checked, decision, motions)
 
 
@@ -136,6 +142,7 @@ def _verdict(
     return monte_carlo(cell, program, robots, seed, progress=report, method=revised.name, others=programs)
 
 
+DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
 WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the written program may differ
 WRITTEN_STEP = 0.5e-6  #: [m], differences below it come from the 0.1 um of the points
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from kr270_milling.decide.check import Checked
+from kr270_milling.decide.limits import Limit, limit_line, measurements
 from kr270_milling.decide.tolerance import Judgement, um_text
 from kr270_milling.decide.verdict import NO_METHOD, MethodComparison, Verdict
 from kr270_milling.physics.compensation.methods import LEARNED
@@ -14,7 +15,6 @@ __all__ = ["CAUTION", "ENOUGH", "NO", "YES", "Decision", "decided"]
 
 YES, CAUTION, NO = "yes", "caution", "no"
 ENOUGH, HALF = 0.9, 0.5  #: shares of the robots that must meet the tolerance for ``yes`` and for ``caution``
-REDUCE = "reduce the uncertainty: identify compliances"
 NEEDS_TRACKER = "learned needs a tracker on the real machine: here it learned from simulated passes"
 
 
@@ -35,6 +35,7 @@ class Decision:
     comparison: MethodComparison | None = None  #: where the method was chosen by ``best``
     notes: tuple[str, ...] = ()  #: what a user of the method must know
     backlash: str = ""  #: whether the figures include the backlash of the joints
+    limits: tuple[Limit, ...] = ()  #: the unknowns by their share of the band; empty: not known or not needed
 
     @property
     def may_be_run(self) -> bool:
@@ -77,8 +78,8 @@ class Decision:
             parts.append("no tolerance is given: set part.tolerance_um")
         if self.verdict is None:
             parts.append("no verdict of simulated robots: kr270_milling compensate --verdict 32 runs them")
-        elif self.level == CAUTION and self.verdict.within is not None:
-            parts.append(REDUCE)
+        elif self.limits:
+            parts += measurements(self.limits, self.verdict.shares)[:1]
         return "; ".join(parts)
 
     @property
@@ -116,6 +117,8 @@ class Decision:
     def lines(self) -> list[str]:
         """The lines that terminal, manifest and programs print."""
         more = [self.backlash] if self.backlash else []
+        if self.limits and self.verdict:
+            more += [limit_line(self.limits), *measurements(self.limits, self.verdict.shares)[1:]]
         return [self.text, *more, f"as programmed: {self.as_programmed.words}", self.method_text, *self.notes]
 
     def as_dict(self) -> dict:
@@ -132,12 +135,13 @@ class Decision:
             "comparison": self.comparison and self.comparison.as_dict(),
             "notes": list(self.notes),
             "backlash": self.backlash,
+            "limits": [row.as_dict(self.verdict and self.verdict.shares) for row in self.limits],
         }
 
 
 def decided(
     before: Judgement, after: Judgement, method: str, checked: Checked, verdict: Verdict | None = None,
-    comparison: MethodComparison | None = None, backlash: str = "",
+    comparison: MethodComparison | None = None, backlash: str = "", limits: tuple[Limit, ...] = (),
 ) -> Decision:  # fmt: skip
     """The decision on a pass as programmed and one along the reference of a method.
 
@@ -148,4 +152,5 @@ def decided(
     if after.error > before.error:
         errors = f"{um_text(after.error)} against {um_text(before.error)}"
         notes.append(f"{method} makes the part worse than no compensation ({errors})")
-    return Decision(before, after, method, stops, checked.count("warning"), verdict, comparison, tuple(notes), backlash)
+    warnings = checked.count("warning")
+    return Decision(before, after, method, stops, warnings, verdict, comparison, tuple(notes), backlash, limits)

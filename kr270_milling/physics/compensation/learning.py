@@ -9,7 +9,7 @@ nothing of a rest below the stated noise of the measurement, all of a rest witho
 
     E_k |d_k + H_k c|^2 + S c^2 -> min,   d_k = d_model + (pass of robot k - pass of the model)
 
-The mean over a sample stands for the expectation [Kleywegt2002]. Both passes run along the reference of ``inverse``, so
+The mean over a sample replaces the expectation [Kleywegt2002]. Both passes run along the reference of ``inverse``, so
 d_k contains backlash and the answer of the cut; H_k is the response of the robot: arm, base, servo lag and delay.
 """
 

@@ -265,7 +265,7 @@ def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_
 
     def revised(uncertainty, method):
         planned = moving.replace(uncertainty=uncertainty)
-        return jobs.compensator(planned, planned.target(), method).revise(ran)
+        return jobs.compensator(planned, path_of(planned).target, method).revise(ran)
 
     inverse, same = revised(exact, "inverse"), revised(exact, "robust")
     assert same.position == pytest.approx(inverse.position, abs=1e-9)

@@ -1,0 +1,130 @@
+"""Which uncertainty limits the part, and which measurement would take it away.
+
+One unknown at a time is drawn, all others are known, and the robot runs the corrected program. D_k is the change of the
+deviation that makes walls and floors while the tool cuts. The share of unknown k in the band is
+
+    s_k = E |D_k|^2 / sum_j E |D_j|^2   first-order shares of independent unknowns [Sobol1993]
+
+A robot whose unknown k is measured keeps the share 1 - s_k of the square of its error.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import long_pass
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.plant import Plant, coarser, cores, perturbed
+from kr270_milling.cell.sections import Uncertainty
+from kr270_milling.decide.part.surface import SLOPE
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.imperfections import Imperfections
+from kr270_milling.physics.motion.milling_pass import PassResult
+
+__all__ = ["Limit", "limit_line", "limits", "measurements"]
+
+SEED = 1_000_001  #: of these robots, beyond the seeds of verdicts and of ``robust``
+SHOWN = 3  #: unknowns in a line
+#: name of each unknown: its keys of ``uncertainty``, and the measurement with its instrument and minutes (assumed)
+UNKNOWNS: dict[str, tuple[tuple[str, ...], str]] = {
+    "servo lag": (("servo_frequency", "servo_delay"), "a test move with a tracker, 20 min"),
+    "base": (("base_compliance",), "3 load tests with a dial gauge, 30 min"),
+    "backlash": (("backlash",), "push and pull at the tool with a dial gauge, 30 min"),
+    "joint compliance": (("joint_compliance", "joint_compliances"), "12 load tests with a tracker, 90 min"),
+    "force coefficients": (("force_coefficient", "force_coefficients"), "5 slots with a force sensor, 60 min"),
+    "end edges": (("end_share",), "a plunge with a force sensor, 15 min"),
+    "tool wear": (("tool_wear",), "a fresh tool, 5 min"),
+    "tool": (("tool_stick_out", "tool_compliance"), "a load at the tool with a dial gauge, 15 min"),
+    "frequency": (("frequency",), "a hammer test with an accelerometer, 30 min"),
+    "damping": (("damping_ratio",), "a hammer test with an accelerometer, 30 min"),
+    "joining": (("joining",), "a test move with a tracker, 20 min"),
+    "place of the part": (("placement",), "touching off again with a probe, 10 min"),
+}
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One unknown."""
+
+    name: str
+    share: float  #: of the band
+    measurement: str
+
+    def within(self, shares: np.ndarray) -> int:
+        """Robots within tolerance if this is measured; shares: errors of the robots as shares of the tolerance."""
+        return int(np.sum(shares * np.sqrt(1.0 - self.share) <= 1.0))
+
+    def as_dict(self, shares: np.ndarray | None) -> dict:
+        """For JSON; shares: see ``within``, None without a tolerance."""
+        within = None if shares is None else self.within(shares)
+        return {"unknown": self.name, "share": self.share, "measurement": self.measurement, "within": within}
+
+
+def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
+    """The unknowns of a cell along the reference of a program, the largest share first.
+
+    count: robots drawn for each unknown; four know a share to about a third of it.
+    """
+    model, assumed = coarser(cell), cell.uncertainty
+    ran = Plant(model, model, Imperfections()).run(reference)
+    known = assumed.replace(
+        repeatability=0.0, **{key: _nothing(assumed, key) for keys, _ in UNKNOWNS.values() for key in keys}
+    )
+    drawn = []
+    for name, (keys, _) in UNKNOWNS.items():
+        left = {key: getattr(assumed, key) for key in keys}
+        if any(np.any(value) for value in left.values()):
+            rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
+            drawn += [(name, perturbed(other, rng)) for _ in range(count)]
+    with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
+        squares = list(pool.map(lambda one: _change(model, one[1], reference, ran), drawn))
+    size = dict.fromkeys((name for name, _ in drawn), 0.0)
+    for (name, _), square in zip(drawn, squares, strict=True):
+        size[name] += square
+    total = sum(size.values())
+    rows = (Limit(name, value / total, UNKNOWNS[name][1]) for name, value in size.items() if total > 0.0)
+    return tuple(sorted(rows, key=lambda row: -row.share))
+
+
+def _nothing(uncertainty: Uncertainty, key: str):
+    return np.array([]) if isinstance(getattr(uncertainty, key), np.ndarray) else 0.0
+
+
+def _change(model: Cell, robot: Cell, reference: Trajectory, ran: PassResult) -> float:
+    """Mean square [m^2] of the change of the deviation that makes walls and floors; 0 where the robot fails."""
+    try:
+        moved = Plant(model, robot).run(reference).actual - ran.actual
+    except MillingError:
+        return 0.0
+    feed = path_of(model).target.sample_velocity(ran.time_ns)
+    speed = np.linalg.norm(feed, axis=1)
+    level = np.abs(feed[:, 2]) <= SLOPE * speed
+    across = feed[:, 0] * moved[:, 1] - feed[:, 1] * moved[:, 0]
+    side = across / np.maximum(np.linalg.norm(feed[:, :2], axis=1), 1e-300)
+    square = side**2 + np.where(level, moved[:, 2], 0.0) ** 2
+    cutting = ran.wrench.any(axis=1)
+    return float(np.mean(square[cutting])) if cutting.any() else 0.0
+
+
+def limit_line(rows: tuple[Limit, ...]) -> str:
+    """One line: the unknowns with the largest shares."""
+    return "limits: " + ", ".join(f"{row.name} ({100 * row.share:.0f} %)" for row in rows[:SHOWN])
+
+
+def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str]:
+    """Lines: what to measure, and how many of the robots would meet the tolerance then; the best first.
+
+    shares: errors of the simulated robots as shares of the tolerance, (n,); None: no tolerance is given.
+    """
+    if shares is None:
+        return [f"measure: {row.name}, {row.measurement}" for row in rows[:SHOWN]]
+    now = int(np.sum(shares <= 1.0))
+    best = sorted(rows[:SHOWN], key=lambda row: -row.within(shares))
+    return [
+        f"measure: {row.name}, {row.measurement}: {now} -> {row.within(shares)} of {shares.size} robots" for row in best
+    ]
