@@ -135,7 +135,7 @@ class Decision:
             "comparison": self.comparison and self.comparison.as_dict(),
             "notes": list(self.notes),
             "backlash": self.backlash,
-            "limits": [row.as_dict(self.verdict and self.verdict.shares) for row in self.limits],
+            "limits": [row.as_dict(self.verdict.shares if self.verdict else None) for row in self.limits],
         }
 
 
