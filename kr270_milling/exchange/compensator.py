@@ -31,9 +31,13 @@ class CompensatorProtocol:
     """
 
     def __init__(
-        self, cell: Cell, plant: Cell | None = None, name: str = "trajectory_compensator",
-        now: Callable[[], int] = lambda: 0, announced: bool = False,
-    ):  # fmt: skip
+        self,
+        cell: Cell,
+        plant: Cell | None = None,
+        name: str = "trajectory_compensator",
+        now: Callable[[], int] = lambda: 0,
+        announced: bool = False,
+    ):
         self.cell = cell
         self.plant = plant
         self.name = name
@@ -151,12 +155,17 @@ class CompensatorProtocol:
         end, iterations = end_of(self.cell, made.reference), self.cell.exchange.iterations
         self.inbox = PassInbox(
             end, iterations, start, made.reference, path_of(self.cell).clock, self._frames, self._announced
-        )  # fmt: skip
+        )
         self.inbox.problem = problem
         state = CompensatorState(
-            self.name, made.method, self.passes, made.finished, fingerprint(made.target), fingerprint(made.reference),
+            self.name,
+            made.method,
+            self.passes,
+            made.finished,
+            fingerprint(made.target),
+            fingerprint(made.reference),
             learned,
-        )  # fmt: skip
+        )
         return [("compensator_state", state), ("reference_trajectory", made.reference.starting_at(start))]
 
 

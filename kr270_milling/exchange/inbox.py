@@ -74,9 +74,15 @@ class PassInbox:
     """
 
     def __init__(
-        self, end_ns: int, iterations: int, start_ns: int = 0, reference: Trajectory | None = None,
-        clock: Clock | None = None, frames: WrenchFrames | None = None, announced: bool = False,
-    ):  # fmt: skip
+        self,
+        end_ns: int,
+        iterations: int,
+        start_ns: int = 0,
+        reference: Trajectory | None = None,
+        clock: Clock | None = None,
+        frames: WrenchFrames | None = None,
+        announced: bool = False,
+    ):
         self.end_ns = end_ns
         self.start_ns = self._planned_ns = start_ns
         self.foreign = False  #: the pass of a robot with another clock

@@ -17,8 +17,14 @@ from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.sensor import moved_wrench
 
 __all__ = [
-    "ExchangeError", "Output", "WrenchFrames", "checked_length", "checked_pose", "checked_wrench", "in_workpiece_axes",
-]  # fmt: skip
+    "ExchangeError",
+    "Output",
+    "WrenchFrames",
+    "checked_length",
+    "checked_pose",
+    "checked_wrench",
+    "in_workpiece_axes",
+]
 
 Output = tuple[str, object]  #: topic, record
 

@@ -25,9 +25,17 @@ from kr270_milling.path.toolpath import Toolpath, ToolpathError
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "Ramps", "TimedPath", "Timing", "joint_rates", "limit_by_joints", "peak_speeds", "ramp_time", "reachable",
-    "time_path", "vertex_speeds",
-]  # fmt: skip
+    "Ramps",
+    "TimedPath",
+    "Timing",
+    "joint_rates",
+    "limit_by_joints",
+    "peak_speeds",
+    "ramp_time",
+    "reachable",
+    "time_path",
+    "vertex_speeds",
+]
 
 TANGENT = 1e-3  #: [rad] smaller turns come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
 FAIR = 0.2  #: share of the feed below which a corner is not worth rounding

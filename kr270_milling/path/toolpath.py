@@ -57,8 +57,17 @@ class Toolpath:
             raise ToolpathError("it needs a start and at least one move")
         if not np.size(self.drilling):
             object.__setattr__(self, "drilling", np.zeros(len(position), bool))
-        for name in ("position", "feed", "rapid", "drilling", "line", "feature", "curvature", "spindle_speed",
-                     "quaternion"):  # fmt: skip
+        for name in (
+            "position",
+            "feed",
+            "rapid",
+            "drilling",
+            "line",
+            "feature",
+            "curvature",
+            "spindle_speed",
+            "quaternion",
+        ):
             kind = {"rapid": bool, "drilling": bool, "line": np.int64, "feature": np.int64}.get(name, float)
             values = np.array(getattr(self, name), kind)
             shape = (len(position),) + {"position": (3,), "quaternion": (4,)}.get(name, ())

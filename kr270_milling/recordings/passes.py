@@ -134,9 +134,12 @@ def own_topics(recording: Recording, name: str) -> list[str]:
 
 
 def read_graph(
-    recording: Recording, clock: StepClock, namespace: str | None = None, joint_names: Sequence[str] = (),
+    recording: Recording,
+    clock: StepClock,
+    namespace: str | None = None,
+    joint_names: Sequence[str] = (),
     on_damage: Callable | None = None,
-) -> GraphRecord:  # fmt: skip
+) -> GraphRecord:
     """Read the nodes' topics of one robot once, and cut the series into the passes along its references.
 
     joint_names: of the robot, to read its joint states and the maps of the part; on_damage: see
@@ -162,9 +165,10 @@ def read_graph(
         graph.targets[fingerprint(target)] = target
 
     take: dict[str, Callable] = {
-        "target_trajectory": add_target, "compensator_state": graph.states.append,
+        "target_trajectory": add_target,
+        "compensator_state": graph.states.append,
         **({"joint_states": joints.append, "workpiece": maps.append} if joint_names else {}),
-    }  # fmt: skip
+    }
     others = {f"{space}/{name}": _reader(graph, name, receive) for name, receive in take.items()}
     others[reference] = _reader(graph, "reference_trajectory", graph.references.append, add_reference)
     if "/diagnostics" in recording.topics():

@@ -107,9 +107,14 @@ def _received(
 
 
 def _at_exchanges(
-    cell: Cell, number: int, reference: Trajectory, target: Trajectory | None, received: ReceivedPass, whole: bool,
+    cell: Cell,
+    number: int,
+    reference: Trajectory,
+    target: Trajectory | None,
+    received: ReceivedPass,
+    whole: bool,
     stamps: str,
-) -> PassSeries:  # fmt: skip
+) -> PassSeries:
     """Return a pass with a row for each exchange from its first pose to its last; whole: of all exchanges.
 
     The deviation from the reference, which changes slowly, is interpolated; it is the deflection.
@@ -125,9 +130,14 @@ def _at_exchanges(
         "wrench": interpolated(times, received.wrench_ns, received.wrench),
     }
     return PassSeries(
-        number, reference, target, {name: Series(steps, times, values) for name, values in rows.items()},
-        stamps=stamps, driven_lost=_poses_lost(received), driven_whole=whole,
-    )  # fmt: skip
+        number,
+        reference,
+        target,
+        {name: Series(steps, times, values) for name, values in rows.items()},
+        stamps=stamps,
+        driven_lost=_poses_lost(received),
+        driven_whole=whole,
+    )
 
 
 def _poses_lost(received: ReceivedPass) -> int:

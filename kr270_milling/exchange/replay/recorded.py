@@ -52,9 +52,12 @@ def pass_from_recording(
 
 
 def passes_from_recording(
-    path, name: str | None = None, namespace: str | None = None, remap: Mapping[str, str] = MappingProxyType({}),
+    path,
+    name: str | None = None,
+    namespace: str | None = None,
+    remap: Mapping[str, str] = MappingProxyType({}),
     cell_file=None,
-) -> list[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
+) -> list[tuple[ScoredPass, RecordedFacts]]:
     """Return every pass of a recording and its facts, along reference and target of its time; the file is read once.
 
     A file that was cut off gives the part that is there. The facts name each pass that cannot be used.
@@ -144,7 +147,18 @@ def _result(
     silent = silent_periods(path_of(plant).drilling_at(stamps))
     torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(
-        stamps, target.sample(stamps), course, tool, rows["deflection"], rows["wrench"],
-        np.sqrt(np.sum(shift**2, axis=1)), torque, volume, int(counts[-1]), cut.removed_area, cut.removed_volume, wall,
+        stamps,
+        target.sample(stamps),
+        course,
+        tool,
+        rows["deflection"],
+        rows["wrench"],
+        np.sqrt(np.sum(shift**2, axis=1)),
+        torque,
+        volume,
+        int(counts[-1]),
+        cut.removed_area,
+        cut.removed_volume,
+        wall,
         cut.map_heights()[2],
-    )  # fmt: skip
+    )

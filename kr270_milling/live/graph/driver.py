@@ -41,9 +41,13 @@ class Driver:
         self._context = Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(
-            "milling_run", namespace=namespace, context=self._context, use_global_arguments=False,
-            start_parameter_services=False, enable_rosout=False,
-        )  # fmt: skip
+            "milling_run",
+            namespace=namespace,
+            context=self._context,
+            use_global_arguments=False,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Client] = {}

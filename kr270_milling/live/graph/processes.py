@@ -83,9 +83,14 @@ class Child:
         command = [sys.executable, "-m", "kr270_milling.live.nodes", *program, *arguments]
         with open(self.log, "ab") as stream, _signals_blocked():
             self.process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=logs,
-                env=child_environment(), start_new_session=True,
-            )  # fmt: skip
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                cwd=logs,
+                env=child_environment(),
+                start_new_session=True,
+            )
         self.ended_at = math.inf  #: [s of the monotonic clock]
         threading.Thread(target=self._wait, daemon=True).start()
 

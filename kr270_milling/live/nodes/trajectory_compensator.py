@@ -66,7 +66,7 @@ class TrajectoryCompensator(ReportingNode):
         start_type = message_class(self.declared("start_type", "std_msgs/msg/Header", about))
         self.protocol = CompensatorProtocol(
             self.cell, cuts, self.get_fully_qualified_name(), self._now_ns, announced=bool(self._start_topic)
-        )  # fmt: skip
+        )
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
         self.set_values(recording="", reference="")

@@ -268,9 +268,7 @@ class ReportingNode(Ending, Node):
         sources = {s.topic_name: s.get_publisher_count() for s in self.subscriptions}
         refused = {f"refused {name}": f"{count}, the last: {text}" for name, (count, text, _) in self.unusable.items()}
         values = {**self._values, **self.watch(), "refused": self.refused, **refused}
-        return Status(
-            os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values
-        )  # fmt: skip
+        return Status(os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values)
 
     def _report(self) -> None:
         self._report_incompatible()

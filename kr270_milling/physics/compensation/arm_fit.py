@@ -116,9 +116,14 @@ class _Problem:
 
 
 def fit_arm(
-    arm: ArmResponse, segments: Segments, path: np.ndarray, approach: np.ndarray, passes: tuple[Evidence, ...],
-    weight: np.ndarray, noise: float,
-) -> tuple[ArmResponse, Identified | None]:  # fmt: skip
+    arm: ArmResponse,
+    segments: Segments,
+    path: np.ndarray,
+    approach: np.ndarray,
+    passes: tuple[Evidence, ...],
+    weight: np.ndarray,
+    noise: float,
+) -> tuple[ArmResponse, Identified | None]:
     """Return the arm that explains the passes, the uncorrected pass first, and the fitted values.
 
     path: cubics of the programmed path, (m, 4, 3); approach: its velocity before [m/s], (3,); weight: (m, parts);

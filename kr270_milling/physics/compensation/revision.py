@@ -15,8 +15,15 @@ from kr270_milling.path.controller_motion import block_ends, controller_motion, 
 from kr270_milling.path.trajectory import Trajectory, slerp
 from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 
-__all__ = ["KnotsError", "PassRecord", "RevisionError", "chord_error", "corrected",
-           "resting_segments", "sampled_correction"]  # fmt: skip
+__all__ = [
+    "KnotsError",
+    "PassRecord",
+    "RevisionError",
+    "chord_error",
+    "corrected",
+    "resting_segments",
+    "sampled_correction",
+]
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too

@@ -275,9 +275,17 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
         part = _part(
-            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, start + a * dz, pose_from[0] + b * dx,
-            pose_from[1] + b * dy, start + b * dz, passes, wrench,
-        )  # fmt: skip
+            s,
+            p,
+            pose_from[0] + a * dx,
+            pose_from[1] + a * dy,
+            start + a * dz,
+            pose_from[0] + b * dx,
+            pose_from[1] + b * dy,
+            start + b * dz,
+            passes,
+            wrench,
+        )
         torque += part[0]
         height += part[1]
         thrust += part[2]
@@ -387,9 +395,11 @@ def _level(p, z):
 def _outside(p, x, y):
     """Whether the footprint of the tool misses the stock."""
     return (
-        x + p.radius < p.origin_x - p.spacing or x - p.radius > p.origin_x + p.nx * p.spacing
-        or y + p.radius < p.origin_y - p.spacing or y - p.radius > p.origin_y + p.ny * p.spacing
-    )  # fmt: skip
+        x + p.radius < p.origin_x - p.spacing
+        or x - p.radius > p.origin_x + p.nx * p.spacing
+        or y + p.radius < p.origin_y - p.spacing
+        or y - p.radius > p.origin_y + p.ny * p.spacing
+    )
 
 
 @inlined

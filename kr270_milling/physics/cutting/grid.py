@@ -41,9 +41,12 @@ class Stock(Record):
     max: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="upper corner in the workpiece frame")
     grid_step: float = parameter(10e-6, unit="um", low=0.5, high=1000.0, text="distance of grid nodes, ds")
     engagement_step: float = parameter(
-        200e-6, unit="um", low=0.5, high=1000.0,
+        200e-6,
+        unit="um",
+        low=0.5,
+        high=1000.0,
         text="distance of grid nodes where cutting.detail is engagement; at most 1/50 of the radius of the tool",
-    )  # fmt: skip
+    )
     floor_tolerance: float = parameter(
         2e-6, unit="um", low=0.0, high=100.0, text="how far the tool may sink before its whole footprint is cut again"
     )

@@ -27,8 +27,19 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
-__all__ = ["ArmModel", "ModalModel", "advance", "approach", "discretise", "discretise_reference", "drive", "modes",
-           "push", "reference_motion", "swing_freely"]  # fmt: skip
+__all__ = [
+    "ArmModel",
+    "ModalModel",
+    "advance",
+    "approach",
+    "discretise",
+    "discretise_reference",
+    "drive",
+    "modes",
+    "push",
+    "reference_motion",
+    "swing_freely",
+]
 
 Side = Literal["left", "right"]
 
@@ -207,9 +218,12 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
 
 
 def reference_motion(
-    reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None, first: int = 0,
+    reference: Trajectory,
+    stamps: np.ndarray,
+    approach: np.ndarray | None = None,
+    first: int = 0,
     course: np.ndarray | None = None,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(n, 18) over the n periods between the stamps [ns]: jump of r', r'' at the start, r'' at the end, six each.
 
     A cubic over H from rate v to w that moves by p has r'' = (6 p / H - 4 v - 2 w) / H at its start and

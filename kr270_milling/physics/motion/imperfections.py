@@ -33,19 +33,28 @@ class Imperfections(Record):
         0.0, unit="um", low=0.0, high=1e4, text="position repeatability (ISO 9283): shifts each pass as a whole"
     )
     backlash: np.ndarray = parameter(
-        np.zeros(6), unit="arcsec", size=6, low=0.0, high=18000.0,
+        np.zeros(6),
+        unit="arcsec",
+        size=6,
+        low=0.0,
+        high=18000.0,
         text="backlash of each joint of this plant, which shows where the load on the joint reverses",
-    )  # fmt: skip
+    )
     servo_frequency: float = parameter(
-        0.0, unit="hz", low=0.0, high=1000.0,
+        0.0,
+        unit="hz",
+        low=0.0,
+        high=1000.0,
         text="natural frequency of the second-order lag with which the motors follow a correction, from 0.1; 0: no lag",
-    )  # fmt: skip
+    )
     servo_delay: float = parameter(0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag")
     # the rule of a controller is not public; slopes from the neighbours are assumed
     joining: float = parameter(
-        0.0, low=0.0, high=1.0,
+        0.0,
+        low=0.0,
+        high=1.0,
         text="motion between points: 0 as planned, 1 with slopes from their neighbours (SPLINE), blended corners (LIN)",
-    )  # fmt: skip
+    )
     wrench: str = parameter(
         "noisy", choices=("none", "noisy", "exact"), text="of the cut, that the compensator receives off line"
     )
@@ -110,9 +119,12 @@ class Imperfections(Record):
         shift, rate = (np.column_stack([np.interp(time_ns, grid, v) for v in rows.T]) for rows in (correction, rates))
         smooth = reference.velocity is not None
         return Trajectory(
-            time_ns, target.sample(time_ns) + shift, reference.sample_orientation(time_ns),
-            target.sample_velocity(time_ns) + rate if smooth else None, reference.frame,
-        )  # fmt: skip
+            time_ns,
+            target.sample(time_ns) + shift,
+            reference.sample_orientation(time_ns),
+            target.sample_velocity(time_ns) + rate if smooth else None,
+            reference.frame,
+        )
 
 
 def _second_order(rows: np.ndarray, w: float, step: float) -> np.ndarray:

@@ -243,8 +243,16 @@ def run_pass(
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
         arm = (model.push(reference, stamps, begin, course), model.arrays)
         carried = (
-            iterations, course, without[-size:], arm, state, wrench, (cut_state, cut.params), clock.micro_steps, out
-        )  # fmt: skip
+            iterations,
+            course,
+            without[-size:],
+            arm,
+            state,
+            wrench,
+            (cut_state, cut.params),
+            clock.micro_steps,
+            out,
+        )
         _exchange(begin, begin, begin, *carried)  # compiled before the clock runs
         start = time.perf_counter()
         for first in range(begin, end, CHUNK):

@@ -77,9 +77,15 @@ def has_uniform_pitch(tool: Tool) -> bool:
 
 
 def stability_limit(
-    modes: Modes, tool: Tool, cutting: Cutting, feed_per_tooth: float, entry: float, leave: float, speed: float,
+    modes: Modes,
+    tool: Tool,
+    cutting: Cutting,
+    feed_per_tooth: float,
+    entry: float,
+    leave: float,
+    speed: float,
     deepest: float = DEEPEST,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """Smallest depth [m] up to ``deepest`` at which vibration does not die out, and its frequency [rad/s].
 
     Where there is none: infinite, NaN. modes: in axes with x along the feed; entry, leave: angles of a tooth [rad] from
@@ -103,9 +109,14 @@ def stability_limit(
 
 
 def _inverse_depths(
-    modes: Modes, tool: Tool, cutting: Cutting, feed_per_tooth: float, angle: np.ndarray, weight: np.ndarray,
+    modes: Modes,
+    tool: Tool,
+    cutting: Cutting,
+    feed_per_tooth: float,
+    angle: np.ndarray,
+    weight: np.ndarray,
     speed: float,
-) -> Callable:  # fmt: skip
+) -> Callable:
     """Return the function of frequencies [rad/s] (m,) that yields the 1/a there [1/m], (m, k); 0 for small ones."""
     count, delay = angle.size, 2.0 * math.pi / (speed * tool.teeth)
     radial = np.stack([np.cos(angle), tool.sense * np.sin(angle)], -1)
@@ -165,8 +176,9 @@ def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.nda
 def _starts(modes: Modes, delay: float) -> np.ndarray:
     """Frequencies [rad/s] from above mu = 1 to mu = -1, ascending: equal steps, and about the resonances."""
     most = np.pi / delay
-    about = modes.frequency[:, None] * (np.sqrt(1.0 - modes.damping_ratio**2)[:, None]
-                                        + modes.damping_ratio[:, None] * RESONANCE)  # fmt: skip
+    about = modes.frequency[:, None] * (
+        np.sqrt(1.0 - modes.damping_ratio**2)[:, None] + modes.damping_ratio[:, None] * RESONANCE
+    )
     folded = np.abs((about.ravel() + most) % (2.0 * most) - most)
     return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, START)[1:]))
 

@@ -9,8 +9,15 @@ import math
 
 from kr270_milling.base.errors import MillingError
 
-__all__ = ["ReachError", "JointLimitError", "SingularityError", "ConditionError", "UnstableLoadError",
-           "DeflectionError", "EquilibriumError"]  # fmt: skip
+__all__ = [
+    "ReachError",
+    "JointLimitError",
+    "SingularityError",
+    "ConditionError",
+    "UnstableLoadError",
+    "DeflectionError",
+    "EquilibriumError",
+]
 
 
 def _place(index) -> str:

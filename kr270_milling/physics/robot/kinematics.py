@@ -19,8 +19,21 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.errors import SingularityError
 
-__all__ = ["LinkFrames", "check_regular", "cross", "elbow_and_reach", "forward", "jacobian", "jacobian_at",
-           "jacobian_column", "pose", "rotate_matrix", "rows_of", "singularity_measures", "status_turn"]  # fmt: skip
+__all__ = [
+    "LinkFrames",
+    "check_regular",
+    "cross",
+    "elbow_and_reach",
+    "forward",
+    "jacobian",
+    "jacobian_at",
+    "jacobian_column",
+    "pose",
+    "rotate_matrix",
+    "rows_of",
+    "singularity_measures",
+    "status_turn",
+]
 
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
 TURNS, SIGNS = np.argmax(np.abs(AXES), axis=1), AXES.sum(axis=1)
@@ -97,9 +110,15 @@ def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
     angles = q.reshape(-1, turns)
     rotations, axes, nodes = np.empty((*batch, 6, 3, 3)), np.empty((*q.shape, 3)), np.zeros((*batch, 7, 3))
     _chain(
-        np.cos(angles), np.sin(angles), np.append(base, TURNS), np.append(np.ones(base.size), SIGNS),
-        np.array(arm.link_vectors), rotations.reshape(-1, 6, 3, 3), axes.reshape(-1, turns, 3), nodes.reshape(-1, 7, 3),
-    )  # fmt: skip
+        np.cos(angles),
+        np.sin(angles),
+        np.append(base, TURNS),
+        np.append(np.ones(base.size), SIGNS),
+        np.array(arm.link_vectors),
+        rotations.reshape(-1, 6, 3, 3),
+        axes.reshape(-1, turns, 3),
+        nodes.reshape(-1, 7, 3),
+    )
     flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 

@@ -63,9 +63,11 @@ def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
     batch = frames.nodes.shape[:-2]
     moments = np.empty((*batch, 7, 3))
     _first_moments(
-        rows_of(frames.nodes, batch, 2), rows_of(frames.mass_centre, batch, 1), np.array(loads.mass),
+        rows_of(frames.nodes, batch, 2),
+        rows_of(frames.mass_centre, batch, 1),
+        np.array(loads.mass),
         moments.reshape(-1, 7, 3),
-    )  # fmt: skip
+    )
     moments = moments[..., :6, :]
     base = frames.axes.shape[-2] - 6
     return moments[..., [0] * base + list(range(6)), :] if base else moments

@@ -45,9 +45,12 @@ class Solid:
 
 
 def urdf(
-    arm: Arm, mount: Mount, tool_radius: float = 0.01, workpiece: Pose | None = None,
+    arm: Arm,
+    mount: Mount,
+    tool_radius: float = 0.01,
+    workpiece: Pose | None = None,
     joint_names: Sequence[str] = JOINT_NAMES,
-) -> str:  # fmt: skip
+) -> str:
     """URDF text: base_link, link_1 to link_6, flange, tcp [m, rad, kg], and ROS-Industrial's frames base and tool0.
 
     tool_radius [m] of the cutter that is shown; workpiece: its frame on base_link, as a further fixed link;

@@ -52,9 +52,12 @@ class Exported:
 
 
 def export(
-    recording: Recording, directory, topics: Collection[str] | None = None, progress: Callable | None = None,
+    recording: Recording,
+    directory,
+    topics: Collection[str] | None = None,
+    progress: Callable | None = None,
     kind: str = "csv",
-) -> Exported:  # fmt: skip
+) -> Exported:
     """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
 
     The result names each topic that cannot be read; the other topics are written. Raises RecordingError for an unknown

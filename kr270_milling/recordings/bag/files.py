@@ -52,9 +52,11 @@ def _needs_rosbags(directory: Path) -> bool:
             text = stream.read(MOST_METADATA).decode("utf-8", "replace")
         about = parse(text, directory / "metadata.yaml", "")["rosbag2_bagfile_information"]
         files, mode = about["relative_file_paths"], str(about.get("compression_mode")).lower()
-        return (len(files) > 1 and directory.joinpath(Path(files[0]).name).is_file()) or mode == "message" or (
-            about["storage_identifier"] == "sqlite3"
-        )  # fmt: skip
+        return (
+            (len(files) > 1 and directory.joinpath(Path(files[0]).name).is_file())
+            or mode == "message"
+            or (about["storage_identifier"] == "sqlite3")
+        )
     except (RecordingError, ConfigError, LookupError, TypeError, AttributeError):
         return False
 

@@ -99,5 +99,10 @@ class GapCounter:
 
     def as_dict(self) -> dict:
         """Return the counts; ``period_ns`` is None without a period."""
-        return dict(period_ns=self.period_ns or None, missing=self.missing, gaps=self.gaps, repeated=self.repeated,
-                    backwards=self.backwards)  # fmt: skip
+        return dict(
+            period_ns=self.period_ns or None,
+            missing=self.missing,
+            gaps=self.gaps,
+            repeated=self.repeated,
+            backwards=self.backwards,
+        )

@@ -35,9 +35,12 @@ class Recording:
     """
 
     def __init__(
-        self, path, progress: Callable[[int, int], None] | None = None, on_damage: OnDamage | None = None,
+        self,
+        path,
+        progress: Callable[[int, int], None] | None = None,
+        on_damage: OnDamage | None = None,
         remap: Mapping[str, str] = MappingProxyType({}),
-    ):  # fmt: skip
+    ):
         self.path = find_recording(path)
         self.remap = remap
         with self._damage_as_error():

@@ -145,8 +145,10 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
         raise ValueError(f"the orientation of pose {int(np.argmax(other)) + 1} does not have length 1")
     up = w**2 + z**2 - x**2 - y**2 > 0.0  # z component of the z axis
     if up.any():
-        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis of tcp, along the spindle away from "
-                         "the flange, points out of the part")  # fmt: skip
+        raise ValueError(
+            f"at pose {int(np.argmax(up)) + 1} the z axis of tcp, along the spindle away from "
+            "the flange, points out of the part"
+        )
     return quaternion / length[:, None]
 
 
@@ -176,14 +178,22 @@ def _bends(run: Trajectory, velocity: np.ndarray) -> np.ndarray:
     return np.where(sharp, 0.0, 2 * np.sin(turn / 2) / np.where(chord > 0, chord, 1.0))
 
 
-def _blocks(chosen: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
-            ) -> Toolpath:  # fmt: skip
+def _blocks(
+    chosen: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
+) -> Toolpath:
     """Return the blocks between chosen points; feed [m/s] and curvature [1/m] are those up to each point."""
     none = np.zeros(np.count_nonzero(chosen))
     return Toolpath(
-        position=position[chosen], feed=feed[chosen], rapid=none, line=none, feature=none, features=("",),
-        curvature=bend[chosen], spindle_speed=none, quaternion=quaternion[chosen],
-    )  # fmt: skip
+        position=position[chosen],
+        feed=feed[chosen],
+        rapid=none,
+        line=none,
+        feature=none,
+        features=("",),
+        curvature=bend[chosen],
+        spindle_speed=none,
+        quaternion=quaternion[chosen],
+    )
 
 
 def _expect_frame(*frames: str) -> None:

@@ -73,9 +73,15 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return replace(
-        result, source=str(file), directory=str(target), whole=whole is not None and not losses.dropped,
-        lost_bytes=losses.bytes, lost_messages=lost_messages, dropped=losses.dropped, damage=damage,
-    )  # fmt: skip
+        result,
+        source=str(file),
+        directory=str(target),
+        whole=whole is not None and not losses.dropped,
+        lost_bytes=losses.bytes,
+        lost_messages=lost_messages,
+        dropped=losses.dropped,
+        damage=damage,
+    )
 
 
 def _examine(file: Path) -> tuple[Recovered | None, list[str]]:

@@ -17,8 +17,19 @@ from kr270_milling.recordings.messages.definitions import definition
 __all__ = ["RosbagFile"]
 
 #: of SQLite, of the decompressors and of code that meets a field of another type in a damaged file
-FAULTS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, OSError, RuntimeError,
-          EOFError, MemoryError, struct.error)  # fmt: skip
+FAULTS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    TypeError,
+    ValueError,
+    OSError,
+    RuntimeError,
+    EOFError,
+    MemoryError,
+    struct.error,
+)
 
 
 class RosbagFile:

@@ -41,10 +41,12 @@ def series(recording: Recording, topic: str) -> TopicSeries:
 
 
 def several(
-    recording: Recording, topics: Sequence[str],
-    others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({}), frame: str | None = None,
+    recording: Recording,
+    topics: Sequence[str],
+    others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({}),
+    frame: str | None = None,
     on_damage: OnDamage | None = None,
-) -> list[TopicSeries]:  # fmt: skip
+) -> list[TopicSeries]:
     """Read topics of the FIXED types as arrays in one pass through the file.
 
     others: topic -> a function that receives each message of a further topic. A message that is not of the type of its

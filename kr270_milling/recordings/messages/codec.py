@@ -33,9 +33,17 @@ from kr270_milling.recordings.messages.definitions import deserialise, store_of
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
 
 __all__ = [
-    "deserialise", "from_bytes", "named", "pose_from_bytes", "serialise", "time_fields", "to_bytes",
-    "trajectory_from_bytes", "type_of", "wrench_from_bytes",
-]  # fmt: skip
+    "deserialise",
+    "from_bytes",
+    "named",
+    "pose_from_bytes",
+    "serialise",
+    "time_fields",
+    "to_bytes",
+    "trajectory_from_bytes",
+    "type_of",
+    "wrench_from_bytes",
+]
 
 
 def serialise(type_name: str, fields: Mapping) -> bytes:
@@ -236,9 +244,7 @@ def _read_state(msg) -> CompensatorState:
             counts = int(values[begin + "poses"]), int(values[begin + "wrenches"])
             learned.append(LearnedRecording(recording, digest, *counts))
         method, passes, finished, target, reference = (values[key] for key in STATE_KEYS)
-        return CompensatorState(
-            msg.name, method, int(passes), finished == "True", target, reference, tuple(learned)
-        )  # fmt: skip
+        return CompensatorState(msg.name, method, int(passes), finished == "True", target, reference, tuple(learned))
     except KeyError as error:
         raise ValueError(f"is no state of a compensator: {error} is missing") from None
 

@@ -17,14 +17,35 @@ from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
 
-__all__ = ["DEFINITION_ERRORS", "TYPE_NAME", "definition", "deserialise", "jazzy_store", "members", "plain",
-           "read_message", "starts_with_stamp", "store_of", "type_hash"]  # fmt: skip
+__all__ = [
+    "DEFINITION_ERRORS",
+    "TYPE_NAME",
+    "definition",
+    "deserialise",
+    "jazzy_store",
+    "members",
+    "plain",
+    "read_message",
+    "starts_with_stamp",
+    "store_of",
+    "type_hash",
+]
 
 TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
 STAMPS = ("Header", "std_msgs/Header", "std_msgs/msg/Header", "builtin_interfaces/Time", "builtin_interfaces/msg/Time")
 #: errors of rosbags for a text that is not a definition; SyntaxError and NameError come from the code it generates
-DEFINITION_ERRORS = (ValueError, TypeError, KeyError, AssertionError, AttributeError, RecursionError, SyntaxError,
-                     NameError, OverflowError, MemoryError)  # fmt: skip
+DEFINITION_ERRORS = (
+    ValueError,
+    TypeError,
+    KeyError,
+    AssertionError,
+    AttributeError,
+    RecursionError,
+    SyntaxError,
+    NameError,
+    OverflowError,
+    MemoryError,
+)
 
 
 @functools.cache

@@ -11,9 +11,17 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.codec import named, serialise, time_fields
 
 __all__ = [
-    "ARROW", "LINE_STRIP", "MARKERS", "PATH", "TRANSFORMS", "Marker", "Placed", "markers_bytes", "path_bytes",
+    "ARROW",
+    "LINE_STRIP",
+    "MARKERS",
+    "PATH",
+    "TRANSFORMS",
+    "Marker",
+    "Placed",
+    "markers_bytes",
+    "path_bytes",
     "transforms_bytes",
-]  # fmt: skip
+]
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 MARKERS = "visualization_msgs/msg/MarkerArray"

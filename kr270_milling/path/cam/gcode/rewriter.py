@@ -125,8 +125,11 @@ class GcodeSource:
     @property
     def head(self) -> int:
         """Return the number of lines before the first block: the start sign, the name of the program, blank lines."""
-        named = (k for k, line in enumerate(self.lines) if line.strip() and line.lstrip()[0] not in "%O:o" and
-                 not line.startswith(";$PATH"))  # fmt: skip
+        named = (
+            k
+            for k, line in enumerate(self.lines)
+            if line.strip() and line.lstrip()[0] not in "%O:o" and not line.startswith(";$PATH")
+        )
         return next(named, 0)
 
 
