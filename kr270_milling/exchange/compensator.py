@@ -79,15 +79,15 @@ class CompensatorProtocol:
 
     def choose(self, method: str) -> list[Output]:
         """Choose another method; it starts from the pass along the target if there was one."""
-        made = copy.copy(self.active)  # a refused choice leaves the present one unchanged
-        made.choose(method)
-        return self._continue(made, self._first)
+        revised = copy.copy(self.active)  # a refused choice leaves the present one unchanged
+        revised.choose(method)
+        return self._continue(revised, self._first)
 
     def reset(self) -> list[Output]:
         """Return to the target itself."""
-        made = copy.copy(self.active)
-        made.reset()
-        return self._continue(made, ())
+        revised = copy.copy(self.active)
+        revised.reset()
+        return self._continue(revised, ())
 
     def restart(self) -> list[Output]:
         """Begin the pass anew, with another start."""
@@ -138,35 +138,35 @@ class CompensatorProtocol:
         number = self.passes
         self.passes += 1
         self.missing = received.missing
-        made = copy.copy(self.active)
-        first = made.reference is made.target and not made.errors
-        made.revise(received.record(self.cell, self.plant, number))
+        revised = copy.copy(self.active)
+        first = revised.reference is revised.target and not revised.errors
+        revised.revise(received.record(self.cell, self.plant, number))
         learned = received.as_learned(self.recording)
-        outputs = self._continue(made, (*self._learned, learned))
+        outputs = self._continue(revised, (*self._learned, learned))
         if first:
             self._first = (learned,)
         return outputs
 
-    def _continue(self, made: Compensator, learned: tuple[LearnedRecording, ...]) -> list[Output]:
+    def _continue(self, revised: Compensator, learned: tuple[LearnedRecording, ...]) -> list[Output]:
         """Return the outputs of a new state; an error comes before anything has changed."""
-        commanded_joints(self.cell, made.reference)  # raises where no arm can run the reference
-        self.compensator, self._learned = made, learned
+        commanded_joints(self.cell, revised.reference)  # raises where no arm can run the reference
+        self.compensator, self._learned = revised, learned
         start, problem = max(self._now(), self._free_ns), self.inbox.problem
-        end, iterations = end_of(self.cell, made.reference), self.cell.exchange.iterations
+        end, iterations = end_of(self.cell, revised.reference), self.cell.exchange.iterations
         self.inbox = PassInbox(
-            end, iterations, start, made.reference, path_of(self.cell).clock, self._frames, self._announced
+            end, iterations, start, revised.reference, path_of(self.cell).clock, self._frames, self._announced
         )
         self.inbox.problem = problem
         state = CompensatorState(
             self.name,
-            made.method,
+            revised.method,
             self.passes,
-            made.finished,
-            fingerprint(made.target),
-            fingerprint(made.reference),
+            revised.finished,
+            fingerprint(revised.target),
+            fingerprint(revised.reference),
             learned,
         )
-        return [("compensator_state", state), ("reference_trajectory", made.reference.starting_at(start))]
+        return [("compensator_state", state), ("reference_trajectory", revised.reference.starting_at(start))]
 
 
 def end_of(cell: Cell, reference: Trajectory) -> int:

@@ -100,11 +100,11 @@ def _sag_rate(cell: Cell, reference: Trajectory, joints: np.ndarray) -> np.ndarr
     return np.gradient(beyond, reference.time, axis=0)
 
 
-def _duration(cell: Cell, way: np.ndarray) -> float:
+def _duration(cell: Cell, travel: np.ndarray) -> float:
     """Duration [s] of a quintic from rest to rest along a way (6,) [rad]."""
-    way, arm = np.abs(way), cell.arm
-    by_speed = QUINTIC_SPEED * np.max(way / (SHARE * arm.joint_speed_limit))
-    by_acceleration = np.sqrt(QUINTIC_ACCELERATION * np.max(way / (SHARE * arm.joint_acceleration_limit)))
+    travel, arm = np.abs(travel), cell.arm
+    by_speed = QUINTIC_SPEED * np.max(travel / (SHARE * arm.joint_speed_limit))
+    by_acceleration = np.sqrt(QUINTIC_ACCELERATION * np.max(travel / (SHARE * arm.joint_acceleration_limit)))
     return max(LEAST, float(by_speed), float(by_acceleration))
 
 

@@ -179,14 +179,16 @@ def read_graph(
     series = several(recording, list(topics.values()), others, WORKPIECE, on_damage)
     if not graph.references:
         raise RecordingError(recording.path, f"{reference} has no message that is a path of the tool")
-    recorded = {kind: one for kind, one in zip(topics, series, strict=True) if kind in topics}
-    own = [one for one in joints if set(joint_names) <= set(one.names) and len(one.names) == len(one.position)]
+    recorded = {kind: rows for kind, rows in zip(topics, series, strict=True) if kind in topics}
+    own = [
+        state for state in joints if set(joint_names) <= set(state.names) and len(state.names) == len(state.position)
+    ]
     if own:  # by name: a gripper may publish on the same topic
-        table = np.array([[one.position[one.names.index(name)] for name in joint_names] for one in own])
-        recorded["joint_states"] = TopicSeries(np.array([one.stamp for one in own], np.int64), table)
+        table = np.array([[state.position[state.names.index(name)] for name in joint_names] for state in own])
+        recorded["joint_states"] = TopicSeries(np.array([state.stamp for state in own], np.int64), table)
     graph.passes = _passes(graph, clock, recorded, maps, walls)
-    for name, one in recorded.items():
-        graph.outside[name] = one.stamp.size - sum(part.topic(name).step.size for part in graph.passes)
+    for name, topic in recorded.items():
+        graph.outside[name] = topic.stamp.size - sum(part.topic(name).step.size for part in graph.passes)
     return graph
 
 
@@ -230,24 +232,24 @@ def _passes(
     for start, end in zip(ordered, [*ordered[1:], np.iinfo(np.int64).max], strict=True):
         number, reference = starts[start]
         last = clock.steps(reference.duration_ns)
-        cut = {name: _cut(clock, one, name, start, end, last) for name, one in recorded.items()}
+        cut = {name: _cut(clock, topic, name, start, end, last) for name, topic in recorded.items()}
         series = {name: part for name, part in cut.items() if part.step.size}
         if "tool_pose" not in series:
             continue
         published = recorded.get("deflection")  # once an exchange
         starting = 0 if published is None else int(np.count_nonzero(published.stamp == start))
         reason = f"does not separate its passes: {starting} passes have one start" if starting > 1 else ""
-        inside = tuple(one for one in maps if start <= one.stamp < end)
+        inside = tuple(stock_map for stock_map in maps if start <= stock_map.stamp < end)
         passes.append(PassSeries(number, reference, graph.target_of(reference), series, inside, reason))
     if len(walls) == len(passes):
-        return [dataclasses.replace(one, wall_s=wall) for one, wall in zip(passes, walls, strict=True)]
+        return [dataclasses.replace(part, wall_s=wall) for part, wall in zip(passes, walls, strict=True)]
     return passes
 
 
-def _cut(clock: StepClock, one: TopicSeries, name: str, start: int, end: int, last: int) -> Series:
+def _cut(clock: StepClock, topic: TopicSeries, name: str, start: int, end: int, last: int) -> Series:
     """Return the rows of a topic that the nodes use in one pass."""
-    here = (one.stamp >= start) & (one.stamp < end)
-    stamp, values = one.stamp[here] - start, one.values[here]
+    here = (topic.stamp >= start) & (topic.stamp < end)
+    stamp, values = topic.stamp[here] - start, topic.values[here]
     step = np.rint(stamp / (clock.period * 1e9)).astype(np.int64)
     used = (step <= last) & (clock.stamp(step) == stamp) & np.isfinite(values).all(axis=1)
     if name == "tool_pose":

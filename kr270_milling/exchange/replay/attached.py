@@ -73,12 +73,12 @@ def _read(recording: Recording, main: str) -> Cell:
     return cell
 
 
-def _localise(recording: Recording, file: Path, names: set[str], seen: set[str]) -> None:
+def _localise(recording: Recording, file: Path, names: set[str], visited: set[str]) -> None:
     """Make a parameter file, and its includes, name the attached files instead of their original places.
 
     Raises RecordingError where a parameter file names a file that is neither attached nor shipped.
     """
-    seen.add(file.name)
+    visited.add(file.name)
     try:
         tree = read_yaml(file)
         parameters = tree["/**"]["ros__parameters"]
@@ -98,5 +98,5 @@ def _localise(recording: Recording, file: Path, names: set[str], seen: set[str])
             path["file"] = Path(path["file"]).name
         file.write_text(yaml.safe_dump(tree), encoding="utf-8")
     for name in includes:
-        if Path(name).name in names and Path(name).name not in seen:
-            _localise(recording, file.with_name(Path(name).name), names, seen)
+        if Path(name).name in names and Path(name).name not in visited:
+            _localise(recording, file.with_name(Path(name).name), names, visited)

@@ -39,8 +39,10 @@ def read_passes(recording: Recording, cell: Cell, namespace: str | None = None) 
     graph = read_graph(recording, path_of(cell).clock, namespace)
     if f"{graph.namespace}/correction" in recording.topics():
         return [_rsi_pass(recording, cell, graph)]
-    passes = [one for one in graph.passes if one.reason or one.topic("deflection").step.size]  # a driver publishes none
-    if any(not one.reason for one in passes):
+    passes = [
+        part for part in graph.passes if part.reason or part.topic("deflection").step.size
+    ]  # a driver publishes none
+    if any(not part.reason for part in passes):
         return passes
     return [*passes, *_driven_passes(recording, cell, graph)]
 

@@ -99,7 +99,7 @@ class Player(ReportingNode):
             self.report(ERROR, str(error))
 
     def _play_on(self, now: float) -> None:
-        if self.done or self._pace.paused:
+        if self.finished or self._pace.paused:
             return
         position = self._pace.position(now)
         for message in self._opening:
@@ -144,7 +144,7 @@ class Player(ReportingNode):
 
     def close(self) -> None:
         """After the last message: wait until the subscribers have received it, and close the file."""
-        if self.done:
+        if self.finished:
             for outlet in self._outlets.values():
                 outlet.wait_for_all_acked(Duration(seconds=1))
         self.recording.close()

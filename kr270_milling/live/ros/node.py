@@ -102,13 +102,13 @@ class Silence:
 class Ending:
     """Mixin: a node that may end its process (``spin.run_nodes``)."""
 
-    done = False  #: the node has nothing more to do
+    finished = False  #: the node has nothing more to do
     failure: str | None = None  #: sentence of a failed node; the exit code is then 1
     lap: Future | None = None  #: the executor returns when this future is done
 
     def end(self, failure: str | None = None) -> None:
         """End the process after the current callback."""
-        self.done, self.failure = True, failure or self.failure
+        self.finished, self.failure = True, failure or self.failure
         if self.lap is not None:
             self.lap.set_result(None)
 

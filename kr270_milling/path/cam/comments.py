@@ -232,8 +232,8 @@ def _diameter(comment: str, unit: float) -> float:
     comment = re.sub(r"\|\s*[HD]\s*\d+\s*(?=\||$)", "|", comment)  # offset numbers of Mastercam
     comment = re.sub(r"DIA\. OFF\.\s*-\s*\d+", "", comment)
     diameter = 0.0
-    if given := list(DIAMETER.finditer(comment)):
-        number, mark = given[-1].groups()
+    if diameters := list(DIAMETER.finditer(comment)):
+        number, mark = diameters[-1].groups()
         scale = {"mm": 1e-3, "in": 0.0254, "inch": 0.0254, '"': 0.0254}.get((mark or "").lower(), unit)
         diameter = float(number) * scale
     elif before := BEFORE.search(comment):

@@ -87,11 +87,11 @@ class _Problem:
         if first.wrench is not None:
             model = self._uncorrected(arm) + numbers[-3:]
             parts.append((self.weight * (model - first.deviation) / single).ravel())
-        for ran in self.later:
-            model = arm.follow(self.segments, ran.cubic) - arm.follow(self.segments, first.cubic)
-            if first.wrench is not None and ran.wrench is not None:
-                model = model + arm.deflect(self.segments, ran.wrench - first.wrench)
-            parts.append((self.weight * (model - (ran.deviation - first.deviation)) / double).ravel())
+        for evidence in self.later:
+            model = arm.follow(self.segments, evidence.cubic) - arm.follow(self.segments, first.cubic)
+            if first.wrench is not None and evidence.wrench is not None:
+                model = model + arm.deflect(self.segments, evidence.wrench - first.wrench)
+            parts.append((self.weight * (model - (evidence.deviation - first.deviation)) / double).ravel())
         return np.concatenate(parts)
 
     def _uncorrected(self, arm: ArmResponse) -> np.ndarray:
@@ -111,8 +111,8 @@ class _Problem:
         other = self.arm.scaled(factor, 1.0)
         if self.first.wrench is not None:
             yield self._uncorrected(other) - self._uncorrected(self.arm)
-        for ran in self.later:
-            yield other.follow(self.segments, ran.cubic) - self.arm.follow(self.segments, ran.cubic)
+        for evidence in self.later:
+            yield other.follow(self.segments, evidence.cubic) - self.arm.follow(self.segments, evidence.cubic)
 
 
 def fit_arm(
@@ -163,8 +163,10 @@ def _pieces(arm: ArmResponse, segments: Segments, path, passes: tuple[Evidence, 
     settling = min(PIECE // 2, int(SETTLING / np.median(segments.duration)))
     counts = (np.arange(rows.size) % PIECE >= settling) | (rows < PIECE)
     shown = tuple(
-        Evidence(ran.cubic[rows], ran.deviation[rows], None if ran.wrench is None else ran.wrench[rows])
-        for ran in (passes[0], *passes[1:][-KEPT:])
+        Evidence(
+            evidence.cubic[rows], evidence.deviation[rows], None if evidence.wrench is None else evidence.wrench[rows]
+        )
+        for evidence in (passes[0], *passes[1:][-KEPT:])
     )
     part = Segments(time_ns, segments.parts)
     return arm.cut(rows), part, path[rows], shown, np.where(counts[:, None], weight[rows], 0.0)

@@ -42,8 +42,8 @@ class Limited:
         A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
         in a tick goes with f^3.
         """
-        made = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
-        return made ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
+        remaining = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
+        return remaining ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
 
     @property
     def sentence(self) -> str:
@@ -81,9 +81,9 @@ def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
     return followed
 
 
-def describe(kind: str, time: np.ndarray, wanted: np.ndarray, made: np.ndarray) -> tuple[Limited, ...]:
+def describe(kind: str, time: np.ndarray, wanted: np.ndarray, allowed: np.ndarray) -> tuple[Limited, ...]:
     """One Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
-    missing, size = np.linalg.norm(wanted - made, axis=1), np.linalg.norm(wanted, axis=1)
+    missing, size = np.linalg.norm(wanted - allowed, axis=1), np.linalg.norm(wanted, axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > NOTHING, [0]]))).reshape(-1, 2)
     worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]
     return tuple(

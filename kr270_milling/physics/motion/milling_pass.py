@@ -235,16 +235,16 @@ def run_pass(
     for begin in range(0, max(n, 1), window):
         end = min(begin + window, n)
         stamps = clock.stamp(np.arange(begin, end + 1))
-        course = reference.sample(stamps)
+        positions = reference.sample(stamps)
         size = stamps.size
         out = tuple(np.zeros((size, *shape)) for shape in ((3,), (6,), (6,), (), (), ()))
         out[0][0] = tool[-1]
         ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
-        arm = (model.push(reference, stamps, begin, course), model.arrays)
+        arm = (model.push(reference, stamps, begin, positions), model.arrays)
         carried = (
             iterations,
-            course,
+            positions,
             without[-size:],
             arm,
             state,
@@ -268,8 +268,8 @@ def run_pass(
                 progress(last, n)
         wall += time.perf_counter() - start
         tool = out[0]
-        programmed = course if reference is target else target.sample(stamps)
-        rows = _combined(every, int(begin > 0), (stamps, programmed, course, *out))
+        programmed = positions if reference is target else target.sample(stamps)
+        rows = _combined(every, int(begin > 0), (stamps, programmed, positions, *out))
         for values, new in zip(series.values(), rows, strict=True):
             values[filled : filled + len(new)] = new
         filled += len(rows[0])

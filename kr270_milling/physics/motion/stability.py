@@ -198,15 +198,15 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
         apart = np.abs(before[:, :, None] - after[:, None])
         start = np.concatenate([before, np.take_along_axis(before, apart.argmin(1), 1)], 1)
         end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
-        way, passes = np.abs(end - start), start.imag * end.imag <= 0.0
-        close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * way)
-        fine = way <= PRECISION * np.maximum(np.abs(start), np.abs(end))
+        travel, passes = np.abs(end - start), start.imag * end.imag <= 0.0
+        close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * travel)
+        fine = travel <= PRECISION * np.maximum(np.abs(start), np.abs(end))
         share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
         on_axis = np.where(fine & passes, start.real + share * (end.real - start.real), 0.0)
         row, k = np.unravel_index(np.argmax(on_axis), on_axis.shape)
         if on_axis[row, k] > best:
             best, at = float(on_axis[row, k]), float(low[row] + share[row, k] * (high[row] - low[row]))
-        reach = np.maximum(start.real, end.real) + NEAR * way
+        reach = np.maximum(start.real, end.real) + NEAR * travel
         halved = np.any(close & ~fine & (reach > best), 1) & (high - low > 1e-9 * high)
         low, high, before, after = low[halved], high[halved], before[halved], after[halved]
         middle = 0.5 * (low + high)

@@ -16,7 +16,7 @@ __all__ = ["all_latched", "bag_information", "describe_qos", "qos_text", "read_q
 
 INFINITE = 2**63 - 1  # [ns]; rosbag2's duration without limit
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
-#: the profile of a topic without a given one; the order is rosbag2's
+#: the default profile of a topic; the order is rosbag2's
 DEFAULT_QOS = dict(
     history="keep_last",
     depth=10,
@@ -40,10 +40,10 @@ def describe_qos(profile) -> dict:
         unknown = sorted(set(profile) - set(DEFAULT_QOS))
         if unknown:
             raise KeyError(f"{', '.join(unknown)} is not part of a QoS profile")
-        given = {**DEFAULT_QOS, **profile}
+        values = {**DEFAULT_QOS, **profile}
     else:
-        given = {key: getattr(profile, key) for key in DEFAULT_QOS}
-    return {key: _plain(key, given[key]) for key in DEFAULT_QOS}
+        values = {key: getattr(profile, key) for key in DEFAULT_QOS}
+    return {key: _plain(key, values[key]) for key in DEFAULT_QOS}
 
 
 def _plain(key: str, value):

@@ -91,11 +91,11 @@ def make_decoder(path, name: str, topic: RecordedTopic) -> Callable[[bytes], obj
     return decode
 
 
-def _has_lists(store, type_name: str, seen: frozenset = frozenset()) -> bool:
+def _has_lists(store, type_name: str, outer: frozenset = frozenset()) -> bool:
     """Whether a message may hold a list of messages or texts, itself or in a message within it."""
     for _, is_message, kind, length in members(store.fielddefs[type_name]):
         if length == math.inf and (is_message or kind == "string"):
             return True
-        if is_message and kind not in seen and _has_lists(store, kind, seen | {type_name}):
+        if is_message and kind not in outer and _has_lists(store, kind, outer | {type_name}):
             return True
     return False

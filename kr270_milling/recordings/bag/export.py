@@ -69,15 +69,15 @@ def export(
     missing = sorted(set(topics or ()) - set(known))
     if missing:
         raise RecordingError(recording.path, f"has no topic {', '.join(missing)}")
-    result, done = Exported(), 0
+    result, exported = Exported(), 0
     try:
         Path(directory).mkdir(parents=True, exist_ok=True)
         for topic, about in known.items():
             if about.count and (topics is None or topic in topics):
                 _export_topic(recording, topic, Path(directory), kind, result)
-            done += about.count
+            exported += about.count
             if progress:
-                progress(done, recording.count)
+                progress(exported, recording.count)
     except OSError as error:
         raise RecordingError(directory, f"the tables cannot be written: {error.strerror or error}") from error
     except InputError as error:

@@ -64,10 +64,10 @@ class Output:
 
     def write(self, data) -> int:
         self.check()
-        view, done = memoryview(data), 0
+        view, written = memoryview(data), 0
         try:
-            while done < len(view):
-                done += self._file.write(view[done:])
+            while written < len(view):
+                written += self._file.write(view[written:])
         except OSError as error:
             lost = self.count - self.saved
             reason = f"writing ended with an error ({error.strerror or error}); {self.saved} messages are safe, "
@@ -76,7 +76,7 @@ class Output:
             raise self.error from error
         if view and view[0] == Opcode.CHUNK:
             self.saved = self.count
-        return done
+        return written
 
     def tell(self) -> int:
         return self._file.tell()

@@ -228,8 +228,8 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
 def _state(record: CompensatorState) -> dict:
     """A value for each field, and for each learned pass its fields behind ``learned_1.``, ``learned_2.`` ..."""
     values = {key: getattr(record, key) for key in STATE_KEYS}
-    for number, one in enumerate(record.learned, 1):
-        values |= {f"learned_{number}.{key}": value for key, value in one._asdict().items()}
+    for number, part in enumerate(record.learned, 1):
+        values |= {f"learned_{number}.{key}": value for key, value in part._asdict().items()}
     pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
     message = f"{record.method}, learned from {len(record.learned)} of {record.passes} passes"
     return {"name": record.name, "message": message, "values": pairs}

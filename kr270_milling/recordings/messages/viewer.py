@@ -55,10 +55,10 @@ class Marker:
 def transforms_bytes(stamp_ns: int, placed: Sequence[Placed]) -> bytes:
     """A TFMessage in which every frame has the same stamp."""
     rows = []
-    for one in placed:
-        header = {"stamp": time_fields(stamp_ns), "frame_id": one.parent}
-        transform = {"translation": named("xyz", one.position), "rotation": named("xyzw", one.quaternion)}
-        rows.append({"header": header, "child_frame_id": one.child, "transform": transform})
+    for frame in placed:
+        header = {"stamp": time_fields(stamp_ns), "frame_id": frame.parent}
+        transform = {"translation": named("xyz", frame.position), "rotation": named("xyzw", frame.quaternion)}
+        rows.append({"header": header, "child_frame_id": frame.child, "transform": transform})
     return serialise(TRANSFORMS, {"transforms": rows})
 
 

@@ -172,7 +172,7 @@ def _rewritten(line: str, move: SourceMove, places: list[str]) -> list[str]:
         skip, code = mark[0][len(number) :].lstrip(), number + " " + code[mark.end() :]
     words, ending, comments, place = _sorted_words(code, move)
     feed = move.kind == "feed"
-    blocks = [f"G1 {one}" if feed else one for one in places]
+    blocks = [f"G1 {position}" if feed else position for position in places]
     words.insert(place, blocks[0] if blocks else "G1")
     rows = [words, *([block] for block in blocks[1:])]
     rows[-1] = rows[-1] + ending
