@@ -62,12 +62,12 @@ class CompensatorProtocol:
 
     @property
     def under_way(self) -> bool:
-        """Whether the start of a pass was received and its end is not revised yet."""
+        """Return whether the start of a pass was received and its end is not revised yet."""
         return self.compensator is not None and self.inbox.started
 
     @property
     def at_end(self) -> bool:
-        """Whether the pass lacks nothing but its last wrench."""
+        """Return whether the pass lacks nothing but its last wrench."""
         return self.under_way and self.inbox.at_end
 
     def begin(self, target: Trajectory) -> list[Output]:

@@ -36,7 +36,7 @@ class CutProtocol:
         self.cell = cell
         self.cut: CutModel | None = None  #: the tool on the workpiece
         self.step = -1  #: last exchange that was answered; -1 before the first one
-        self.stamp_ns = 0  #: of the last answer
+        self.stamp_ns = 0  #: stamp of the last answer
         self.start_ns = 0  #: stamp of the first exchange of the pass
         self._end_ns = 0  # of the pass, 0 where it is not known
         self.planned: tuple[int, int] | None = None  #: stamps of start and end of the next pass
@@ -57,7 +57,7 @@ class CutProtocol:
         return self.workpiece()
 
     def _drilling(self) -> np.ndarray:
-        """Whether the wrench of each exchange is zero, (n + 1,) bool: the force of drilling is not modelled.
+        """Return whether the wrench of each exchange is zero, (n + 1,) bool: the force of drilling is not modelled.
 
         Empty where the program does not drill: then the cut does not need the times of the path.
         """
@@ -73,12 +73,12 @@ class CutProtocol:
 
     @property
     def under_way(self) -> bool:
-        """Whether a pass was started and has not reached the end of the reference trajectory."""
+        """Return whether a pass was started and has not reached the end of the reference trajectory."""
         return self.step >= 0 and self.stamp_ns < self._end_ns
 
     @property
     def at_end(self) -> bool:
-        """Whether the pass has reached the end of the reference trajectory."""
+        """Return whether the pass has reached the end of the reference trajectory."""
         return self.step > 0 and not self.under_way
 
     @property

@@ -23,7 +23,7 @@ from kr270_milling.physics.robot.kinematics import forward
 
 __all__ = ["JointProgramError", "joint_program"]
 
-SHARE = 0.1  #: of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
+SHARE = 0.1  #: share of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
 LEAST = 0.1  #: [s], of approach and run-out
 RESTING = 1e-9  #: [rad/s]; a slower joint is at rest
 SMOOTH = 1e-9  #: [m] by which a jump of velocity or acceleration at a knot may move the path
@@ -93,7 +93,7 @@ def _rates(cell: Cell, reference: Trajectory, joints: np.ndarray) -> tuple[np.nd
 
 
 def _sag_rate(cell: Cell, reference: Trajectory, joints: np.ndarray) -> np.ndarray:
-    """Velocity (n, 6) of what the joints command beyond the reference, against the sag; base axes."""
+    """Velocity (n, 6) that the joints command beyond the reference, against the sag; base axes."""
     tool, place = forward(cell.arm, cell.mount, joints).tool, cell.workpiece.pose
     turned = tool.rotation @ np.swapaxes(place.rotation @ rotation_from_quaternion(reference.quaternion), 1, 2)
     beyond = np.hstack([tool.position - place.apply(reference.position), Rotation.from_matrix(turned).as_rotvec()])
@@ -101,7 +101,7 @@ def _sag_rate(cell: Cell, reference: Trajectory, joints: np.ndarray) -> np.ndarr
 
 
 def _duration(cell: Cell, travel: np.ndarray) -> float:
-    """Duration [s] of a quintic from rest to rest along a way (6,) [rad]."""
+    """Duration [s] of a quintic from rest to rest that travels (6,) [rad]."""
     travel, arm = np.abs(travel), cell.arm
     by_speed = QUINTIC_SPEED * np.max(travel / (SHARE * arm.joint_speed_limit))
     by_acceleration = np.sqrt(QUINTIC_ACCELERATION * np.max(travel / (SHARE * arm.joint_acceleration_limit)))

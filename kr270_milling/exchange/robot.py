@@ -32,7 +32,7 @@ class RobotProtocol:
 
     def __init__(self, cell: Cell, deflection_every: int | None = None):
         self.cell = cell
-        self.reference: Trajectory | None = None  #: of the next pass
+        self.reference: Trajectory | None = None  #: reference of the next pass
         self.passes = 0  #: completed passes
         self.started = False  #: a pass runs, or has run to its end
         self.finished = False  #: the pass has run to its end
@@ -84,7 +84,7 @@ class RobotProtocol:
 
     @property
     def large_correction(self) -> bool:
-        """Whether the largest correction exceeds its limit, a share of the feed per tooth."""
+        """Return whether the largest correction exceeds its limit, a share of the feed per tooth."""
         if not self.started or self.reference is None:
             return False
         feed = float(np.max(self.reference.feed(self.reference.time_ns)))

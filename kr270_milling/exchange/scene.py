@@ -39,7 +39,7 @@ INPUTS = tuple(topic.name for topic in TOPICS if topic.scene)
 #: topic -> type of the derived messages; transforms are global, as viewers expect
 OUTPUTS = {"/tf_static": TRANSFORMS, "/tf": TRANSFORMS, "/markers": MARKERS}
 PERIOD_NS = 33_333_333  #: between two messages, 30 Hz
-MOST_POINTS = 200  #: of the path; beyond, every second point is removed
+MOST_POINTS = 200  #: points of the path; beyond, every second point is removed
 FULL_ERROR = 100e-6  #: [m], of the far end of the colours
 ARROW_LENGTH = 1e-3  #: [m/N]
 LOW, HIGH = np.array([0.03, 0.31, 0.59, 1.0]), np.array([0.90, 0.35, 0.05, 1.0])  #: colours of no and of full error
@@ -57,7 +57,7 @@ class Derived(NamedTuple):
 
 
 class Scene:
-    """One robot. ``take`` receives the messages of its topics and yields the derived messages."""
+    """The scene of a robot. ``take`` receives the messages of its topics and yields the derived messages."""
 
     def __init__(self):
         self._links: tuple[Link, ...] = ()

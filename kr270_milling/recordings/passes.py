@@ -37,14 +37,14 @@ class StepClock(Protocol):
 
 
 class Series(NamedTuple):
-    """One topic of a pass, in the order of the file; a stamp comes several times where the exchange is iterated."""
+    """A topic of a pass, in the order of the file; a stamp comes several times where the exchange is iterated."""
 
     step: np.ndarray  #: exchange, (n,) int64, not descending
     stamp_ns: np.ndarray  #: from the start of the pass, (n,) int64
     values: np.ndarray  #: (n, columns)
 
     def last(self, before: int = 0) -> Series:
-        """Return one row for each step: its last one; before: the one so many rows before, of steps that have it."""
+        """Return the last row of each step; before: the row so many rows earlier, of the steps that have it."""
         end = np.searchsorted(self.step, np.unique(self.step), side="right") - 1
         rows = end - before
         rows = rows[(rows >= 0) & (self.step[rows] == self.step[end])]
@@ -60,16 +60,16 @@ NOTHING = Series(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PassSeries:
-    """One pass along one reference, of the simulated robot, of a robot with another clock or of an RSI session."""
+    """A pass along a reference, of the simulated robot, of a robot with another clock or of an RSI session."""
 
-    number: int  #: of the reference in the recording, from 0
+    number: int  #: place of the reference in the recording, from 0
     reference: Trajectory
     target: Trajectory | None  #: as the compensator states it; None: that of the cell
-    series: dict[str, Series]  #: by topic
-    maps: tuple[StockMap, ...] = ()  #: of the workpiece
+    series: dict[str, Series]  #: topic -> its rows
+    maps: tuple[StockMap, ...] = ()  #: maps of the workpiece
     reason: str = ""  #: why the pass cannot be used; empty: it can
     wall_s: float = float("nan")  #: wall time that the robot reported [s]
-    stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
+    stamps: str = "exchange"  #: origin of the stamps; "driver's": another clock; "place": an RSI session
     driven_lost: int = 0  #: poses that are missing where a driver stamps them
     driven_whole: bool = False  #: a driven pass has no gap and runs to the end of its reference
 
@@ -86,20 +86,20 @@ class PassSeries:
 
 @dataclasses.dataclass(eq=False)
 class GraphRecord:
-    """What one robot's nodes published."""
+    """Messages of the nodes of one robot."""
 
     namespace: str
     topics: dict[str, str] = dataclasses.field(default_factory=dict)  #: our names -> names in the recording
     references: list[Trajectory] = dataclasses.field(default_factory=list)  #: in the order of the file
     published: list[Trajectory] = dataclasses.field(default_factory=list)  #: the same, with the bits of the messages
-    targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: by fingerprint, in this order
-    states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: in this order
+    targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: fingerprint -> target, in this order
+    states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: states in the order of the file
     refused: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that cannot be read
     outside: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages of no exchange of a pass
-    passes: list[PassSeries] = dataclasses.field(default_factory=list)  #: of the simulated robot, by their starts
+    passes: list[PassSeries] = dataclasses.field(default_factory=list)  #: passes of the simulated robot by their starts
 
     def target_of(self, reference: Trajectory) -> Trajectory | None:
-        """Return the target that a reference follows from: as a state says, else the last one; None: the cell's."""
+        """Return the target of a reference: as a state says, else the last target; None: the target of the cell."""
         digest = fingerprint(reference)
         stated = [state.target for state in self.states if state.reference == digest]
         if stated:
@@ -108,7 +108,7 @@ class GraphRecord:
 
 
 def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
-    """The full name of one of the graph's topics in a recording; raises RecordingError where there is not just one."""
+    """Return the full name of a topic of the graph in a recording; raise RecordingError unless it is unique."""
     if namespace is not None:
         matches = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
         matches = [topic for topic in matches if topic in recording.topics()]

@@ -1,4 +1,4 @@
-"""Recompute a recording: the models along what was recorded, and every output compared bit for bit.
+"""Recompute a recording: the models along the recorded inputs, and every output compared bit for bit.
 
 Robot: simulated along the recorded wrenches. Cut: along the recorded poses. Compensator: revised from the recorded
 passes. There is no ROS graph and no clock. Robots in several namespaces are recomputed one after the other.
@@ -60,7 +60,7 @@ class Difference:
     """The first message that is not what the models give."""
 
     topic: str
-    index: int  #: of the message among those of its topic that belong to a pass, from 0
+    index: int  #: place of the message among those of its topic that belong to a pass, from 0
     stamp_ns: int
     field: str
     recorded: object
@@ -94,10 +94,10 @@ class Recomputed:
 
     file: str
     cut_off: bool
-    channels: dict[str, TopicCount]  #: by full names of topics
+    channels: dict[str, TopicCount]  #: full name of a topic -> its counts
     first: Difference | None
     stops: tuple[tuple[str, int | None, str], ...]  #: namespace, stamp [ns] if a time belongs to the reason, reason
-    version: str  #: of the package that wrote the recording
+    version: str  #: version of the package that wrote the recording
     damage: tuple[str, ...] = ()
 
     @property

@@ -29,7 +29,7 @@ NO_PASS = "poses, wrenches and deflections of at least one period"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RecordedFacts:
-    """What a recording states about a scored pass: cell, target, and what is missing."""
+    """Facts of a recording about a scored pass: cell, target, and the missing messages."""
 
     cell: Cell
     target: Trajectory
@@ -37,7 +37,7 @@ class RecordedFacts:
     lost_to_end: int  #: the same, where the pass is known to have run to the end of its reference
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
     program: str | None = None  #: text of the tool path file, where the recording carries it
-    stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
+    stamps: str = "exchange"  #: see ``PassSeries.stamps``
     unused: Mapping[str, str] = dataclasses.field(default_factory=dict)  #: pass that cannot be used: reason
 
 
@@ -108,8 +108,10 @@ def _scored(
 
 
 def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, recorded: dict[str, Series]) -> Series:
-    """Those that were recorded and, as far as these are the same to the bit, those between them: they follow from the
-    wrenches, which were all published."""
+    """Return the recorded deflections, completed by recomputed ones where both agree bit for bit.
+
+    The deflections follow from the wrenches, which were all published.
+    """
     wrench, there = recorded["wrench"], recorded["deflection"]
     if len(there.step) >= len(wrench.step):
         return there
@@ -126,7 +128,7 @@ def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, re
 
 
 def _program(recording: Recording, cell: Cell) -> str | None:
-    """The tool path file that a recording carries."""
+    """Return the text of the attached tool path file; None without such a file."""
     name = Path(cell.path.file).name
     if name not in [about.name for about in recording.attachments]:
         return None
@@ -136,8 +138,10 @@ def _program(recording: Recording, cell: Cell) -> str | None:
 def _result(
     cells: tuple[Cell, Cell], target: Trajectory, run: Trajectory, steps: np.ndarray, rows: dict, wall: float
 ) -> PassResult:
-    """What no message carries (torque, volume, heights) from the recorded tool centres on a fresh workpiece; across a
-    hole in the recording the tool goes straight."""
+    """Return the result of a pass; torque, volume and heights come from the recorded tool centres.
+
+    These cut a fresh workpiece; across a gap in the recording the tool moves straight.
+    """
     cell, plant = cells
     stamps, tool = path_of(cell).clock.stamp(steps), rows["tool_pose"][:, :3]
     planned = run.sample(stamps)

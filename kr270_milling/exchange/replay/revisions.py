@@ -133,7 +133,7 @@ class Revisions:
         return rebuilt
 
     def _state_of(self, number: int) -> LearnedRecording | None:
-        """Return what a state says of a pass."""
+        """Return the statement of a state about a pass."""
         names = [digest for digest, known in self._learned.items() if known == number]
         stated = (named for state in self.graph.states for named in state.learned if named.fingerprint in names)
         return next(stated, None)

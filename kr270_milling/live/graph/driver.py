@@ -34,8 +34,8 @@ class Driver:
     def __init__(self, namespace: str, check: Callable[[], None]):
         self.check = check
         self.statuses: dict[str, Status] = {}  #: last status by node
-        self.arrivals: dict[str, float] = {}  #: of the last status [s of the monotonic clock], by node
-        self.silences: dict[str, Silence] = {}  #: by node
+        self.arrivals: dict[str, float] = {}  #: node -> arrival of its last status [s of the monotonic clock]
+        self.silences: dict[str, Silence] = {}  #: node -> its silence
         self.error: tuple[str, str] | None = None  #: (node, message) of the first ERROR
         self.foreign = ""  #: name of a node that another process also uses; reports of that process are ignored
         self._context = Context()

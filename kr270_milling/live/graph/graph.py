@@ -67,7 +67,7 @@ class Graph:
         self.cell = cell
         self.plant = plant
         self.out = Path(out).resolve()
-        self.children: dict[str, Child] = {}  #: by node
+        self.children: dict[str, Child] = {}  #: node -> its process
         self.passes = 0  #: number of recorded passes
         self._composed = composed
         self._namespace = namespace
@@ -184,7 +184,7 @@ class Graph:
 
     @property
     def repeats(self) -> bool:
-        """Whether the method continues with passes until the compensator is finished."""
+        """Return whether the method continues with passes until the compensator is finished."""
         return bool(self._value("repeats"))
 
     def _value(self, key: str, node: str = COMPENSATOR) -> Any:

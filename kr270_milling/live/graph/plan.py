@@ -20,7 +20,7 @@ __all__ = ["RunRow", "run_plan"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunRow:
-    """One row of the table of a run."""
+    """A row of the table of a run."""
 
     run: RunValues
     scored: ScoredPass

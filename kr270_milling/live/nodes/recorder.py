@@ -31,7 +31,7 @@ class Recorder(ReportingNode):
     def __init__(self, **kwargs):
         super().__init__("recorder", **kwargs)
         self._where = "parameters of " + self.get_fully_qualified_name()
-        self.session: RecordingSession | None = None  #: of the open file
+        self.session: RecordingSession | None = None  #: session of the open file
         patterns = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
         self._topics = [
             t if "*" in t or "?" in t else resolved_topic(self, t, f"{self._where}: topics") for t in patterns

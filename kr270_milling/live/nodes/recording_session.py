@@ -1,4 +1,4 @@
-"""One file of a recorder: subscribe to the topics, write the messages, count the missing ones."""
+"""Write a file of a recorder: subscribe to the topics, write the messages, count the missing ones."""
 
 from __future__ import annotations
 

@@ -123,9 +123,9 @@ class ReportingNode(Ending, Node):
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
         self.refused = 0  #: messages and requests that could not be used
-        self.unusable: dict[str, tuple[int, str, float]] = {}  #: by source: count, last reason, last report [s]
+        self.unusable: dict[str, tuple[int, str, float]] = {}  #: source -> count, last reason, last report [s]
         self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
-        self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
+        self.outlets: dict[str, Publisher] = {}  #: name of a topic -> its publisher
         self.stamp_ns = 0  #: time of the pass, for messages without a stamp
         self._level, self.message, self._error = OK, "starting", ""
         self._values: dict[str, object] = {}

@@ -1,4 +1,4 @@
-"""Whether a pass may start: the compensator decides from the statuses of the nodes."""
+"""Readiness for a pass: the compensator decides from the statuses of the nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATUSES = tuple(f"/{node}/status" for node in (ROBOT, CUT, COMPENSATOR, RECORDE
 
 
 class Readiness:
-    """What a pass waits for; node: the one that decides and calls ``check``; names: as ``WAIT_FOR``.
+    """Conditions before a pass; node: decides and calls ``check``; names: as ``WAIT_FOR``.
 
     A node without a status counts when it publishes one of ``inputs``, topics with their full names.
     """

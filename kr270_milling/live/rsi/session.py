@@ -27,14 +27,14 @@ POLL = 0.2  #: [s]
 WAITING = 1000  #: telegrams read at once at most, 4 s at 4 ms, so that a flood does not keep the session from answering
 WRAP = 2**32  #: IPOC counts milliseconds in 32 bits
 FARTHEST = 60_000  #: [ms]; a counter that is farther ahead is no next telegram; assumed: a robot waits a second at most
-PRIORITY = 10  #: of SCHED_FIFO, 1 to 99; assumed: above all usual programs, below the kernel's threads of 50
+PRIORITY = 10  #: priority of SCHED_FIFO, 1 to 99; assumed: above all usual programs, below the kernel's threads of 50
 TIMESTAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux, asm-generic/socket.h
 TIME = struct.Struct("qq")  # timespec
 
 
 @dataclass(frozen=True, eq=False)
 class AnsweredCycle:
-    """One answered cycle, for the recording."""
+    """An answered cycle, for the recording."""
 
     stamp: int  #: [ns], since the first telegram, by the counter of the robot
     actual: np.ndarray | None  #: RIst, (6,) [m, rad]

@@ -1,4 +1,4 @@
-"""What comments of posts say: names of operations, and tools with their diameters and teeth."""
+"""Information in the comments of posts: names of operations, and tools with their diameters and teeth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NO_NAME = re.compile(
     r"footer)\b",
     re.I,
 )
-#: what happens inside an operation
+#: steps inside an operation
 INSIDE = re.compile(
     r"(?:(?:helical|helix|spiral|linear|zig-?zag|profile)\s+(?:ramp(?:ing)?|entry|exit|plunge|motion|lead)"
     r"|ramp(?:ing)?|lead[- ]?(?:in|out)|plunge|link(?:ing)?|transition|(?:depth|level|layer|pass)\s*\d*)"
@@ -153,7 +153,7 @@ INSERTS = re.compile(
     r"insert|\bindex|\bshell|\bfac(?:e|ing)|platte|\bwsp|messerkopf|(?:plan|eck|igel|walzenstirn)fr|coromill|plaquette|surfac",
     re.I,
 )
-TAPER_ANGLE = re.compile(r"\bTAPER=", re.I)  #: of a chamfer mill or of the point of a drill
+TAPER_ANGLE = re.compile(r"\bTAPER=", re.I)  #: angle of a chamfer mill or of the point of a drill
 
 
 def kind_of(words: str) -> str:

@@ -32,19 +32,19 @@ SETTLING = 3.0  #: [s], of a piece that do not count: a mode of 7 Hz and 4 % for
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One pass: the cubics of its correction, deviation and wrench in each part."""
+    """Evidence of a pass: the cubics of its correction, deviation and wrench in each part."""
 
     cubic: np.ndarray  #: (m, 4, 3)
     deviation: np.ndarray  #: [m], (m, parts, 3)
     wrench: np.ndarray | None  #: [N, N m], (m, parts, 6)
-    on_path: np.ndarray | None = None  #: what it would have been of a tool on its path [N, N m], (m, parts, 6)
+    on_path: np.ndarray | None = None  #: wrench on a tool on its path [N, N m], (m, parts, 6)
 
 
 @dataclass(frozen=True)
 class Identified:
     """The fitted values; modes that the passes do not show are missing."""
 
-    gain: float  #: of the tool's response to the reference
+    gain: float  #: gain of the tool's response to the reference
     compliance_factor: float  #: on the static compliance of the model
     frequency_hz: tuple[float, ...]
     damping_ratio: tuple[float, ...]

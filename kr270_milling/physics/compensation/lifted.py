@@ -30,7 +30,7 @@ CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
 ROUNDS = 40  #: most reweightings
 STEPS = 30  #: most conjugate gradients
 CLOSE = 1.02  #: the largest deviation is within 2 % of the least possible one: it is good enough
-TINY = 1e-12  #: of the trace: keeps what no sample sees from making a matrix singular
+TINY = 1e-12  #: share of the trace: keeps numbers that no sample shows from making a matrix singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class KnotConditions:
     fixed: np.ndarray  #: (m,) bool: the target rests along the whole segment, and so does the correction
 
     def cut(self, part: slice) -> KnotConditions:
-        """Those of the segments of ``part``."""
+        """Return the conditions of the segments of ``part``."""
         return KnotConditions(self.smooth, self.resting[part.start : part.stop + 1], self.fixed[part])
 
 
@@ -142,7 +142,7 @@ class Lifted:
         segments, n = self._segments, len(plants)
 
         def slope(cubic: np.ndarray, share: float) -> np.ndarray:
-            """Of half the cost by the cubics, with this share of the deviations."""
+            """Slope of half the cost by the cubics, with this share of the deviations."""
             total = self._roughness(cubic, smoothness)
             for arm, deviation in plants:
                 left = share * deviation + arm.follow(segments, cubic)

@@ -13,7 +13,7 @@ NOTHING = 1e-9  #: [m] less missing of a correction is no limitation
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a correction is limited to."""
+    """Limits of a correction."""
 
     max_correction: float = np.inf  #: [m]
     max_change: float = np.inf  #: [m], within each tick
@@ -82,7 +82,7 @@ def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
 
 
 def describe(kind: str, time: np.ndarray, wanted: np.ndarray, allowed: np.ndarray) -> tuple[Limited, ...]:
-    """One Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
+    """Return a Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
     missing, size = np.linalg.norm(wanted - allowed, axis=1), np.linalg.norm(wanted, axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > NOTHING, [0]]))).reshape(-1, 2)
     worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]

@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
-ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
+ROUNDS = 30  #: rounds of tightening the limits at the knots until the spline between them keeps them too
 
 
 class RevisionError(MillingError):
@@ -47,7 +47,7 @@ class KnotsError(RevisionError):
 
 @dataclass(frozen=True, eq=False)
 class PassRecord:
-    """Where the tool tip was in one pass, simulated, measured or recorded."""
+    """Positions of the tool tip in a pass, simulated, measured or recorded."""
 
     time_ns: np.ndarray  #: [ns], (n,), increasing
     position: np.ndarray  #: [m], (n, 3), in the frame of the trajectories
@@ -147,7 +147,7 @@ def resting_segments(target: Trajectory) -> np.ndarray:
 
 
 def _rested(target: Trajectory, correction: np.ndarray) -> np.ndarray:
-    """One correction, the mean, for all knots of a rest of the target."""
+    """Replace the corrections of all knots of a rest of the target by their mean."""
     same = resting_segments(target)
     if not same.any():
         return correction

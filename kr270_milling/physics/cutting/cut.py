@@ -1,4 +1,4 @@
-"""One workpiece under one tool: poses in, wrenches out."""
+"""Cut of a workpiece by a tool: poses in, wrenches out."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = ["Cut", "CutModel", "EngagementCut", "SweepError", "UndoError"]
 
-MOST_NODES = 400  #: of a map along the longer side of the stock
+MOST_NODES = 400  #: nodes of a map along the longer side of the stock
 
 
 class UndoError(MillingError):
@@ -173,7 +173,7 @@ class CutModel:
 
     @property
     def map_thinning(self) -> int:
-        """One node in so many each way is in ``map_heights``."""
+        """Nodes of the grid from one node of ``map_heights`` to the next."""
         return max(1, round(max(self.stock.nodes) / MOST_NODES))
 
     def map_heights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -334,7 +334,7 @@ def _rise(s, p, z, passes, give):
 
 @inlined
 def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    """One straight move of at most a quarter of the radius: first down, then level; returns torque, height, thrust.
+    """Cut along a straight move of at most a quarter of the radius: down, then level; return torque, height, thrust.
 
     A tool that sinks is as low as at the end, a tool that rises as high as in the middle of the move.
     """
@@ -393,7 +393,7 @@ def _level(p, z):
 
 @inlined
 def _outside(p, x, y):
-    """Whether the footprint of the tool misses the stock."""
+    """Return whether the footprint of the tool misses the stock."""
     return (
         x + p.radius < p.origin_x - p.spacing
         or x - p.radius > p.origin_x + p.nx * p.spacing
@@ -451,7 +451,7 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
 
 @inlined
 def _any_wanted(low, high, ahead_y, along, sinking):
-    """Whether a node j of low..high is ahead; for a sinking tool, whether one is not."""
+    """Return whether a node j of low..high is ahead; for a sinking tool, whether a node is not ahead."""
     a, b = low * ahead_y, high * ahead_y
     return min(a, b) <= along if sinking else max(a, b) > along
 

@@ -1,4 +1,4 @@
-"""What a force law is: coefficients, one compiled function, and what fits, scatters and shows them.
+"""Force laws: coefficients, one compiled function, and the methods that fit, scatter and show them.
 
 A law is a subclass of ``ForceLaw`` and a row of ``laws.LAWS``; no other file asks for the name of a law.
 """
@@ -82,7 +82,7 @@ class ForceLaw(Record):
 
     @property
     def axial(self) -> bool:
-        """Whether the law has an axial force."""
+        """Return whether the law has an axial force."""
         return any(getattr(self, name) != 0.0 for name in self.axial_names)
 
     def grown(self, factor: float) -> ForceLaw:
@@ -92,7 +92,7 @@ class ForceLaw(Record):
 
     @classmethod
     def fault(cls) -> str:
-        """What the attributes of the class contradict, in one sentence; empty where they fit."""
+        """Return a sentence on attributes of the class that contradict each other; empty where they fit."""
         names = [spec.name for spec in specs(cls)]
         unknown = [name for name in (*cls.scattered, *cls.axial_names) if name not in names]
         if unknown:
@@ -105,7 +105,7 @@ class ForceLaw(Record):
 
     @classmethod
     def address(cls) -> int:
-        """Where the compiled ``force`` is in the memory of this process; see ``_call_law``."""
+        """Return the address of the compiled ``force`` in the memory of this process; see ``_call_law``."""
         return _compiled(cls.force).address
 
     def per_depth(self, h) -> tuple:

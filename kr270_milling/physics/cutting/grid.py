@@ -19,7 +19,7 @@ __all__ = ["Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
 TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
 LEVELS = 65535
 MAX_TABLE = 1 << 24  # tiles that a stock may have, used or not: 4 bytes each
-NODES_PER_RADIUS = 50  #: of a tool, in the coarse grid of the mean-force model, at least
+NODES_PER_RADIUS = 50  #: least nodes in the radius of a tool, in the coarse grid of the mean-force model
 MAX_TILES = 32768  # of 128 KiB each; a node's place in the pool then fits an int32
 
 

@@ -25,7 +25,7 @@ SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-0
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """One row of the file."""
+    """A row of the file."""
 
     name: str
     cutter: str

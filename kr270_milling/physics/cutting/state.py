@@ -1,4 +1,4 @@
-"""What the sweep of the teeth reads (Params) and changes (State): plain arrays in named tuples, for compiled code."""
+"""Input (Params) and state (State) of the sweep of the teeth: plain arrays in named tuples, for compiled code."""
 
 from __future__ import annotations
 

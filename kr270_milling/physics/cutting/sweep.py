@@ -144,14 +144,14 @@ def _remember(s, step, x, y, moved):
 
 @inlined
 def _path(s, start, end):
-    """Way of the centre between two micro-steps [m]."""
+    """Return the distance that the centre moved between two micro-steps [m]."""
     mask = s.history.shape[0] - 1
     return s.history[end & mask, 2] - s.history[start & mask, 2]
 
 
 @inlined
 def _plan(s, p, step, level):
-    """Whether teeth must sweep whole sectors now, and else the centre's way in the last window [m].
+    """Return whether a full-sector sweep is needed; otherwise the distance the centre moved in the last window [m].
 
     Only the rim is new ground if the footprint was swept before: by a run of whole sectors over one window and half a
     turn, as far as a point near the axis turns away from the teeth when the centre goes by, and from then on because

@@ -111,7 +111,7 @@ class ArmModel:
 
     @property
     def arrays(self) -> tuple:
-        """What ``advance`` takes."""
+        """Arguments of ``advance``."""
         gaps = self.gaps.arrays
         return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot, gaps
 
@@ -312,7 +312,7 @@ def push(motion, response, steps_per_knot, first, out):
 
 @njit(cache=True, error_model="numpy")
 def advance(step, state, wrench, push, arrays, new_state, deflection):
-    """One exchange period of (1): fills ``new_state`` and ``deflection`` (6,) at the end of the period.
+    """Advance (1) by an exchange period: fill ``new_state`` and ``deflection`` (6,) at the end of the period.
 
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
     interpolated linearly. push (2r,): of the reference in this period, a row of ``ArmModel.push``; (0,): none.

@@ -1,4 +1,4 @@
-"""What a real cell adds to a pass and no model knows: noise of the sensors, repeatability, backlash, servo lag."""
+"""Imperfections of a real cell that no model knows: noise of the sensors, repeatability, backlash, servo lag."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["Imperfections"]
 SERVO_DAMPING = 0.7  #: assumed: ratio of the second order of the servo lag, the usual tuning without overshoot
 SERVO_STEP = 1_000_000  #: [ns], of the lagged correction
 LEAST_SERVO_FREQUENCY = 0.1  #: [Hz]; far slower motors do not follow at all, and the filter becomes singular
-MOST_SERVO_STEPS = 900_000  #: of a long path: 4 ms in an hour
+MOST_SERVO_STEPS = 900_000  #: steps of a long path: 4 ms in an hour
 SENSOR_LEVER = 0.1  #: [m], assumed: noise of a measured moment over that of a force
-#: of a Maxwell-distributed distance with standard deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
+#: repeatability over the deviation 1 along each axis: Maxwell distribution, mean 1.596 + 3 times its deviation 0.673
 REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
 
 

@@ -1,4 +1,4 @@
-"""One milling pass, Fig. 7: the arm predicts the tool's pose, the cut answers with the wrench, the arm corrects.
+"""Milling pass, Fig. 7: the arm predicts the tool's pose, the cut answers with the wrench, the arm corrects.
 
 The functions that the compiled loop calls are the same that a robot node and a cutting node call one by one.
 """
@@ -63,7 +63,7 @@ class PassResult:
     correction: np.ndarray  #: corrected minus predicted tool centre [m], (n + 1,)
     torque: np.ndarray  #: mean of the spindle over each period [N m], (n + 1,)
     volume: np.ndarray  #: removed in each period [m^3], (n + 1,)
-    micro_steps: int  #: of the spindle in the whole pass
+    micro_steps: int  #: micro-steps of the spindle in the whole pass
     removed_area: float  #: [m^2]
     removed_volume: float  #: [m^3]
     wall_time: float  #: [s], of the pass alone
@@ -193,7 +193,7 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
 
 
 def silent_periods(silent: np.ndarray) -> np.ndarray:
-    """Whether a period has no force, (n + 1,) bool, by its end; silent (n + 1,): whether its end has none.
+    """Return whether a period has no force, (n + 1,) bool, by its end; silent: its end has no force, (n + 1,) bool.
 
     The period in which the drilling ends has no force either.
     """
@@ -213,7 +213,7 @@ def run_pass(
     silent: Callable[[np.ndarray], np.ndarray] | None = None,
     most_rows: float = math.inf,
 ) -> PassResult:
-    """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
+    """Run a pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
     silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
     material without a force, and the period counts as one without a cut. most_rows: of the result; those of a longer

@@ -34,10 +34,10 @@ from kr270_milling.physics.cutting.tool import Tool
 __all__ = ["DEEPEST", "Lobe", "Modes", "has_uniform_pitch", "stability_limit"]
 
 DEEPEST = 0.1  #: [m], up to which limits are looked for
-WAVES = 20.0  #: of a mode on the arc of engagement
+WAVES = 20.0  #: waves of a mode on the arc of engagement
 NODES = 8  #: on the arc for each wave, and 8 more: random limits are then within 1 % of another solution
 POLYNOMIALS = 4.5  #: for each wave, pi at least; 4.5 more
-MOST_NUMBERS = 10**6  #: of the matrices of several frequencies at once
+MOST_NUMBERS = 10**6  #: numbers in the matrices of several frequencies at once
 START = 9  #: frequencies from mu = 1 to -1 at which the search starts
 RESONANCE = np.array([-2.5, -0.7, 0.0, 0.7, 2.5])  #: further ones, in half widths of a resonance from its frequency
 PRECISION = 5e-3  #: distance of two eigenvalues that enclose a limit, a share of the larger one; the limit is between
@@ -72,7 +72,7 @@ class Lobe:
 
 
 def has_uniform_pitch(tool: Tool) -> bool:
-    """Whether all teeth have the same delay, as the limit supposes."""
+    """Return whether all teeth have the same delay, as the limit supposes."""
     return not tool.pitch.size or bool(np.ptp(tool.pitch) < 1e-9)
 
 

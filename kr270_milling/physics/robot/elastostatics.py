@@ -27,7 +27,7 @@ ITERATIONS = 25
 LARGE = 0.05
 #: and a still larger one is refused: drives and bearings are no linear springs over 10 deg
 TOO_LARGE = 0.2
-LEAST_STEP = 1 / 512  #: of the load; a path that needs smaller steps ends at a limit point
+LEAST_STEP = 1 / 512  #: least share of the load in a step; a path that needs smaller steps ends at a limit point
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +35,10 @@ class Equilibrium:
     """A loaded arm at rest, one or a batch."""
 
     wrench: np.ndarray  #: on the tool at the tool point, base axes [N, N m], (..., 6)
-    tilt: np.ndarray  #: of the base, about its k compliant axes [rad], (..., k)
+    tilt: np.ndarray  #: rotation of the base about its k compliant axes [rad], (..., k)
     theta: np.ndarray  #: deflection of the joint springs [rad], (..., 6)
     posture: np.ndarray  #: q + theta [rad], (..., 6)
-    pose: Pose  #: of the loaded tcp in base_link
+    pose: Pose  #: pose of the loaded tcp in base_link
     jacobian: np.ndarray  #: at the tool point in the loaded posture, (..., 6, k + 6): base, then joints
     hessian: np.ndarray  #: H_theta_theta [N m/rad], (..., k + 6, k + 6)
     residual: np.ndarray  #: largest torque out of balance [N m], (...,)

@@ -1,4 +1,4 @@
-"""What an arm refuses; every error carries the numbers of its sentence.
+"""Errors of an arm; every error carries the numbers of its sentence.
 
 ``index`` is the place in the batch of postures or poses, () for a single one.
 """

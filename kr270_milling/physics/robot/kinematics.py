@@ -1,4 +1,4 @@
-"""Where every link is, and how it moves: forward kinematics and geometric Jacobians.
+"""Place and motion of every link: forward kinematics and geometric Jacobians.
 
 All functions take postures ``q`` [rad], (..., 6), and work on whole batches. Everything is in ``base_link`` axes.
 A posture with k more numbers in front, (..., k + 6), has the turns of a compliant base (``Arm.base_axes``) before the
@@ -50,7 +50,7 @@ class LinkFrames:
     axes: np.ndarray  #: unit vectors of the k axes of the base and the joint axes, with KUKA's sign, (..., k + 6, 3)
     flange: Pose
     tool: Pose
-    mass_centre: np.ndarray  #: of spindle and tool [m], (..., 3)
+    mass_centre: np.ndarray  #: mass centre of spindle and tool [m], (..., 3)
 
     @property
     def origins(self) -> np.ndarray:

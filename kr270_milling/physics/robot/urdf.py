@@ -39,8 +39,8 @@ class Solid:
     """A box of ``size`` (x, y, z), or a cylinder of ``size`` (radius, length) along its z axis [m]."""
 
     size: tuple[float, ...]
-    xyz: np.ndarray  #: of its middle in the frame of the link [m], (3,)
-    rpy: np.ndarray  #: of its axes there, URDF's roll, pitch, yaw [rad], (3,)
+    xyz: np.ndarray  #: middle in the frame of the link [m], (3,)
+    rpy: np.ndarray  #: rotation in the frame of the link, URDF's roll, pitch, yaw [rad], (3,)
     colour: str
 
 
@@ -146,7 +146,7 @@ def _hub(at, radius: float, length: float, colour: str) -> Solid:
 
 
 def _arm_solids(arm: Arm) -> list[list[Solid]]:
-    """Of base_link and link_1 to link_6, each in the frame of its link."""
+    """Return the solids of base_link and link_1 to link_6, each in the frame of its link."""
     s = (arm.a2 + arm.d4) / KR270_REACH
     return [
         [

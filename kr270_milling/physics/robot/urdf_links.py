@@ -11,7 +11,7 @@ from kr270_milling.base.frames import rotation_from_abc
 
 __all__ = ["Link", "Mesh", "links_of"]
 
-SIDES = 20  #: of the prism that approximates a cylinder
+SIDES = 20  #: sides of the prism that approximates a cylinder
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Link:
 
     name: str
     parent: int
-    rotation: np.ndarray  #: of the joint's frame in that of the parent, (3, 3)
+    rotation: np.ndarray  #: rotation of the joint's frame in the frame of the parent, (3, 3)
     xyz: np.ndarray  #: its origin there [m], (3,)
     axis: np.ndarray  #: (3,)
     joint: str

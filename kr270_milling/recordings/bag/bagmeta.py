@@ -65,7 +65,7 @@ def yaml_text(value) -> str:
 
 
 def all_latched(profiles: list[dict]) -> bool:
-    """Whether every profile of a topic is that of a latched publisher."""
+    """Return whether every profile of a topic is that of a latched publisher."""
     # rosbag2 writes words since Jazzy and the numbers of the middleware before
     return bool(profiles) and all(profile.get("durability") in ("transient_local", 1) for profile in profiles)
 

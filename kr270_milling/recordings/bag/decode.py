@@ -92,7 +92,7 @@ def make_decoder(path, name: str, topic: RecordedTopic) -> Callable[[bytes], obj
 
 
 def _has_lists(store, type_name: str, outer: frozenset = frozenset()) -> bool:
-    """Whether a message may hold a list of messages or texts, itself or in a message within it."""
+    """Return whether a message may hold a list of messages or texts, itself or in a message within it."""
     for _, is_message, kind, length in members(store.fielddefs[type_name]):
         if length == math.inf and (is_message or kind == "string"):
             return True

@@ -201,7 +201,7 @@ def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dic
 
 
 def _joint_cells(state) -> dict:
-    """One column for each joint and quantity; missing values are NaN."""
+    """Return a column for each joint and quantity; missing values are NaN."""
     stamp = state.header.stamp
     cells = {"stamp_ns": stamp.sec * SECOND + stamp.nanosec, "frame_id": state.header.frame_id}
     for kind, unit in (("position", "rad"), ("velocity", "rad_per_s"), ("effort", "n_m")):
@@ -213,7 +213,7 @@ def _joint_cells(state) -> dict:
 
 
 def _flat(value: dict, prefix: str = "") -> dict:
-    """One column for each number or text; a sequence is JSON in one cell."""
+    """Return a column for each number or text; a sequence is JSON in one cell."""
     cells = {}
     for key, item in value.items():
         if isinstance(item, dict):

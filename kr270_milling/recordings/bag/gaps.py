@@ -45,7 +45,7 @@ class GapCounter:
         self._starts, self._latched = starts, latched
         self.period_ns: int | None = None  #: 0: the series has no period
         self.missing = self.gaps = self.repeated = self.backwards = 0
-        self.last: int | None = None  #: of the series
+        self.last: int | None = None  #: last stamp [ns]
         self._differences: list[int] = []  # until the period is known
 
     def add(self, stamp: int) -> None:

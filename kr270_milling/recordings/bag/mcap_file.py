@@ -1,4 +1,4 @@
-"""One MCAP file [MCAP], read by mcap with its checksums.
+"""Content of an MCAP file [MCAP], read by mcap with its checksums.
 
 Sizes that a file claims are compared with the file and with a limit before bytes are read or unpacked.
 """
@@ -53,7 +53,7 @@ OnDamage = Callable[[Damage, int], None]  #: receives a damage and the number of
 
 
 class RawMessage(NamedTuple):
-    """One message as it was recorded."""
+    """A message as it was recorded."""
 
     topic: str
     log_time: int  #: [ns]
@@ -117,7 +117,7 @@ class McapFile:
         self.counts: Counter[int] = Counter()  #: channel -> messages
         self.attachments: list[Attached] = []
         self.metadata: dict[str, dict[str, str]] = {}
-        self.statistics: Statistics | None = None  #: of the summary
+        self.statistics: Statistics | None = None  #: counts in the summary
         self.first: int | None = None  #: [ns], smallest and largest log time; None without a message
         self.last: int | None = None
         self._known: list[int] = []  # offsets of chunks by the summary, ascending

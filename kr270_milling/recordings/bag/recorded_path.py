@@ -28,9 +28,9 @@ UPRIGHT = 1e-9  #: horizontal part of the z axis below which an orientation is a
 
 @dataclass(frozen=True, eq=False)
 class PathRecord:
-    """One message; n poses."""
+    """A nav_msgs/Path with n poses."""
 
-    frames: tuple[str, ...]  #: of the message, then of its poses, each once
+    frames: tuple[str, ...]  #: frame of the message, then those of its poses, each once
     time: np.ndarray  #: [ns], (n,) int64, the stamps
     position: np.ndarray  #: [m], (n, 3)
     quaternion: np.ndarray  #: x y z w, (n, 4)

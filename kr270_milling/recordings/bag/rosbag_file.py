@@ -16,7 +16,7 @@ from kr270_milling.recordings.messages.definitions import definition
 
 __all__ = ["RosbagFile"]
 
-#: of SQLite, of the decompressors and of code that meets a field of another type in a damaged file
+#: errors of SQLite, of the decompressors and of code that meets a field of another type in a damaged file
 FAULTS = (
     ArithmeticError,
     AssertionError,

@@ -132,7 +132,7 @@ def _stamped(type_name: str, record: Callable, *widths: int) -> MessageKind:
 
 
 def time_fields(ns: int) -> dict:
-    """Of a builtin_interfaces Time or Duration."""
+    """Return the fields of a builtin_interfaces Time or Duration."""
     return {"sec": int(ns) // SECOND, "nanosec": int(ns) % SECOND}
 
 
@@ -145,7 +145,7 @@ def _header(stamp: int, frame: str) -> dict:
 
 
 def named(axes: str, values) -> dict:
-    """Of a message with a number per axis, such as a Point or a Quaternion."""
+    """Return the fields of a message with a number per axis, such as a Point or a Quaternion."""
     return dict(zip(axes, map(float, values), strict=True))
 
 
@@ -191,7 +191,7 @@ def _read_map(msg) -> StockMap:
 
 
 def _trajectory(record: Trajectory) -> dict:
-    """One body, the tool; a velocity a point where the trajectory has velocities."""
+    """Return the fields of a trajectory of the body tcp; with velocities where the trajectory has them."""
     points = []
     for i, ns in enumerate(record.time_ns.tolist()):
         turn = named("xyzw", record.quaternion[i])
@@ -203,10 +203,10 @@ def _trajectory(record: Trajectory) -> dict:
 
 
 def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
-    """Of a trajectory_msgs/MultiDOFJointTrajectory of the tool; raises MessageError, TrajectoryError.
+    """Read a trajectory_msgs/MultiDOFJointTrajectory of the tool; raise MessageError, TrajectoryError.
 
-    as_sent: as its publisher had it. Its quaternions were of length 1 already, and to divide them by their length
-    once more could change a last bit.
+    as_sent: with the quaternions of the message. They have length 1 already, and to divide them by their length
+    again could change a last bit.
     """
     try:
         read = read_trajectory(bytes(data))
@@ -287,12 +287,12 @@ def from_bytes(type_name: str, data: bytes):
 
 
 def pose_from_bytes(data: bytes) -> PoseSample:
-    """Of a geometry_msgs/PoseStamped; raises MessageError."""
+    """Read a geometry_msgs/PoseStamped; raise MessageError."""
     return _received(PoseSample, data, "tool_pose")
 
 
 def wrench_from_bytes(data: bytes) -> WrenchSample:
-    """Of a geometry_msgs/WrenchStamped; raises MessageError."""
+    """Read a geometry_msgs/WrenchStamped; raise MessageError."""
     return _received(WrenchSample, data, "wrench")
 
 

@@ -110,7 +110,7 @@ def type_hash(type_name: str) -> str:
 
 
 def members(fields) -> Iterator[tuple[str, bool, str, float | None]]:
-    """Of every field: name, whether it holds messages, type of its items, and for a list its length (infinite: any)."""
+    """Yield for each field: name, whether it holds messages, type of its items, length of a list (infinite: any)."""
     from rosbags.interfaces import Nodetype
 
     for name, kind in fields[1]:
@@ -120,7 +120,7 @@ def members(fields) -> Iterator[tuple[str, bool, str, float | None]]:
 
 
 def starts_with_stamp(text: str) -> bool:
-    """Whether the bytes of a message begin with a time: a Header, or a Time as in Clock, is the first field."""
+    """Return whether the bytes of a message begin with a time: a Header, or a Time as in Clock, is the first field."""
     for line in text.splitlines():
         words = line.split("#", 1)[0].replace("<=", " ").split()
         if line.startswith("===="):

@@ -16,7 +16,7 @@ WIDTHS = (7, 6, 6)  # doubles of a transform, a velocity, an acceleration
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryRecord:
-    """One message; for p points with j bodies each. What a point leaves out is NaN."""
+    """A MultiDOFJointTrajectory of p points with j bodies each; quantities that a point leaves out are NaN."""
 
     stamp: int | None  #: [ns]
     frame_id: str

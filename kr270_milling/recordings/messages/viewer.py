@@ -26,7 +26,7 @@ __all__ = [
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 PATH = "nav_msgs/msg/Path"
-PATH_POINTS = 500  #: of a path, evenly in time, beside at most as many of its knots
+PATH_POINTS = 500  #: points of a path, evenly in time, beside at most as many of its knots
 ARROW, LINE_STRIP = 0, 4  #: visualization_msgs/msg/Marker.type
 
 
@@ -47,7 +47,7 @@ class Marker:
     name: str  #: its name space
     frame: str
     kind: int  #: ARROW or LINE_STRIP
-    width: float  #: of the line, or of the shaft [m]
+    width: float  #: width of the line, or of the shaft [m]
     points: np.ndarray  #: [m], (n, 3)
     colours: np.ndarray  #: red, green, blue, alpha from 0 to 1, (n, 4) or (4,) for the whole
 

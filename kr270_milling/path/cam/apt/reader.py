@@ -78,7 +78,7 @@ class _AptReader(Machine):
         self.systems: dict[str, list] = {}  #: word -> its values
         self.units_given = False
         self.announced = False  #: a comment announced an operation by word
-        self.holes: dict[str, float] = {}  #: of the active CYCLE/: depth, clear, step and back [m]
+        self.holes: dict[str, float] = {}  #: depth, clear, step and back of the active CYCLE/ [m]
         self.feed_beside: tuple = ()  #: mode and feed of the moves that are no holes
         self.retracted = 0  #: line of a RETRCT/ that the tool has not come back from
         self.actions: dict[str, Callable[[list[str]], None]]

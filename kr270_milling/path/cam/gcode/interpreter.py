@@ -43,14 +43,14 @@ class Interpreter(Machine):
 
     def __init__(self, program: ProgramBuilder, feed: float, changes: bool):
         super().__init__(program, feed)
-        self.changes = changes  #: whether a tool comes with M6, else with its T
+        self.changes = changes  #: M6 changes the tool, else its T does
         self.next_tool = ""
         self.turning = 0
         self.speed = 0.0  #: [rad/s]
         self.preset = False  #: G92 gave the tool its place
 
     def run(self, words: list[tuple[str, Any]]) -> None:
-        """One block of letters and numbers, for T also a name: first what it sets, then the move, then what it ends."""
+        """Run a block of letters and numbers, for T also a name: first its settings, then the move, then its end."""
         program = self.program
         refusals, counted = program.refusals, program.words["counted"]
         axes: dict[str, float] = {}

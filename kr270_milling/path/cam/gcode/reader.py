@@ -166,7 +166,7 @@ class GcodeReader:
         self.machine.absolute = {}
 
     def _assigned(self, text: str, words: list, names: list) -> None:
-        """What Sinumerik writes with a sign of equality: X=AC(1), CR=5, S1=3000, Z1=0, T="MILL 10"."""
+        """Take words of Sinumerik with a sign of equality: X=AC(1), CR=5, S1=3000, Z1=0, T="MILL 10"."""
         name, mode, number, quoted = ASSIGNED.findall(text)[0]
         letter, numbered = name[0], name[1:].isdigit()
         if not number and name == "T" and quoted.strip():
@@ -201,7 +201,7 @@ class GcodeReader:
             self.program.refuse(text, f"{short(text)!r} is no G-code word", advice)
 
     def _known(self, names: list[tuple[str, str]], further: bool) -> bool:
-        """Whether the words of several letters in a line let it be run; further: the line has other words."""
+        """Return whether the words of several letters in a line let it be run; further: the line has other words."""
         silent = []
         for name, rest in names:
             reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")

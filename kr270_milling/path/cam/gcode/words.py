@@ -28,7 +28,7 @@ __all__ = [
     "word_of",
 ]
 
-#: what a machine keeps -> the G words that set it, and to what
+#: modal state of a machine -> the G words that set it, and their values
 MODAL: dict[str, dict[float, object]] = {
     "unit": {20: INCH, 70: INCH, 700: INCH, 21: MM, 71: MM, 710: MM},
     "incremental": {90: False, 91: True},
@@ -38,8 +38,8 @@ MODAL: dict[str, dict[float, object]] = {
 }
 #: work offsets: 110 to 129 of Haas, 500 is the machine's own zero on Sinumerik
 OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *range(110, 130), *range(500, 600))}
-#: G words that change no path -> the letters that belong to them: cancelled modes, look-ahead, exact stop, the length
-#: of the tool, limits. 5, 74 and 75 change none together with some other words.
+#: G words that change no path -> the letters that belong to them: cancelled modes, look-ahead, exact stop, the
+#: tool length, limits. 5, 74 and 75 change none together with some other words.
 SILENT_G: dict[float, str] = {
     **dict.fromkeys((9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""),
     **dict.fromkeys((290, 291, 450, 451, *range(601, 604), *range(641, 647)), ""),
