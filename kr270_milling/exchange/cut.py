@@ -19,8 +19,6 @@ from kr270_milling.physics.motion.milling_pass import silent_periods
 
 __all__ = ["CutProtocol", "NoWorkpiece"]
 
-MAP_STEP = 0.2e-3  # [m], of the published workpiece map
-
 
 class NoWorkpiece(MessageError):
     """The cutting process is not configured."""
@@ -135,7 +133,7 @@ class CutProtocol:
         if self.cut is None:
             raise NoWorkpiece
         stock = self.cell.stock
-        thinning = max(1, round(MAP_STEP / stock.grid_step))
+        thinning = max(1, round(0.2e-3 / stock.grid_step))  # the published map has nodes every 0.2 mm
         _, _, surface = self.cut.heights(thinning=thinning)
         removed = (stock.max[2] - surface) / (stock.max[2] - stock.min[2])
         left = np.rint(100 * (1 - removed)).astype(np.int8)

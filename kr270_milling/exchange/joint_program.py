@@ -25,7 +25,6 @@ __all__ = ["JointProgramError", "joint_program"]
 
 SHARE = 0.1  #: share of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
 LEAST = 0.1  #: [s], of approach and run-out
-RESTING = 1e-9  #: [rad/s]; a slower joint is at rest
 SMOOTH = 1e-9  #: [m] by which a jump of velocity or acceleration at a knot may move the path
 #: largest speed and acceleration of 10 u^3 - 15 u^4 + 6 u^5, from rest to rest
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15 / 8, 10 / math.sqrt(3)
@@ -113,7 +112,7 @@ def _run_in(cell: Cell, velocity: np.ndarray) -> float:
 
     The speed is v (3 u^2 - 2 u^3), its largest change 3/2 v in the duration.
     """
-    if np.max(np.abs(velocity)) <= RESTING:
+    if np.max(np.abs(velocity)) <= 1e-9:  # at rest
         return 0.0
     return max(LEAST, 1.5 * float(np.max(np.abs(velocity) / (SHARE * cell.arm.joint_acceleration_limit))))
 

@@ -21,8 +21,6 @@ from kr270_milling.physics.robot.urdf import urdf
 
 __all__ = ["RobotProtocol"]
 
-CLOCK_PERIOD = 0.01  # [s] of the pass, at least, from one clock message to the next
-
 
 class RobotProtocol:
     """Reference trajectory and wrench in; tool_pose, deflection, joint_states and clock out.
@@ -43,7 +41,7 @@ class RobotProtocol:
         self._iterations = cell.exchange.iterations
         self._deflection_every = deflection_every or cell.publish.steps(cell.exchange)
         self._joints_every = cell.publish.steps(cell.exchange)
-        self._clock_every = cell.exchange.steps_of(CLOCK_PERIOD)
+        self._clock_every = cell.exchange.steps_of(0.01)  # [s] of the pass, at least
 
     def describe(self) -> list[Output]:
         """Return the URDF for viewers."""

@@ -21,7 +21,6 @@ from kr270_milling.recordings.messages.topics import TOPICS
 __all__ = ["EXCHANGED", "GraphRecord", "PassSeries", "Series", "own_topics", "read_graph"]
 
 EXCHANGED = ("tool_pose", "wrench", "deflection")
-UNIT_LENGTH = 1e-3  #: allowed difference of a quaternion's length from 1, as the nodes allow it
 TYPES = {topic.name: topic.type for topic in TOPICS}
 
 
@@ -55,9 +54,6 @@ class Series(NamedTuple):
         return int(np.argmax(np.append(self.step, -1) != np.arange(self.step.size + 1)))
 
 
-NOTHING = Series(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class PassSeries:
     """A pass along a reference, of the simulated robot, of a robot with another clock or of an RSI session."""
@@ -74,7 +70,7 @@ class PassSeries:
     driven_whole: bool = False  #: a driven pass has no gap and runs to the end of its reference
 
     def topic(self, name: str) -> Series:
-        return self.series.get(name, NOTHING)
+        return self.series.get(name, Series(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6))))
 
     def lost(self, last: int, thinned: int) -> int:
         """Return how many poses, wrenches and deflections are missing up to a step; thinned: steps to a deflection."""
@@ -254,6 +250,6 @@ def _cut(clock: StepClock, topic: TopicSeries, name: str, start: int, end: int, 
     used = (step <= last) & (clock.stamp(step) == stamp) & np.isfinite(values).all(axis=1)
     if name == "tool_pose":
         with np.errstate(over="ignore", invalid="ignore"):
-            used &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= UNIT_LENGTH
+            used &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= 1e-3  # as the nodes allow it
     used[used] = np.maximum.accumulate(step[used]) == step[used]  # an older one comes from another publisher
     return Series(step[used], stamp[used], values[used])

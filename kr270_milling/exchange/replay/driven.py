@@ -30,7 +30,6 @@ from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, rea
 __all__ = ["read_passes", "too_long"]
 
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
-NEAR_END = 1e-4  # [m] from the end of the path, where an RSI session is complete
 TOPICS = ("reference_trajectory", "tool_pose", "wrench")
 
 
@@ -176,4 +175,5 @@ def _rsi_pass(recording: Recording, cell: Cell, graph: GraphRecord) -> PassSerie
     shift = reference.position - programmed.position
     along = Trajectory(programmed.time_ns, target.sample(programmed.time_ns) + shift, target.quaternion[0])
     received = ReceivedPass(time, target.sample(time) + off, np.zeros(0, np.int64), np.zeros((0, 6)))
-    return _at_exchanges(cell, 0, along, target, received, path.length - path.progress <= NEAR_END, "place")
+    whole = path.length - path.progress <= 1e-4  # the session is complete
+    return _at_exchanges(cell, 0, along, target, received, whole, "place")

@@ -43,8 +43,6 @@ __all__ = [
 ]
 
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
-CHECKSUM = 13  # [bytes] of the record with the checksum of the data, whose damage costs no message
-LIBRARY = re.compile(r"kr270_milling/(\d+\.\d+)\.")
 TRAJECTORY = ("time_ns", "position", "quaternion", "velocity")  # fields with the bits of a message
 RANK = {topic.name: place for place, topic in enumerate(TOPICS)}  # in the order of causes
 AXES = {  # fields of the columns of a topic
@@ -140,7 +138,7 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
     Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
     """
     with Recording(path, remap=remap) as recording:
-        recorded = LIBRARY.match(recording.library)
+        recorded = re.match(r"kr270_milling/(\d+\.\d+)\.", recording.library)
         if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
             version = recording.library.partition("/")[2]
             raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
@@ -179,7 +177,7 @@ def usable(recording: Recording) -> Iterator[None]:
 
 def pass_over(damage: Damage, size: int) -> None:
     """Pass over a damage that costs no message, which ``findings`` reports. Raises Damage."""
-    if size > CHECKSUM:
+    if size > 13:  # bytes of the record with the checksum of the data
         raise damage
 
 

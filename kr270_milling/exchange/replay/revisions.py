@@ -25,10 +25,6 @@ class NotRecorded(MillingError):
         super().__init__(reason)
 
 
-EXPERIENCED = ("learned", "inverse", "robust")  # methods whose revision follows from all passes before
-ELSEWHERE = "the reference trajectory follows from passes in other recordings"
-
-
 class Revisions:
     """The node publishes its n-th state together with its n-th reference."""
 
@@ -123,8 +119,10 @@ class Revisions:
         known = [number for number in numbers if number is not None]
         if len(known) < len(numbers):
             last = numbers[-1]
-            if rebuilt.repeats or rebuilt.method in EXPERIENCED or (last is None and place is None):
-                raise NotRecorded(ELSEWHERE, elsewhere=True)
+            # the revision of these methods follows from all passes before
+            experienced = rebuilt.repeats or rebuilt.method in ("learned", "inverse", "robust")
+            if experienced or (last is None and place is None):
+                raise NotRecorded("the reference trajectory follows from passes in other recordings", elsewhere=True)
             known = [] if last is None else [last]
             start = place if last is None else self._passes[last].number
             rebuilt.resume(self.graph.published[start or 0], state.finished)

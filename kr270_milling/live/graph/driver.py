@@ -25,8 +25,6 @@ from kr270_milling.live.ros.status import Status, status_topic
 
 __all__ = ["Driver"]
 
-LOOK = 0.02  # [s] between two checks of the processes while waiting
-
 
 class Driver:
     """A node in a separate context. ``check`` is called some 50 times a second while the node waits, and may raise."""
@@ -92,7 +90,7 @@ class Driver:
         return value
 
     def spin(self) -> None:
-        self._executor.spin_once(timeout_sec=LOOK)
+        self._executor.spin_once(timeout_sec=0.02)  # then the processes are checked
 
     def _call(self, node: str, kind: type, service: str, request, what: str, deadline: float) -> Callable:
         """Call a service of a node; return a function that waits for the response and returns it.

@@ -19,8 +19,6 @@ from kr270_milling.recordings.messages.topics import RECORDER
 
 __all__ = ["Recorder"]
 
-DISCOVERY_PERIOD = 0.1  # [s] between two checks for new topics and of the chunk's age
-
 
 class Recorder(ReportingNode):
     """Record every topic (or those of the parameter ``topics``) to ``directory``/NAME.mcap until a signal.
@@ -55,7 +53,7 @@ class Recorder(ReportingNode):
         else:
             self.report(OK, "waiting for a directory")
         self.add_on_set_parameters_callback(self._on_parameters)
-        self.create_timer(DISCOVERY_PERIOD, self._discover)
+        self.create_timer(0.1, self._discover)  # [s]
 
     def _texts(self, name: str, about: str, **fields) -> list[str]:
         """Declare a parameter of one text, or of several as a list or separated by commas."""

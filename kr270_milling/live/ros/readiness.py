@@ -14,8 +14,6 @@ from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER,
 __all__ = ["WAIT_FOR", "Readiness", "is_recorded", "unmatched"]
 
 WAIT_FOR = f"{CUT}, {ROBOT}?, {RECORDER}?"  #: names, separated by commas; with ?: only where the node is in the graph
-ONLY_BY_NAME = ("/rosout", "/parameter_events")
-STATUSES = tuple(f"/{node}/status" for node in (ROBOT, CUT, COMPENSATOR, RECORDER))
 
 
 class Readiness:
@@ -72,9 +70,11 @@ class Readiness:
 
 def is_recorded(topic: str, patterns: Sequence[str]) -> bool:
     """Return whether a recorder with these patterns (none: every topic) records a topic."""
-    if topic in patterns or topic.endswith(STATUSES):
+    if topic in patterns or topic.endswith(tuple(f"/{node}/status" for node in (ROBOT, CUT, COMPENSATOR, RECORDER))):
         return topic in patterns
-    return any(fnmatch.fnmatchcase(topic, p) for p in patterns) if patterns else topic not in ONLY_BY_NAME
+    if not patterns:
+        return topic not in ("/rosout", "/parameter_events")
+    return any(fnmatch.fnmatchcase(topic, p) for p in patterns)
 
 
 def unmatched(statuses: Mapping[str, Status]) -> str:

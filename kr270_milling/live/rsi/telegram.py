@@ -20,7 +20,6 @@ MOST_BYTES = 4096  #: size of a telegram; with all internal values it has about 
 AXES = ("X", "Y", "Z", "A", "B", "C")
 UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  # mm and degrees -> m and rad
 FARTHEST = 100.0  #: [m]
-COUNTER = re.compile(r"\d{1,18}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ def read_telegram(data: bytes) -> RobotTelegram:
 
 
 def _counter(text: str | None, name: str) -> int:
-    if text is None or not COUNTER.fullmatch(text.strip()):
+    if text is None or not re.fullmatch(r"\d{1,18}", text.strip()):
         raise MessageError(f"a telegram has no whole number in {name}")
     return int(text)
 

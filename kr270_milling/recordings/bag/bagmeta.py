@@ -15,7 +15,6 @@ from kr270_milling.base.units import SECOND
 __all__ = ["all_latched", "bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
 
 INFINITE = 2**63 - 1  # [ns]; rosbag2's duration without limit
-DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
 #: the default profile of a topic; the order is rosbag2's
 DEFAULT_QOS = dict(
     history="keep_last",
@@ -47,7 +46,7 @@ def describe_qos(profile) -> dict:
 
 
 def _plain(key: str, value):
-    if key in DURATIONS and not isinstance(value, Mapping):
+    if key in ("deadline", "lifespan", "liveliness_lease_duration") and not isinstance(value, Mapping):
         seconds, nanoseconds = divmod(int(getattr(value, "nanoseconds", value)), SECOND)
         return dict(sec=seconds, nsec=nanoseconds)
     return value.name.lower() if hasattr(value, "name") else value

@@ -21,8 +21,6 @@ from kr270_milling.recordings.messages.definitions import (
 
 __all__ = ["RecordedTopic", "make_decoder", "store_for"]
 
-MOST_TEXT = 256 * 1024  # [characters] of a definition
-MOST_ITEMS = 1000  # of an array of fixed length of texts or messages: rosbags generates a line of code for each item
 #: [bytes] of a message with lists of messages or texts: Python's objects take about twenty times as much
 MOST_OBJECTS = 4 * 1024 * 1024
 
@@ -47,14 +45,15 @@ def store_for(type_name: str, text: str):
     """
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
-    if not TYPE_NAME.fullmatch(type_name) or len(text) > MOST_TEXT:
+    if not TYPE_NAME.fullmatch(type_name) or len(text) > 256 * 1024:  # characters of a definition
         raise ValueError(f"{type_name[:80]!r} is not defined by {len(text)} characters")
     try:
         types = get_types_from_msg(text, type_name)
         if all(jazzy_store().fielddefs.get(name) == fields for name, fields in types.items()):
             return jazzy_store()
         for name, is_message, kind, length in (member for fields in types.values() for member in members(fields)):
-            most = MOST_ITEMS if is_message or kind == "string" else 2**31
+            # rosbags generates a line of code for each item of an array of fixed length of texts or messages
+            most = 1000 if is_message or kind == "string" else 2**31
             if length not in (None, math.inf) and not 1 <= length <= most:
                 raise ValueError(f"{name} is an array of {length} items")
         store = get_typestore(Stores.EMPTY)

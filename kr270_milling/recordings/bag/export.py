@@ -39,7 +39,6 @@ POINT = [
     *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
 ]
 JOINTS = "sensor_msgs/msg/JointState"
-FORMULA = ("=", "+", "-", "@", "\t", "\r")  #: beginnings of a text that a spreadsheet evaluates
 TWIST = "geometry_msgs/msg/TwistStamped"
 
 
@@ -120,7 +119,7 @@ def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
 
 def _inert(cell):
     """Return a cell that no spreadsheet takes for a formula: an apostrophe before texts such as =1+1."""
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) else cell
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
 def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:

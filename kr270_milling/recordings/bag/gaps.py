@@ -7,10 +7,8 @@ from collections.abc import Sequence
 
 __all__ = ["SHARED", "GapCounter", "PassStarts"]
 
-LEARN = 20  # differences from which a period is learned
 #: types of topics with many publishers: their stamps are several series
 SHARED = frozenset(["diagnostic_msgs/msg/DiagnosticArray"])
-YEAR = 365 * 86_400 * 10**9  # [ns]; stamps that differ more come from different clocks
 
 
 class PassStarts:
@@ -57,7 +55,7 @@ class GapCounter:
             self.repeated += not self._latched
         elif difference < 0:
             self.backwards += 1
-        elif difference < YEAR:
+        elif difference < 365 * 86_400 * 10**9:  # a year; larger differences come from another clock
             self.last = stamp
             self._take(difference)
 
@@ -74,7 +72,7 @@ class GapCounter:
             self._count(difference)
             return
         self._differences.append(difference)
-        if len(self._differences) == LEARN:
+        if len(self._differences) == 20:
             self._learn()
 
     def _count(self, difference: int) -> None:

@@ -22,8 +22,6 @@ from kr270_milling.recordings.bag.rosbag_file import RosbagFile
 
 __all__ = ["RawMessage", "RecordedTopic", "Recording"]
 
-NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
-
 
 class Recording:
     """An open recording: an MCAP file, or what rosbag2 wrote. Raises RecordingError where it cannot be read.
@@ -107,7 +105,7 @@ class Recording:
         return self._topics
 
     def schema_of(self, channel: Channel) -> Schema:
-        return self.schemas.get(channel.schema_id, NO_SCHEMA)
+        return self.schemas.get(channel.schema_id, Schema(id=0, data=b"", encoding="", name=""))
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Record name -> entries; of several records with one name the last."""

@@ -23,7 +23,6 @@ from kr270_milling.recordings.messages.trajectory import TRAJECTORY, TrajectoryR
 __all__ = ["PATH", "PathRecord", "read_path", "read_recorded"]
 
 PATH = "nav_msgs/msg/Path"
-UPRIGHT = 1e-9  #: horizontal part of the z axis below which an orientation is a mere heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +136,7 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
     if not np.isfinite(quaternion).all():
         raise ValueError("an orientation is not finite")
     x, y, z, w = quaternion.T
-    if np.all(np.hypot(x, y) <= UPRIGHT):
+    if np.all(np.hypot(x, y) <= 1e-9):  # mere headings
         return np.tile(TOOL_DOWN, (len(quaternion), 1))
     length = np.linalg.norm(quaternion, axis=1)
     other = ~(np.abs(length - 1.0) < 1e-3)

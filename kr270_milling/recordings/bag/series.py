@@ -16,7 +16,6 @@ from kr270_milling.recordings.messages.cdr import layout_of, unpack_alike, unpac
 
 __all__ = ["FIXED", "TopicSeries", "series", "several", "stamped"]
 
-BATCH = 1024 * 1024  # [bytes] of messages that are unpacked together
 #: type -> (column, unit) of the numbers after its header
 FIXED = {
     "geometry_msgs/msg/PoseStamped": (
@@ -75,7 +74,7 @@ class _Batch:
         self._stamps, self._values = [np.empty(0, np.int64)], [np.empty((0, self._width))]
 
     def add(self, data: bytes) -> None:
-        if (layout := layout_of(data)) != self._layout or len(self._waiting) * len(data) > BATCH:
+        if (layout := layout_of(data)) != self._layout or len(self._waiting) * len(data) > 1024 * 1024:  # a MB
             self._unpack()
             self._layout = layout
         self._waiting.append(data)

@@ -19,7 +19,6 @@ from kr270_milling.recordings.messages.definitions import definition, starts_wit
 
 __all__ = ["BagWriter", "MessageRefused", "WrittenChannel"]
 
-CHUNK_SIZE = 1024 * 1024  # [bytes] before compression
 CHUNK_PERIOD = 0.2  # [s]; a SIGKILL loses the messages of this time
 
 
@@ -64,7 +63,7 @@ class BagWriter:
         *,
         attachments: Mapping[str, bytes | str] | None = None,
         metadata: Mapping[str, object] | None = None,
-        chunk_size: int = CHUNK_SIZE,
+        chunk_size: int = 1024 * 1024,
     ):
         self.directory = Path(os.path.abspath(directory))
         name = self.directory.name if name is None else name
