@@ -8,7 +8,6 @@ from kr270_milling.path.toolpath import REACH
 
 __all__ = ["ArcError", "centre_from_radius", "arc_points"]
 
-MOST_TURNS = 1000
 FAR = f"the arc leads more than {REACH:g} m away; wrong unit?"
 
 
@@ -54,7 +53,7 @@ def arc_points(
         sweep -= 2 * math.pi
     if clockwise and sweep > 0:
         sweep = -sweep
-    if not 0 <= turns <= MOST_TURNS:
+    if not 0 <= turns <= 1000:
         raise ArcError(f"a helix of {turns} turns is not meant")
     sweep += math.copysign(2 * math.pi * turns, -1.0 if clockwise else 1.0)
     length = abs(sweep) * (first + last) / 2

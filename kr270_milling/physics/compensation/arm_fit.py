@@ -18,16 +18,10 @@ __all__ = ["Evidence", "Identified", "fit_arm"]
 
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
-OFFSET = 50e-6  #: [m], assumed: standard deviation of a constant offset between arm and part
-MODEL_ERROR = 1e-6  #: [m], assumed: what the model of the cut leaves unexplained of the uncorrected pass
-DIFFERENCE_ERROR = 0.3e-6  #: [m], assumed: the same of the difference of two passes, in which most of it cancels
-MATTERS = 0.003  #: share of the sensitivity to all modes that a mode must have to be fitted
-RESOLVED = 1.0  #: [rad] of a mode within a part: means over the parts say little about a faster mode
 SCAN = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  #: factors on frequency and damping that are tried first
 KEPT = 4  #: latest corrected passes that are fitted
 MOST_FITTED = 8192  #: segments; of a longer path PIECES are fitted
 PIECES, PIECE = 4, 1024  #: pieces, evenly spread over the path, and segments of each
-SETTLING = 3.0  #: [s], of a piece that do not count: a mode of 7 Hz and 4 % forgets how the piece began
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +57,14 @@ class _Problem:
         self.arm, self.segments, self.path, self.approach = arm, segments, path, approach
         self.first, self.later = passes[0], passes[1:][-KEPT:]
         self.weight = weight[..., None]
-        self.sigma = np.hypot(MODEL_ERROR, noise), np.hypot(DIFFERENCE_ERROR, np.sqrt(2.0) * noise)
+        # assumed: the model of the cut leaves 1 um of the uncorrected pass unexplained, and 0.3 um of the difference of
+        # two passes, in which most of the error cancels
+        self.sigma = np.hypot(1e-6, noise), np.hypot(0.3e-6, np.sqrt(2.0) * noise)
         self.modes = self._sensitive()
         n = self.modes.size
         spread = [PRIOR["gain"], PRIOR["softness"]] + [PRIOR["frequency"]] * n + [PRIOR["damping"]] * n
-        self.prior = np.array(spread + [OFFSET] * 3)
+        # assumed: a constant offset between arm and part has a standard deviation of 50 um
+        self.prior = np.array(spread + [50e-6] * 3)
 
     def start(self, frequency: float, damping: float) -> np.ndarray:
         n = self.modes.size
@@ -104,8 +101,10 @@ class _Problem:
         for mode in range(self.arm.order):
             factor = np.where(np.arange(self.arm.order) == mode, 1.05, 1.0)
             effect[mode] = sum(np.sum((self.weight * change) ** 2) for change in self._changes(factor))
-        slow = self.arm.frequency[0] * float(np.median(self.segments.duration)) / self.segments.parts < RESOLVED
-        return np.flatnonzero(slow & (effect > MATTERS * max(effect.sum(), 1e-300)))
+        # 1 rad of a mode within a part: means over the parts say little about a faster mode
+        slow = self.arm.frequency[0] * float(np.median(self.segments.duration)) / self.segments.parts < 1.0
+        # a fitted mode has at least 0.3 % of the sensitivity to all modes
+        return np.flatnonzero(slow & (effect > 0.003 * max(effect.sum(), 1e-300)))
 
     def _changes(self, factor: np.ndarray):
         other = self.arm.scaled(factor, 1.0)
@@ -160,7 +159,8 @@ def _pieces(arm: ArmResponse, segments: Segments, path, passes: tuple[Evidence, 
     starts = np.linspace(0, len(segments) - PIECE, PIECES).astype(int)
     rows = (starts[:, None] + np.arange(PIECE)).ravel()
     time_ns = np.concatenate([[0], np.cumsum(np.diff(segments.time_ns)[rows])])
-    settling = min(PIECE // 2, int(SETTLING / np.median(segments.duration)))
+    # 3 s at the start of a piece do not count: a mode of 7 Hz and 4 % forgets how the piece began
+    settling = min(PIECE // 2, int(3.0 / np.median(segments.duration)))
     counts = (np.arange(rows.size) % PIECE >= settling) | (rows < PIECE)
     shown = tuple(
         Evidence(

@@ -27,9 +27,7 @@ from kr270_milling.physics.compensation.response import ArmResponse, Segments
 __all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitions", "units"]
 
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
-ROUNDS = 40  #: most reweightings
 STEPS = 30  #: most conjugate gradients
-CLOSE = 1.02  #: the largest deviation is within 2 % of the least possible one: it is good enough
 TINY = 1e-12  #: share of the trace: keeps numbers that no sample shows from making a matrix singular
 
 
@@ -183,13 +181,14 @@ class Lifted:
         """
         share, least = np.ones(scored.shape), np.inf
         best: LiftedCorrection | None = None
-        for _ in range(ROUNDS if scored.any() else 1):
+        for _ in range(40 if scored.any() else 1):  # most reweightings
             solution = self.least_squares(deviation, weight * share[..., None, None], smoothness)
             size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", solution.left, weight, solution.left))[scored]
             if best is None or size.max() < least:
                 best, least = solution, float(size.max(initial=0.0))
             now = share[scored]
-            if size.max(initial=0.0) < TINY or least <= CLOSE * np.sqrt(np.sum(now * size**2) / np.sum(now)):
+            # a largest deviation within 2 % of the least possible one is good enough
+            if size.max(initial=0.0) < TINY or least <= 1.02 * np.sqrt(np.sum(now * size**2) / np.sum(now)):
                 break
             now = now * size / size.max()
             share[scored] = np.maximum(now / now.mean(), 1e-4)

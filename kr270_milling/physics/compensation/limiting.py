@@ -8,8 +8,6 @@ import numpy as np
 
 __all__ = ["UNBOUNDED", "Bounds", "Limited", "describe", "limit_change"]
 
-NOTHING = 1e-9  #: [m] less missing of a correction is no limitation
-
 
 @dataclass(frozen=True)
 class Bounds:
@@ -84,7 +82,8 @@ def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
 def describe(kind: str, time: np.ndarray, wanted: np.ndarray, allowed: np.ndarray) -> tuple[Limited, ...]:
     """Return a Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
     missing, size = np.linalg.norm(wanted - allowed, axis=1), np.linalg.norm(wanted, axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > NOTHING, [0]]))).reshape(-1, 2)
+    # 1 nm less of a correction is no limitation
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > 1e-9, [0]]))).reshape(-1, 2)
     worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]
     return tuple(
         Limited(kind, start + 1, stop, k + 1, float(time[k]), float(size[k]), float(missing[k]))

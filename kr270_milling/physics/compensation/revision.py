@@ -25,7 +25,6 @@ __all__ = [
     "sampled_correction",
 ]
 
-SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
 ROUNDS = 30  #: rounds of tightening the limits at the knots until the spline between them keeps them too
 
 
@@ -143,7 +142,8 @@ def corrected(
 def resting_segments(target: Trajectory) -> np.ndarray:
     """(k - 1,) True for segments along which the target rests."""
     still = target.standing
-    return still[1:] & still[:-1] & (np.linalg.norm(np.diff(target.position, axis=0), axis=1) < SAME_PLACE)
+    # rounding in a file moves the knots of a rest by up to 10 nm
+    return still[1:] & still[:-1] & (np.linalg.norm(np.diff(target.position, axis=0), axis=1) < 1e-8)
 
 
 def _rested(target: Trajectory, correction: np.ndarray) -> np.ndarray:

@@ -35,8 +35,6 @@ from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = ["Cut", "CutModel", "EngagementCut", "SweepError", "UndoError"]
 
-MOST_NODES = 400  #: nodes of a map along the longer side of the stock
-
 
 class UndoError(MillingError):
     """The last sweep cannot be taken back."""
@@ -174,7 +172,7 @@ class CutModel:
     @property
     def map_thinning(self) -> int:
         """Nodes of the grid from one node of ``map_heights`` to the next."""
-        return max(1, round(max(self.stock.nodes) / MOST_NODES))
+        return max(1, round(max(self.stock.nodes) / 400))
 
     def map_heights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``heights`` of the whole stock, thinned to some 400 nodes along its longer side."""

@@ -18,7 +18,6 @@ from kr270_milling.physics.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED,
 SLACK = 1e-9
 MOST_SUMMED = 65_520  # nodes, of up to 65535 levels each; whole LANES
 COLUMNS = np.arange(float(BLOCK))
-VECTOR = 32  # nodes from which on it pays to look first whether anything is left
 
 
 @inlined
@@ -75,7 +74,8 @@ def _clear_columns(pool, table, ints, runs, old, tally, spans, first, count, low
                     break
             length = np.uint64(jb - ja) + np.uint64(1)
             start = np.uint64(slot) << np.uint64(16) | (column + np.uint64(n)) << np.uint64(8) | np.uint64(ja - begin)
-            if length >= VECTOR and not any_above(pool, start, length, level):
+            # from 32 nodes on it pays to look first whether anything is left
+            if length >= 32 and not any_above(pool, start, length, level):
                 continue
             if logged + length > room or logged_runs == most_runs:
                 ints[LOGGED] = logged

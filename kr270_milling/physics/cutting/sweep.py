@@ -26,7 +26,6 @@ from kr270_milling.physics.cutting.state import (
 __all__ = ["NO_FORCES", "sweep", "undo"]
 
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
-FAR = 0.1  # of the radius: how far the tool may move in a window for the rim band to be used
 NEAR = 0.8  # of the radius: the rim band goes no deeper
 TURN = 1.26  # a point beyond NEAR seen from a centre that moves by x turns by at most TURN x / radius
 LEAD = 0.02  # [rad]
@@ -157,7 +156,7 @@ def _plan(s, p, step, level):
     turn, as far as a point near the axis turns away from the teeth when the centre goes by, and from then on because
     the tool moves little in a window. A tool that sinks below the FLOOR so left needs a new run.
     """
-    far = FAR * p.shortest
+    far = 0.1 * p.shortest  # the rim band is used where the tool moves by less in a window
     if s.ints[RUN] >= 0:
         if _path(s, s.ints[RUN], step + 1) > far:
             s.ints[RUN], s.ints[RUN_LEVEL] = step, level

@@ -13,12 +13,7 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["Imperfections"]
 
 SERVO_DAMPING = 0.7  #: assumed: ratio of the second order of the servo lag, the usual tuning without overshoot
-SERVO_STEP = 1_000_000  #: [ns], of the lagged correction
 LEAST_SERVO_FREQUENCY = 0.1  #: [Hz]; far slower motors do not follow at all, and the filter becomes singular
-MOST_SERVO_STEPS = 900_000  #: steps of a long path: 4 ms in an hour
-SENSOR_LEVER = 0.1  #: [m], assumed: noise of a measured moment over that of a force
-#: repeatability over the deviation 1 along each axis: Maxwell distribution, mean 1.596 + 3 times its deviation 0.673
-REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +70,8 @@ class Imperfections(Record):
 
     def shift(self, number: int) -> np.ndarray:
         """[m], (3,): by how much pass ``number`` as a whole lies beside the commanded one."""
-        deviation = self.repeatability / REPEATABILITY_SPREAD
+        # distance of a Maxwell distribution with deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
+        deviation = self.repeatability / (np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi))
         return deviation * self.generator(number).standard_normal(3)
 
     def measured(self, position: np.ndarray, number: int) -> np.ndarray:
@@ -95,7 +91,8 @@ class Imperfections(Record):
             return None
         if self.wrench == "exact" or not self.wrench_noise:
             return wrench
-        size = self.wrench_noise * np.array([1.0] * 3 + [SENSOR_LEVER] * 3)
+        # assumed: the noise of a moment is that of a force times 0.1 m
+        size = self.wrench_noise * np.array([1.0] * 3 + [0.1] * 3)
         noise = np.random.default_rng([self.seed, self.first_pass + number, 1]).standard_normal(wrench.shape)
         return np.where(np.any(wrench, axis=1, keepdims=True), wrench + size * noise, 0.0)
 
@@ -107,7 +104,7 @@ class Imperfections(Record):
         """
         if not (self.servo_frequency or self.servo_delay) or reference is target:
             return reference
-        step = max(SERVO_STEP, target.duration_ns // MOST_SERVO_STEPS)
+        step = max(1_000_000, target.duration_ns // 900_000)  # 1 ms; 4 ms in an hour
         grid = np.append(np.arange(0, target.duration_ns, step), target.duration_ns)
         late = np.maximum(grid - round(1e9 * self.servo_delay), 0)
         correction = reference.sample(late) - target.sample(late)

@@ -31,7 +31,6 @@ SERIES: dict[str, tuple[int, ...]] = {
     "time_ns": (), "target": (3,), "reference": (3,), "tool": (3,), "deflection": (6,), "wrench": (6,),
     "correction": (), "torque": (), "volume": (),
 }  # fmt: skip
-NO_PUSH = np.zeros(0)  # of a reference that does not move
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
 
 
@@ -97,7 +96,7 @@ class CompliantArm:
 
     @property
     def _push(self) -> np.ndarray:
-        return self.pushes[self.step] if self.step < len(self.pushes) else NO_PUSH
+        return self.pushes[self.step] if self.step < len(self.pushes) else np.zeros(0)
 
     def predict(self, wrench: np.ndarray | None = None) -> np.ndarray:
         """Deflection (6,) at the end of the next period under ``wrench``, or under that of the last period."""

@@ -36,16 +36,8 @@ __all__ = ["DEEPEST", "Lobe", "Modes", "has_uniform_pitch", "stability_limit"]
 DEEPEST = 0.1  #: [m], up to which limits are looked for
 WAVES = 20.0  #: waves of a mode on the arc of engagement
 NODES = 8  #: on the arc for each wave, and 8 more: random limits are then within 1 % of another solution
-POLYNOMIALS = 4.5  #: for each wave, pi at least; 4.5 more
-MOST_NUMBERS = 10**6  #: numbers in the matrices of several frequencies at once
-START = 9  #: frequencies from mu = 1 to -1 at which the search starts
-RESONANCE = np.array([-2.5, -0.7, 0.0, 0.7, 2.5])  #: further ones, in half widths of a resonance from its frequency
-PRECISION = 5e-3  #: distance of two eigenvalues that enclose a limit, a share of the larger one; the limit is between
 #: distance from the real axis, as a share of that to the next eigenvalue, that makes a limit possible
 NEAR = 0.35
-SMALL = 0.7  #: share of the least 1/a below which eigenvalues do not matter
-UNDAMPED = 1e-6  #: least damping ratio, with which a resonance is finite
-REAL = 1e-7  #: largest imaginary part of a real eigenvalue, a share of its magnitude
 
 _gauss = functools.cache(np.polynomial.legendre.leggauss)
 
@@ -126,7 +118,8 @@ def _inverse_depths(
     plane = -(k_r[:, None] * radial + k_t[:, None] * motion)
     force = np.column_stack([plane, -k_a])  # k_a above 0 pulls the tool toward the part, -z
     step = weight / speed  # [s]
-    w, zeta = modes.frequency, np.maximum(modes.damping_ratio, UNDAMPED)
+    # a resonance with this damping ratio is finite
+    w, zeta = modes.frequency, np.maximum(modes.damping_ratio, 1e-6)
     damped = w * np.sqrt(1.0 - zeta * zeta)
     pole = -zeta * w + 1j * damped
     time = (angle[:, None] - angle) / speed
@@ -141,18 +134,20 @@ def _inverse_depths(
 
     # the vibrations are smooth: a few polynomials on the arc make a smaller matrix of the same largest eigenvalues
     span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
-    degree = math.ceil(POLYNOMIALS * count / NODES) + 4
+    degree = math.ceil(4.5 * count / NODES) + 4  # for each wave, pi at least; 4.5 more
     basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
 
     def at(frequency: np.ndarray, least: float) -> np.ndarray:
         values = np.zeros((frequency.size, basis.shape[1]), complex)
-        for part in np.array_split(np.arange(frequency.size), 1 + frequency.size * count**2 // MOST_NUMBERS):
+        # numbers in the matrices of several frequencies at once
+        for part in np.array_split(np.arange(frequency.size), 1 + frequency.size * count**2 // 1_000_000):
             mu = np.exp(1j * frequency[part] * delay)[:, None]
             both = (1.0 / (1.0 - decay / mu)) @ kernel + (1.0 / (1.0 - decay.conj() / mu)) @ kernel.conj()
             loop = (both.reshape(-1, count, count) + kink) * mu[..., None] ** turns
             loop = (1.0 - 1.0 / mu)[..., None] * (basis.T @ loop @ basis)
             # no eigenvalue is larger than the root of the norm of the square
-            large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (SMALL * least) ** 2
+            # eigenvalues below 70 % of the least 1/a do not matter
+            large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (0.7 * least) ** 2
             values[part[large]] = np.linalg.eigvals(loop[large])
         return values
 
@@ -177,10 +172,13 @@ def _starts(modes: Modes, delay: float) -> np.ndarray:
     """Frequencies [rad/s] from above mu = 1 to mu = -1, ascending: equal steps, and about the resonances."""
     most = np.pi / delay
     about = modes.frequency[:, None] * (
-        np.sqrt(1.0 - modes.damping_ratio**2)[:, None] + modes.damping_ratio[:, None] * RESONANCE
+        # in half widths of a resonance from its frequency
+        np.sqrt(1.0 - modes.damping_ratio**2)[:, None]
+        + modes.damping_ratio[:, None] * np.array([-2.5, -0.7, 0.0, 0.7, 2.5])
     )
     folded = np.abs((about.ravel() + most) % (2.0 * most) - most)
-    return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, START)[1:]))
+    # the search starts at 9 frequencies from mu = 1 to -1
+    return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, 9)[1:]))
 
 
 def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float) -> tuple[float, float]:
@@ -190,7 +188,8 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
     one, may pass the real axis above the largest crossing so far.
     """
     values = inverse_depths(frequency, least)
-    real = values[-1].real[np.abs(values[-1].imag) <= REAL * np.abs(values[-1])]
+    # the imaginary part of a real eigenvalue is rounding
+    real = values[-1].real[np.abs(values[-1].imag) <= 1e-7 * np.abs(values[-1])]
     best, at = max([(least, math.nan), *((value, frequency[-1]) for value in real.tolist())])
     low, high = np.append(0.0, frequency[:-1]), frequency
     before, after = np.concatenate([np.zeros_like(values[:1]), values[:-1]]), values  # 0 at mu = 1
@@ -200,7 +199,8 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
         end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
         travel, passes = np.abs(end - start), start.imag * end.imag <= 0.0
         close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * travel)
-        fine = travel <= PRECISION * np.maximum(np.abs(start), np.abs(end))
+        # two eigenvalues that differ by less than 0.5 % enclose a limit
+        fine = travel <= 5e-3 * np.maximum(np.abs(start), np.abs(end))
         share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
         on_axis = np.where(fine & passes, start.real + share * (end.real - start.real), 0.0)
         row, k = np.unravel_index(np.argmax(on_axis), on_axis.shape)

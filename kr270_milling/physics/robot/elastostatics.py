@@ -21,13 +21,11 @@ from kr270_milling.physics.robot.loads import GRAVITY, LinkLoads, link_loads, lo
 __all__ = ["Equilibrium", "compliance", "equilibrium", "stiffness", "wrench_for_pose"]
 
 RESIDUAL = 1e-9  #: a solved equilibrium is out of balance by no more than this [N m]
-MISPLACED = 1e-12  #: and its pose is off by no more than this [m], [rad]
 ITERATIONS = 25
 #: a larger joint deflection [rad] is believed only when the load path leads there
 LARGE = 0.05
 #: and a still larger one is refused: drives and bearings are no linear springs over 10 deg
 TOO_LARGE = 0.2
-LEAST_STEP = 1 / 512  #: least share of the load in a step; a path that needs smaller steps ends at a limit point
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +152,7 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
                 raise DeflectionError(joint, float(theta[0, worst]), TOO_LARGE, carried, index)
             continue
         residual, step = left[0], step / 2
-        if step < LEAST_STEP:
+        if step < 1 / 512:  # a load path that needs smaller steps ends at a limit point
             raise EquilibriumError(float(residual), count, carried, index)
     return theta[0], residual, count
 
@@ -177,7 +175,8 @@ def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True)
         missing = np.concatenate([target.position - frames.tool.position, turn], -1)
         balance = load_torque(frames, wrench, loads) - arm.spring_stiffness * theta
         residual = np.abs(balance).max(-1)
-        going = ~((residual <= RESIDUAL) & (np.abs(missing).max(-1) <= MISPLACED))
+        # the pose is met within 1e-12 m and rad
+        going = ~((residual <= RESIDUAL) & (np.abs(missing).max(-1) <= 1e-12))
         if not going.any() or count == ITERATIONS:
             break
         change = _solve(_system(arm, frames, wrench, loads), np.concatenate([missing, -balance], -1))  # (16)

@@ -37,8 +37,6 @@ __all__ = [
 
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
 TURNS, SIGNS = np.argmax(np.abs(AXES), axis=1), AXES.sum(axis=1)
-#: below this measure (see ``singularity_measures``) a Jacobian is not inverted
-SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +202,8 @@ def singularity_measures(arm: Arm, q) -> np.ndarray:
 def check_regular(arm: Arm, q: np.ndarray) -> None:
     """Raise SingularityError for the first posture whose Jacobian has no inverse."""
     measures = singularity_measures(arm, q)
-    bad = np.argwhere(~(measures > SINGULAR))
+    # below this measure (see ``singularity_measures``) a Jacobian is not inverted
+    bad = np.argwhere(~(measures > 1e-9))
     if len(bad):
         *index, which = (int(i) for i in bad[0])
         raise SingularityError(("shoulder", "elbow", "wrist")[which], float(measures[tuple(bad[0])]), tuple(index))
