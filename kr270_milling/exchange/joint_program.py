@@ -18,8 +18,7 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.robot.joint_motion import joint_motion
-from kr270_milling.physics.robot.kinematics import forward
+from kr270_milling.physics.robot.kinematics import forward, joint_motion
 
 __all__ = ["JointProgramError", "joint_program"]
 
