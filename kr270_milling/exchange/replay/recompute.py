@@ -44,7 +44,6 @@ __all__ = [
 
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
 TRAJECTORY = ("time_ns", "position", "quaternion", "velocity")  # fields with the bits of a message
-RANK = {topic.name: place for place, topic in enumerate(TOPICS)}  # in the order of causes
 AXES = {  # fields of the columns of a topic
     "tool_pose": [f"pose.position.{a}" for a in "xyz"] + [f"pose.orientation.{a}" for a in "xyzw"],
     "wrench": [f"wrench.force.{a}" for a in "xyz"] + [f"wrench.torque.{a}" for a in "xyz"],
@@ -213,7 +212,7 @@ class _Robot:
 
     def _differs(self, name: str, order: tuple[int, int], index: int, field: str, recorded, recomputed) -> None:
         """Keep the difference if it is the first by pass, time and cause."""
-        key = (*order, RANK[name])
+        key = (*order, [topic.name for topic in TOPICS].index(name))  # in the order of causes
         if self.first is None or key < self.first.order:
             topic = f"{self._namespace}/{name}"
             self.first = Difference(topic, index, order[1], field, recorded, recomputed, key)

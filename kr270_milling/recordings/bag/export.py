@@ -38,8 +38,6 @@ POINT = [
     *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
     *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
 ]
-JOINTS = "sensor_msgs/msg/JointState"
-TWIST = "geometry_msgs/msg/TwistStamped"
 
 
 @dataclass
@@ -158,12 +156,14 @@ def rows(recording: Recording, topic: str) -> Iterator[Row]:
         return _series_rows(recording, topic, kind)
     if kind == TRAJECTORY:
         return _trajectory_rows(recording, topic)
-    return _any_rows(recording, topic, _joint_cells if kind == JOINTS else lambda message: _flat(plain(message)))
+    if kind == "sensor_msgs/msg/JointState":
+        return _any_rows(recording, topic, _joint_cells)
+    return _any_rows(recording, topic, lambda message: _flat(plain(message)))
 
 
 def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
     units = FIXED[kind]
-    if kind == TWIST:  # a deflection is a displacement in the fields of a velocity
+    if kind == "geometry_msgs/msg/TwistStamped":  # a deflection is a displacement in the fields of a velocity
         deflection = topic.split("/")[-1] == "deflection"
         linear, angular = ("m", "rad") if deflection else ("m_per_s", "rad_per_s")
         units = [(name, linear if name.startswith("linear") else angular) for name, _ in units]
