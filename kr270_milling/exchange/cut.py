@@ -36,7 +36,7 @@ class CutProtocol:
         self.step = -1  #: last exchange that was answered; -1 before the first one
         self.stamp_ns = 0  #: stamp of the last answer
         self.start_ns = 0  #: stamp of the first exchange of the pass
-        self._end_ns = 0  # of the pass, 0 where it is not known
+        self._end_ns = 0  # end of the pass, 0 where it is not known
         self.planned: tuple[int, int] | None = None  #: stamps of start and end of the next pass
         self._clock = path_of(cell).clock
 

@@ -57,7 +57,7 @@ class Scene:
     def __init__(self):
         self._links: tuple[Link, ...] = ()
         self._target: Trajectory | None = None
-        self._start_ns = self._next_ns = 0  # of the pass and of the next one
+        self._start_ns = self._next_ns = 0  # starts of the pass and of the next pass
         self._fresh()
         self._tool_width = 0.02
 

@@ -150,7 +150,7 @@ def read_graph(
     graph = GraphRecord(space, {**topics, "reference_trajectory": reference})
     joints: list[JointSample] = []
     maps: list[StockMap] = []
-    walls: list[float] = []  # of complete passes [s]
+    walls: list[float] = []  # wall times of complete passes [s]
 
     def add_reference(data: bytes) -> Trajectory:
         reference, as_sent = trajectory_from_bytes(data), trajectory_from_bytes(data, as_sent=True)
@@ -221,7 +221,7 @@ def _passes(
     walls: list[float],
 ) -> list[PassSeries]:
     """Return the passes: references with a pose of the exchange between their start and the next one."""
-    # of two references with one start, the later one replaced the other before the pass
+    # the later of two references with the same start replaced the other before the pass
     starts = {reference.start_ns: (number, reference) for number, reference in enumerate(graph.references)}
     ordered = sorted(starts)
     passes: list[PassSeries] = []

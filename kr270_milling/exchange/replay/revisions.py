@@ -145,7 +145,7 @@ class Revisions:
         if not self._passes:
             return None
         number = len(self._passes) - 1
-        place = self._passes[number].number  # of its reference, and of the state that was published with it
+        place = self._passes[number].number  # index of its reference, and of the state that was published with it
         state = self.graph.states[min(place, len(self.graph.states) - 1)] if self.graph.states else None
         target = self._targets.get(state.target) if state else list(self._targets.values())[-1]
         if target is None:

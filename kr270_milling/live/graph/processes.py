@@ -47,7 +47,7 @@ class AlreadyRunning(MillingError):
 def own_graph(domain: int, namespace: str) -> socket.socket:
     """Return the right to start the nodes of a namespace in a ROS domain, until it is closed. Raises AlreadyRunning.
 
-    Of two runs that start at once, the first has it. The name of a socket is free again when its process ends, and it
+    If two runs start at once, the first has it. The name of a socket is free again when its process ends, and it
     belongs to the network of this host, as the loopback interface does.
     """
     own = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

@@ -179,7 +179,7 @@ def operation_name(comment: str) -> tuple[str, bool]:
 def described_tool(comment: str, unit: float, changed: str | None = None, beside: bool = False) -> ProgramTool | None:
     """The tool that a comment describes; lengths without a unit are in ``unit`` [m]; changed: the tool of its line.
 
-    beside: the comment is in the line of the change. Of a comment without a tool number, which may name an operation
+    beside: the comment is in the line of the change. In a comment without a tool number, which may name an operation
     (drill, chamfer), only the name of a tool counts (twist drill, chamfer mill).
     """
     if re.match(r"\s*(?:stock|material|block|wcs|part)\b", comment, re.I):

@@ -166,7 +166,7 @@ class Compensator:
     def _is_best(self, record: PassRecord) -> bool:
         """Return whether the best reference so far is not worth another revision.
 
-        Of passes that differ by less than the noise the later one is better, because it follows from more passes. One
+        If passes differ by less than the noise, the later pass is better, because it follows from more passes. One
         such pass may be bad luck, so a noisy measurement needs two passes in a row without improvement.
         """
         error, best, floor = self.errors[-1], self._best[0], noise_floor(self.target, record)

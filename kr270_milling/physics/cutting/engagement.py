@@ -66,7 +66,7 @@ SINES = 4096  # entries of the table ``front`` from one side of the tool to the 
 BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of a node reach beyond the sides
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
 FAR = 1e9  # [nodes], beyond every grid
-LONGEST = 0.25  # of the radius: a longer move is divided
+LONGEST = 0.25  # share of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 16  # nodes, a power of two
 NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
@@ -79,9 +79,9 @@ FLOORS_KNOWN = 6  # rows in use of ``floors``
 FLOORS_KEPT = 8  # of these rows, the first ones that the last step has not changed
 FLOOR_NEAR = 9  # deepest level to which a footprint near the present one is cut (-1: not known)
 # Places in EngagementState.load, after wrench and torque
-THRUST = 7  # of the end edges [N]
+THRUST = 7  # thrust of the end edges [N]
 CONTACT = 8  # mean length of all end edges on the floor when the tool last went below FLOOR_NEAR [m]
-RISE = 9  # of the tip above the predicted pose [m]
+RISE = 9  # rise of the tip above the predicted pose [m]
 
 
 class EngagementParams(NamedTuple):
@@ -93,8 +93,8 @@ class EngagementParams(NamedTuple):
     micro_step: float  # [rad]
     lag: float  # [rad]: half a pitch, after which on average a tooth cuts what the footprint covers
     twist: float  # [rad/m], further lag of the edge by height above the tip
-    spacing: float  # of nodes
-    origin_x: float  # of node 0
+    spacing: float  # distance of nodes
+    origin_x: float  # place of node 0
     origin_y: float
     nx: int
     ny: int
@@ -102,11 +102,11 @@ class EngagementParams(NamedTuple):
     thickness: float
     level_step: float
     law: int  # address of the compiled force law, see ``force_law.call_law``
-    coefficients: np.ndarray  # of the law [SI], (p,)
-    end_share: float  # of the end edge that presses on the floor
+    coefficients: np.ndarray  # coefficients of the law [SI], (p,)
+    end_share: float  # share of the end edge that presses on the floor
     edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
-    give: float  # of the predicted tip along z in a step [m/N]; 0: poses are not predicted
-    moments: bool  # whether forces turn the tool about its tip
+    give: float  # compliance of the predicted tip along z in a step [m/N]; 0: poses are not predicted
+    moments: bool  # forces turn the tool about its tip
     front: np.ndarray  # int16, (SINES + 2 BEYOND,): front bin by BEYOND + SINES (1 + sin(phi)) / 2
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
     inverse: np.ndarray  # float32, same shape: mean of R / r over the nodes of a block, by the middle of the block

@@ -44,7 +44,7 @@ def end_force(p, h):
     with F_t = K_tc h the torque times the speed is K_tc dV/dt for any s. The force along the edge is left out.
     An edge that is round ploughs a layer thinner than ``p.edge_radius``: the force of that layer in proportion.
     """
-    least, share = max(h, p.edge_radius), max(p.end_share, 1e-3)  # of the end edge, in the thickness of its chip
+    least, share = max(h, p.edge_radius), max(p.end_share, 1e-3)  # a share of 0.1 % bounds the thickness of its chip
     f_t = call_law(p.law, least / share, p.coefficients)[0]
     f_r = call_law(p.law, least, p.coefficients)[1]
     return h / least * share * f_t, h / least * p.end_share * f_r

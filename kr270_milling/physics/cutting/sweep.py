@@ -26,11 +26,11 @@ from kr270_milling.physics.cutting.state import (
 __all__ = ["NO_FORCES", "sweep", "undo"]
 
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
-NEAR = 0.8  # of the radius: the rim band goes no deeper
+NEAR = 0.8  # share of the radius: the rim band goes no deeper
 TURN = 1.26  # a point beyond NEAR seen from a centre that moves by x turns by at most TURN x / radius
 LEAD = 0.02  # [rad]
-END_POINTS = 64  # of the radius, at which the layer below a sinking tool is measured
-JUMP = 0.125  # of a tooth's way in a micro-step: a centre that moves further is a jump
+END_POINTS = 64  # points of the radius, at which the layer below a sinking tool is measured
+JUMP = 0.125  # share of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
 @compiled

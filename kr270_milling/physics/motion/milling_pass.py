@@ -118,7 +118,7 @@ class CompliantArm:
 def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndarray:
     """Deflections (n + 1, 6) of a pass whose wrenches (n + 1, 6) are known; pushes: see ``CompliantArm``.
 
-    Those that ``CompliantArm.correct`` gives one by one, to the bit.
+    ``CompliantArm.correct`` returns the same bits, one by one.
     """
     deflections = np.zeros((len(wrenches), 6))
     _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.states), pushes, model.arrays, deflections)

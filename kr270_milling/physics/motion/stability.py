@@ -14,7 +14,7 @@ factor 1 - 1/mu, and the chip vibration h = e . u of one tooth obeys
     g_i(t + tau) = mu g_i(t)
 
 where Im_i is (x - its counterpart with the conjugate pole) / 2i. Gauss-Legendre nodes on the arc make of it a matrix
-whose eigenvalues are 1/a. Those that are real and positive are the limits, at all depths: period doubling at
+whose eigenvalues are 1/a. Real and positive eigenvalues are the limits, at all depths: period doubling at
 mu = -1, Hopf between mu = 1 and -1. Source of the factor: [Budak1998], of mu at period doubling: [Insperger2004].
 """
 

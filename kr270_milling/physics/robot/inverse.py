@@ -125,7 +125,7 @@ def branches_at(lengths, position, rotation, near_a4, q, distance):
         q1 = wrapped(-np.arctan2(side * y, side * x))
         bend = np.arccos(min(1.0, max(-1.0, cosine)))
         for elbow in range(2):
-            beta = -bend if elbow == 0 else bend  # of the forearm against the upper arm, counted upwards
+            beta = -bend if elbow == 0 else bend  # angle of the forearm against the upper arm, counted upwards
             lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
             q2, q3 = wrapped(lead - np.arctan2(height, radius)), wrapped(elbow_offset - beta)
             s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)

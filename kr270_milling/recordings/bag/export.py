@@ -27,7 +27,7 @@ from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajec
 
 __all__ = ["Exported", "export", "rows"]
 
-MAX_FILES = 100  # of one topic; a new file begins when the columns change
+MAX_FILES = 100  # most files of a topic; a new file begins when the columns change
 ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
 Row = tuple[list[str], list]  # names of the columns, cells
 POINT = [

@@ -113,7 +113,7 @@ class McapFile:
         self.first: int | None = None  #: [ns], smallest and largest log time; None without a message
         self.last: int | None = None
         self._known: list[int] = []  # offsets of chunks by the summary, ascending
-        self._end = self.size  # of the data section
+        self._end = self.size  # end of the data section
         try:
             self._open(progress, on_damage)
         except BaseException:

@@ -25,7 +25,7 @@ class Recovered:
     """Saved and lost content of a file; ``dropped``: one sentence for each damaged place."""
 
     source: str
-    directory: str = ""  # of the whole recording; the directory of the source if nothing had to be written
+    directory: str = ""  # directory of the whole recording; that of the source if nothing had to be written
     whole: bool = False  # the source was complete and without damage
     messages: int = 0
     topics: dict[str, int] = field(default_factory=dict)

@@ -112,7 +112,7 @@ class _AptReader(Machine):
                 code, comment, note, continued = line, "", "", ""
             else:
                 code, comment, note = line.partition("$$")
-                code, continued, _ = code.partition("$")  # what follows the sign is a remark
+                code, continued, _ = code.partition("$")  # a remark follows the sign
             first = first if statement else number
             self.program.line = first
             if comment and not (code.strip() or continued):
