@@ -31,9 +31,13 @@ class CompensatorProtocol:
     """
 
     def __init__(
-        self, cell: Cell, plant: Cell | None = None, name: str = "trajectory_compensator",
-        now: Callable[[], int] = lambda: 0, announced: bool = False,
-    ):  # fmt: skip
+        self,
+        cell: Cell,
+        plant: Cell | None = None,
+        name: str = "trajectory_compensator",
+        now: Callable[[], int] = lambda: 0,
+        announced: bool = False,
+    ):
         self.cell = cell
         self.plant = plant
         self.name = name
@@ -58,12 +62,12 @@ class CompensatorProtocol:
 
     @property
     def under_way(self) -> bool:
-        """Whether the start of a pass was received and its end is not revised yet."""
+        """Return whether the start of a pass was received and its end is not revised yet."""
         return self.compensator is not None and self.inbox.started
 
     @property
     def at_end(self) -> bool:
-        """Whether the pass lacks nothing but its last wrench."""
+        """Return whether the pass lacks nothing but its last wrench."""
         return self.under_way and self.inbox.at_end
 
     def begin(self, target: Trajectory) -> list[Output]:
@@ -75,15 +79,15 @@ class CompensatorProtocol:
 
     def choose(self, method: str) -> list[Output]:
         """Choose another method; it starts from the pass along the target if there was one."""
-        made = copy.copy(self.active)  # a refused choice leaves the present one unchanged
-        made.choose(method)
-        return self._continue(made, self._first)
+        revised = copy.copy(self.active)  # a refused choice leaves the present one unchanged
+        revised.choose(method)
+        return self._continue(revised, self._first)
 
     def reset(self) -> list[Output]:
         """Return to the target itself."""
-        made = copy.copy(self.active)
-        made.reset()
-        return self._continue(made, ())
+        revised = copy.copy(self.active)
+        revised.reset()
+        return self._continue(revised, ())
 
     def restart(self) -> list[Output]:
         """Begin the pass anew, with another start."""
@@ -134,30 +138,35 @@ class CompensatorProtocol:
         number = self.passes
         self.passes += 1
         self.missing = received.missing
-        made = copy.copy(self.active)
-        first = made.reference is made.target and not made.errors
-        made.revise(received.record(self.cell, self.plant, number))
+        revised = copy.copy(self.active)
+        first = revised.reference is revised.target and not revised.errors
+        revised.revise(received.record(self.cell, self.plant, number))
         learned = received.as_learned(self.recording)
-        outputs = self._continue(made, (*self._learned, learned))
+        outputs = self._continue(revised, (*self._learned, learned))
         if first:
             self._first = (learned,)
         return outputs
 
-    def _continue(self, made: Compensator, learned: tuple[LearnedRecording, ...]) -> list[Output]:
+    def _continue(self, revised: Compensator, learned: tuple[LearnedRecording, ...]) -> list[Output]:
         """Return the outputs of a new state; an error comes before anything has changed."""
-        commanded_joints(self.cell, made.reference)  # raises where no arm can run the reference
-        self.compensator, self._learned = made, learned
+        commanded_joints(self.cell, revised.reference)  # raises where no arm can run the reference
+        self.compensator, self._learned = revised, learned
         start, problem = max(self._now(), self._free_ns), self.inbox.problem
-        end, iterations = end_of(self.cell, made.reference), self.cell.exchange.iterations
+        end, iterations = end_of(self.cell, revised.reference), self.cell.exchange.iterations
         self.inbox = PassInbox(
-            end, iterations, start, made.reference, path_of(self.cell).clock, self._frames, self._announced
-        )  # fmt: skip
+            end, iterations, start, revised.reference, path_of(self.cell).clock, self._frames, self._announced
+        )
         self.inbox.problem = problem
         state = CompensatorState(
-            self.name, made.method, self.passes, made.finished, fingerprint(made.target), fingerprint(made.reference),
+            self.name,
+            revised.method,
+            self.passes,
+            revised.finished,
+            fingerprint(revised.target),
+            fingerprint(revised.reference),
             learned,
-        )  # fmt: skip
-        return [("compensator_state", state), ("reference_trajectory", made.reference.starting_at(start))]
+        )
+        return [("compensator_state", state), ("reference_trajectory", revised.reference.starting_at(start))]
 
 
 def end_of(cell: Cell, reference: Trajectory) -> int:

@@ -19,8 +19,6 @@ from kr270_milling.physics.motion.milling_pass import silent_periods
 
 __all__ = ["CutProtocol", "NoWorkpiece"]
 
-MAP_STEP = 0.2e-3  # [m], of the published workpiece map
-
 
 class NoWorkpiece(MessageError):
     """The cutting process is not configured."""
@@ -36,9 +34,9 @@ class CutProtocol:
         self.cell = cell
         self.cut: CutModel | None = None  #: the tool on the workpiece
         self.step = -1  #: last exchange that was answered; -1 before the first one
-        self.stamp_ns = 0  #: of the last answer
+        self.stamp_ns = 0  #: stamp of the last answer
         self.start_ns = 0  #: stamp of the first exchange of the pass
-        self._end_ns = 0  # of the pass, 0 where it is not known
+        self._end_ns = 0  # end of the pass, 0 where it is not known
         self.planned: tuple[int, int] | None = None  #: stamps of start and end of the next pass
         self._clock = path_of(cell).clock
 
@@ -57,7 +55,7 @@ class CutProtocol:
         return self.workpiece()
 
     def _drilling(self) -> np.ndarray:
-        """Whether the wrench of each exchange is zero, (n + 1,) bool: the force of drilling is not modelled.
+        """Return whether the wrench of each exchange is zero, (n + 1,) bool: the force of drilling is not modelled.
 
         Empty where the program does not drill: then the cut does not need the times of the path.
         """
@@ -73,12 +71,12 @@ class CutProtocol:
 
     @property
     def under_way(self) -> bool:
-        """Whether a pass was started and has not reached the end of the reference trajectory."""
+        """Return whether a pass was started and has not reached the end of the reference trajectory."""
         return self.step >= 0 and self.stamp_ns < self._end_ns
 
     @property
     def at_end(self) -> bool:
-        """Whether the pass has reached the end of the reference trajectory."""
+        """Return whether the pass has reached the end of the reference trajectory."""
         return self.step > 0 and not self.under_way
 
     @property
@@ -135,7 +133,7 @@ class CutProtocol:
         if self.cut is None:
             raise NoWorkpiece
         stock = self.cell.stock
-        thinning = max(1, round(MAP_STEP / stock.grid_step))
+        thinning = max(1, round(0.2e-3 / stock.grid_step))  # the published map has nodes every 0.2 mm
         _, _, surface = self.cut.heights(thinning=thinning)
         removed = (stock.max[2] - surface) / (stock.max[2] - stock.min[2])
         left = np.rint(100 * (1 - removed)).astype(np.int8)

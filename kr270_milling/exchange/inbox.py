@@ -74,13 +74,19 @@ class PassInbox:
     """
 
     def __init__(
-        self, end_ns: int, iterations: int, start_ns: int = 0, reference: Trajectory | None = None,
-        clock: Clock | None = None, frames: WrenchFrames | None = None, announced: bool = False,
-    ):  # fmt: skip
+        self,
+        end_ns: int,
+        iterations: int,
+        start_ns: int = 0,
+        reference: Trajectory | None = None,
+        clock: Clock | None = None,
+        frames: WrenchFrames | None = None,
+        announced: bool = False,
+    ):
         self.end_ns = end_ns
         self.start_ns = self._planned_ns = start_ns
         self.foreign = False  #: the pass of a robot with another clock
-        self.problem = ""  #: what does not fit, in one sentence; the caller clears the sentence
+        self.problem = ""  #: sentence on messages that do not fit; the caller clears it
         self._reference = reference
         self._clock = clock
         self._frames = frames
@@ -109,17 +115,17 @@ class PassInbox:
 
     @property
     def started(self) -> bool:
-        """Whether the start of the pass was received."""
+        """Return whether the start of the pass was received."""
         return self.foreign or bool(self._poses)
 
     @property
     def at_end(self) -> bool:
-        """Whether the pass lacks nothing but its last wrench."""
+        """Return whether the pass lacks nothing but its last wrench."""
         return self.started and self._last_poses <= 0
 
     @property
     def complete(self) -> bool:
-        """Whether all messages of the pass have come."""
+        """Return whether all messages of the pass have come."""
         return self.at_end and self._last_wrenches <= 0
 
     @property
@@ -134,7 +140,7 @@ class PassInbox:
 
     @property
     def has_wrench(self) -> bool:
-        """Whether a wrench of the pass was received."""
+        """Return whether a wrench of the pass was received."""
         return bool(self._wrenches)
 
     def pose(self, sample: PoseSample) -> None:
@@ -166,7 +172,7 @@ class PassInbox:
         self._last_poses -= time >= self.end_ns
 
     def _is_foreign(self, time: int) -> bool:
-        """Whether a time is none of the simulated robot."""
+        """Return whether a time cannot be a stamp of the simulated robot."""
         if self._clock is None or self._announced:
             return self._announced
         return not 0 <= time <= self.end_ns or self._clock.step(time) < 0

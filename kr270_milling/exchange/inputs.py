@@ -17,15 +17,18 @@ from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.sensor import moved_wrench
 
 __all__ = [
-    "ExchangeError", "Output", "WrenchFrames", "checked_length", "checked_pose", "checked_wrench", "in_workpiece_axes",
-]  # fmt: skip
+    "ExchangeError",
+    "Output",
+    "WrenchFrames",
+    "checked_length",
+    "checked_pose",
+    "checked_wrench",
+    "in_workpiece_axes",
+]
 
 Output = tuple[str, object]  #: topic, record
 
 MOST_STEPS = 20_000_000  #: exchange periods of a pass, 2.8 h at 0.5 ms; assumed: the arrays of a pass then have 3 GB
-FARTHEST = 100.0  #: [m], of a coordinate of the tool; assumed: an arm with its cell is smaller
-STRONGEST = 1e6  #: [N, N m]; assumed: a hundred times what the strongest milling robots carry
-UNIT_LENGTH = 1e-3  #: allowed difference of a quaternion's length from 1: a quaternion of 32-bit floats is far below it
 
 
 class ExchangeError(MillingError):
@@ -41,8 +44,10 @@ def checked_pose(sample: PoseSample) -> PoseSample:
     if sample.frame != WORKPIECE:
         raise MessageError(f"tool_pose: the frame is {sample.frame!r}, but must be {WORKPIECE}")
     quaternion = sample.quaternion.tolist()
-    _expect_finite(sample.position.tolist() + quaternion, "tool_pose", FARTHEST, "m")
-    if not abs(math.hypot(*quaternion) - 1.0) <= UNIT_LENGTH:
+    # 100 m for a coordinate of the tool; assumed: an arm with its cell is smaller
+    _expect_finite(sample.position.tolist() + quaternion, "tool_pose", 100.0, "m")
+    # the length of a quaternion of 32-bit floats differs far less from 1
+    if not abs(math.hypot(*quaternion) - 1.0) <= 1e-3:
         raise MessageError("tool_pose: the quaternion is not of length 1")
     return sample
 
@@ -52,7 +57,8 @@ def checked_wrench(sample: WrenchSample, frames: Sequence[str] = (WORKPIECE, TOO
     if sample.frame not in frames:
         allowed = f"{', '.join(frames[:-1])} or {frames[-1]}"
         raise MessageError(f"wrench: the frame is {sample.frame!r}, but must be {allowed}")
-    _expect_finite(sample.wrench.tolist(), "wrench", STRONGEST, "N and N m")
+    # assumed: a hundred times what the strongest milling robots carry
+    _expect_finite(sample.wrench.tolist(), "wrench", 1e6, "N and N m")
     return sample
 
 

@@ -18,14 +18,12 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.robot.joint_motion import joint_motion
-from kr270_milling.physics.robot.kinematics import forward
+from kr270_milling.physics.robot.kinematics import forward, joint_motion
 
 __all__ = ["JointProgramError", "joint_program"]
 
-SHARE = 0.1  #: of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
+SHARE = 0.1  #: share of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
 LEAST = 0.1  #: [s], of approach and run-out
-RESTING = 1e-9  #: [rad/s]; a slower joint is at rest
 SMOOTH = 1e-9  #: [m] by which a jump of velocity or acceleration at a knot may move the path
 #: largest speed and acceleration of 10 u^3 - 15 u^4 + 6 u^5, from rest to rest
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15 / 8, 10 / math.sqrt(3)
@@ -93,18 +91,18 @@ def _rates(cell: Cell, reference: Trajectory, joints: np.ndarray) -> tuple[np.nd
 
 
 def _sag_rate(cell: Cell, reference: Trajectory, joints: np.ndarray) -> np.ndarray:
-    """Velocity (n, 6) of what the joints command beyond the reference, against the sag; base axes."""
+    """Velocity (n, 6) that the joints command beyond the reference, against the sag; base axes."""
     tool, place = forward(cell.arm, cell.mount, joints).tool, cell.workpiece.pose
     turned = tool.rotation @ np.swapaxes(place.rotation @ rotation_from_quaternion(reference.quaternion), 1, 2)
     beyond = np.hstack([tool.position - place.apply(reference.position), Rotation.from_matrix(turned).as_rotvec()])
     return np.gradient(beyond, reference.time, axis=0)
 
 
-def _duration(cell: Cell, way: np.ndarray) -> float:
-    """Duration [s] of a quintic from rest to rest along a way (6,) [rad]."""
-    way, arm = np.abs(way), cell.arm
-    by_speed = QUINTIC_SPEED * np.max(way / (SHARE * arm.joint_speed_limit))
-    by_acceleration = np.sqrt(QUINTIC_ACCELERATION * np.max(way / (SHARE * arm.joint_acceleration_limit)))
+def _duration(cell: Cell, travel: np.ndarray) -> float:
+    """Duration [s] of a quintic from rest to rest that travels (6,) [rad]."""
+    travel, arm = np.abs(travel), cell.arm
+    by_speed = QUINTIC_SPEED * np.max(travel / (SHARE * arm.joint_speed_limit))
+    by_acceleration = np.sqrt(QUINTIC_ACCELERATION * np.max(travel / (SHARE * arm.joint_acceleration_limit)))
     return max(LEAST, float(by_speed), float(by_acceleration))
 
 
@@ -113,7 +111,7 @@ def _run_in(cell: Cell, velocity: np.ndarray) -> float:
 
     The speed is v (3 u^2 - 2 u^3), its largest change 3/2 v in the duration.
     """
-    if np.max(np.abs(velocity)) <= RESTING:
+    if np.max(np.abs(velocity)) <= 1e-9:  # at rest
         return 0.0
     return max(LEAST, 1.5 * float(np.max(np.abs(velocity) / (SHARE * cell.arm.joint_acceleration_limit))))
 

@@ -21,8 +21,6 @@ from kr270_milling.physics.robot.urdf import urdf
 
 __all__ = ["RobotProtocol"]
 
-CLOCK_PERIOD = 0.01  # [s] of the pass, at least, from one clock message to the next
-
 
 class RobotProtocol:
     """Reference trajectory and wrench in; tool_pose, deflection, joint_states and clock out.
@@ -32,10 +30,10 @@ class RobotProtocol:
 
     def __init__(self, cell: Cell, deflection_every: int | None = None):
         self.cell = cell
-        self.reference: Trajectory | None = None  #: of the next pass
+        self.reference: Trajectory | None = None  #: reference of the next pass
         self.passes = 0  #: completed passes
         self.started = False  #: a pass runs, or has run to its end
-        self.done = False  #: the pass has run to its end
+        self.finished = False  #: the pass has run to its end
         self.steps = 0  #: exchange periods of the pass
         self.start_ns = 0  #: stamp of the first exchange of the pass, as the reference states it
         self.awaited_ns = 0  #: stamp of the next wrench
@@ -43,7 +41,7 @@ class RobotProtocol:
         self._iterations = cell.exchange.iterations
         self._deflection_every = deflection_every or cell.publish.steps(cell.exchange)
         self._joints_every = cell.publish.steps(cell.exchange)
-        self._clock_every = cell.exchange.steps_of(CLOCK_PERIOD)
+        self._clock_every = cell.exchange.steps_of(0.01)  # [s] of the pass, at least
 
     def describe(self) -> list[Output]:
         """Return the URDF for viewers."""
@@ -57,34 +55,34 @@ class RobotProtocol:
         if reference is None:
             raise ExchangeError(0, "a pass needs a reference trajectory")
         checked_length(reference, path_of(cell).clock)
-        course = imperfect_course(cell, reference, self.passes)
+        planned = imperfect_course(cell, reference, self.passes)
         model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
-        self.steps = path_of(cell).clock.steps(course.duration_ns)
+        self.steps = path_of(cell).clock.steps(planned.duration_ns)
         stamps = path_of(cell).clock.stamp(np.arange(self.steps + 1))
         self.start_ns = reference.start_ns
         self._stamps: list[int] = (
             stamps + self.start_ns
         ).tolist()  # a list gives an item in a tenth of the time of an array
-        self._unloaded = course.sample(stamps)  # [m], (steps + 1, 3)
-        self._orientation = course.sample_orientation(stamps)  # (steps + 1, 4)
+        self._unloaded = planned.sample(stamps)  # [m], (steps + 1, 3)
+        self._orientation = planned.sample_orientation(stamps)  # (steps + 1, 4)
         # the encoders are at the motors
         self._joints = arm_of(cell).joints_along(reference, stamps[:: self._joints_every])
-        self._arm = CompliantArm(model, model.push(course, stamps))
+        self._arm = CompliantArm(model, model.push(planned, stamps))
         self._tool = self._unloaded[0]  # predicted tool centre [m], (3,)
         self._step = 0  # whose wrench is awaited
         self._iteration = 0
         self.awaited_ns = self.start_ns
         self.correction = 0.0
-        self.started, self.done = True, False
+        self.started, self.finished = True, False
         return [self._question()]
 
     def stop(self) -> None:
         """End the pass."""
-        self.started = self.done = False
+        self.started = self.finished = False
 
     @property
     def large_correction(self) -> bool:
-        """Whether the largest correction exceeds its limit, a share of the feed per tooth."""
+        """Return whether the largest correction exceeds its limit, a share of the feed per tooth."""
         if not self.started or self.reference is None:
             return False
         feed = float(np.max(self.reference.feed(self.reference.time_ns)))
@@ -98,7 +96,7 @@ class RobotProtocol:
 
     def wrench(self, sample: WrenchSample) -> list[Output]:
         """Take an answer. An answer with another stamp than the awaited one is ignored; raises MessageError."""
-        if not self.started or self.done:
+        if not self.started or self.finished:
             return []
         checked_wrench(sample)
         if sample.stamp != self.awaited_ns:
@@ -111,7 +109,7 @@ class RobotProtocol:
         step, deflection = self._step, self._correct(wrench)
         self._step, self._iteration = step + 1, 0
         if step == self.steps:
-            self.done = True
+            self.finished = True
             self.passes += 1
             return self._state(step, sample.stamp, deflection)
         self.awaited_ns = self._stamps[self._step]

@@ -39,12 +39,7 @@ INPUTS = tuple(topic.name for topic in TOPICS if topic.scene)
 #: topic -> type of the derived messages; transforms are global, as viewers expect
 OUTPUTS = {"/tf_static": TRANSFORMS, "/tf": TRANSFORMS, "/markers": MARKERS}
 PERIOD_NS = 33_333_333  #: between two messages, 30 Hz
-MOST_POINTS = 200  #: of the path; beyond, every second point is removed
-FULL_ERROR = 100e-6  #: [m], of the far end of the colours
-ARROW_LENGTH = 1e-3  #: [m/N]
 LOW, HIGH = np.array([0.03, 0.31, 0.59, 1.0]), np.array([0.90, 0.35, 0.05, 1.0])  #: colours of no and of full error
-REMOVED = np.array([0.6, 0.65, 0.7, 0.6])
-FORCE = np.array([0.0, 0.5, 0.35, 1.0])
 
 
 class Derived(NamedTuple):
@@ -57,12 +52,12 @@ class Derived(NamedTuple):
 
 
 class Scene:
-    """One robot. ``take`` receives the messages of its topics and yields the derived messages."""
+    """The scene of a robot. ``take`` receives the messages of its topics and yields the derived messages."""
 
     def __init__(self):
         self._links: tuple[Link, ...] = ()
         self._target: Trajectory | None = None
-        self._start_ns = self._next_ns = 0  # of the pass and of the next one
+        self._start_ns = self._next_ns = 0  # starts of the pass and of the next pass
         self._fresh()
         self._tool_width = 0.02
 
@@ -142,22 +137,24 @@ class Scene:
         self._points.append(position)
         self._errors.append(error)
         self._cuts.append(float(np.linalg.norm(self._force)) > 0.1)
-        if len(self._points) > MOST_POINTS:
+        if len(self._points) > 200:  # then every second point is removed
             self._points, self._errors, self._cuts = self._points[::2], self._errors[::2], self._cuts[::2]
             self._spacing *= 2
 
     def _markers(self) -> list[Marker]:
         points = np.array(self._points).reshape(-1, 3)
-        share = np.clip(np.array(self._errors) / FULL_ERROR, 0.0, 1.0)[:, None]
+        share = np.clip(np.array(self._errors) / 100e-6, 0.0, 1.0)[:, None]  # 100 um: the far end of the colours
         cut = points[np.array(self._cuts, bool)]
         markers = []
         if len(points) > 1:
             markers.append(Marker("path", WORKPIECE, LINE_STRIP, 1e-3, points, LOW + share * (HIGH - LOW)))
         if len(cut) > 1:
-            markers.append(Marker("removed", WORKPIECE, LINE_STRIP, self._tool_width, cut, REMOVED))
+            grey = np.array([0.6, 0.65, 0.7, 0.6])
+            markers.append(Marker("removed", WORKPIECE, LINE_STRIP, self._tool_width, cut, grey))
         if len(points):
-            ends = np.stack([points[-1], points[-1] + ARROW_LENGTH * self._force])
-            markers.append(Marker("force", WORKPIECE, ARROW, 4e-3, ends, FORCE))
+            ends = np.stack([points[-1], points[-1] + 1e-3 * self._force])  # [m/N]
+            green = np.array([0.0, 0.5, 0.35, 1.0])
+            markers.append(Marker("force", WORKPIECE, ARROW, 4e-3, ends, green))
         return markers
 
 

@@ -15,11 +15,8 @@ __all__ = ["BREAK_NS", "StartSeeker", "check_follows", "is_far", "lag"]
 START_TOLERANCE = 0.5e-3  #: [m], from the first point of the reference, in which a robot with another clock waits
 SEEK_NS = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
 MOST_EARLY = 2000  # poses and wrenches before the start is known
-LAG_ROUNDS = 3
 BREAK_NS = 2_000_000_000  #: without progress, after which a pass is over; assumed: longer than any lag of a controller
-LOOKS = 401  # at the reference within BREAK_NS, one every 5 ms: 2 mm at 0.4 m/s
 FAR = 5e-3  # [m], from the reference; far above the deflection of an arm
-FEWEST = 10  # poses of a pass
 
 
 class StartSeeker:
@@ -62,7 +59,7 @@ class StartSeeker:
 def lag(reference: Trajectory, time_ns: np.ndarray, position: np.ndarray) -> int:
     """Return the delay [ns] of poses (n, 3) [m] along a reference: least squares of v (p - r) + v^2 dt."""
     delay = 0
-    for _ in range(LAG_ROUNDS):
+    for _ in range(3):
         velocity = reference.sample_velocity(time_ns - delay)
         behind = np.sum(velocity * (position - reference.sample(time_ns - delay)))
         delay -= round(1e9 * behind / max(np.sum(velocity**2), 1e-12))
@@ -76,13 +73,14 @@ def is_far(reference: Trajectory, time_ns: int, position: np.ndarray) -> bool:
     """
     if float(np.linalg.norm(position - reference.sample(min(time_ns, reference.duration_ns)))) <= FAR:
         return False
-    times = np.linspace(time_ns - BREAK_NS, time_ns, LOOKS).clip(0, reference.duration_ns).astype(np.int64)
+    # every 5 ms: 2 mm at 0.4 m/s
+    times = np.linspace(time_ns - BREAK_NS, time_ns, 401).clip(0, reference.duration_ns).astype(np.int64)
     return float(np.linalg.norm(reference.sample(times) - position, axis=1).min()) > FAR
 
 
 def check_follows(reference: Trajectory, time_ns: np.ndarray, position: np.ndarray) -> None:
     """Raise MessageError where poses (n, 3) [m] at times (n,) [ns] are no pass along the reference."""
-    if time_ns.size < FEWEST:
+    if time_ns.size < 10:
         raise MessageError(f"tool_pose: the pass has only {time_ns.size} poses and is not used")
     off = float(np.linalg.norm(position - reference.sample(time_ns), axis=1).max())
     if off > FAR:

@@ -9,8 +9,6 @@ import numpy as np
 
 __all__ = ["PathProgress"]
 
-CLOSE = 2e-5  #: [m]: of two places this equally near, the earlier one is the progress
-
 
 class PathProgress:
     """Place on the straight lines between points (n, 3) [m]; points at rest have one place.
@@ -44,7 +42,8 @@ class PathProgress:
         share = (reached - self.distance[first:last]) / length
         distance = np.linalg.norm(point - start - share[:, None] * along, axis=1)
         least = np.concatenate([[np.inf], distance, [np.inf]])
-        local = (distance <= least[:-2]) & (distance <= least[2:]) & (distance <= distance.min() + CLOSE)
+        # of two places that are equally near within 20 um, the earlier place is the progress
+        local = (distance <= least[:-2]) & (distance <= least[2:]) & (distance <= distance.min() + 2e-5)
         chosen = int(np.argmax(local))
         if distance[chosen] <= self.reach:
             self.progress = float(reached[chosen])

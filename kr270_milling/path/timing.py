@@ -25,13 +25,19 @@ from kr270_milling.path.toolpath import Toolpath, ToolpathError
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "Ramps", "TimedPath", "Timing", "joint_rates", "limit_by_joints", "peak_speeds", "ramp_time", "reachable",
-    "time_path", "vertex_speeds",
-]  # fmt: skip
+    "Ramps",
+    "TimedPath",
+    "Timing",
+    "joint_rates",
+    "limit_by_joints",
+    "peak_speeds",
+    "ramp_time",
+    "reachable",
+    "time_path",
+    "vertex_speeds",
+]
 
-TANGENT = 1e-3  #: [rad] smaller turns come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
 FAIR = 0.2  #: share of the feed below which a corner is not worth rounding
-MOST_KNOTS = 5_000_000  # a trajectory takes some 200 bytes a knot while it is made
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +135,7 @@ def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, np.ndarray, np.nd
     final = np.flatnonzero(last == 0)  # the segment that ends each run
     duration = np.bincount(run, up + cruise + down)
     steps = np.maximum(np.ceil(duration / step - 1e-9), 1)
-    if not steps.sum() <= MOST_KNOTS:
+    if not steps.sum() <= 5_000_000:  # a trajectory takes some 200 bytes a knot while it is made
         raise ToolpathError(f"it would last {steps.sum() * step:.3g} s; is the feed right?")
     missing = steps * step - duration
     softer = cruise[final] >= missing  # brake more gently, so that the stop is on a step; else reduce the speed
@@ -159,7 +165,8 @@ def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.
     turning = timing.acceleration * step / (2 * safe)
     dense = np.sqrt(timing.acceleration * (length[:-1] + length[1:]) / (4 * safe))
     speed = np.minimum(np.minimum(rounding, turning), np.minimum(dense, limit))
-    speed = np.where(half < TANGENT / 2, limit, speed)
+    # turns below 1 mrad come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
+    speed = np.where(half < 0.5e-3, limit, speed)
     return np.where(speed >= FAIR * limit, speed, 0.0)
 
 
@@ -256,9 +263,6 @@ class Ramps:
         return distance, self.first[k] + change * speed, change * slope / duration
 
 
-ROUNDS = 200
-
-
 def joint_rates(time, joints, at_rest: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Return joint speeds between the knots [rad/s], (n-1, 6), and accelerations at the knots [rad/s^2], (n, 6).
 
@@ -304,7 +308,7 @@ def limit_by_joints(trajectory: Trajectory, joints, speed_limit, acceleration_li
         """Return the ratio of acceleration to limit at each knot, (n,), of the worst joint."""
         return largest(np.concatenate([[0], np.cumsum(step)]), 1, acceleration_limit)
 
-    for _ in range(ROUNDS):
+    for _ in range(200):
         over = excess()
         if over.max() <= 1:
             break

@@ -57,8 +57,17 @@ class Toolpath:
             raise ToolpathError("it needs a start and at least one move")
         if not np.size(self.drilling):
             object.__setattr__(self, "drilling", np.zeros(len(position), bool))
-        for name in ("position", "feed", "rapid", "drilling", "line", "feature", "curvature", "spindle_speed",
-                     "quaternion"):  # fmt: skip
+        for name in (
+            "position",
+            "feed",
+            "rapid",
+            "drilling",
+            "line",
+            "feature",
+            "curvature",
+            "spindle_speed",
+            "quaternion",
+        ):
             kind = {"rapid": bool, "drilling": bool, "line": np.int64, "feature": np.int64}.get(name, float)
             values = np.array(getattr(self, name), kind)
             shape = (len(position),) + {"position": (3,), "quaternion": (4,)}.get(name, ())
@@ -135,7 +144,6 @@ class Toolpath:
 TOP = math.inf
 #: largest number of blocks (a full circle of 100 m radius within 2 um has 16,000)
 MOST_BLOCKS = 20_000_000
-MOST_FEATURES = 200  #: with more names, the comments do not name features
 #: columns of the blocks while they are collected
 COLUMNS: dict[str, int | slice] = {
     "position": slice(0, 3), "quaternion": slice(3, 7), "feed": 7, "curvature": 8, "spindle_speed": 9, "rapid": 10,
@@ -210,4 +218,4 @@ class PathBuilder:
 def cut_features(columns: dict[str, np.ndarray]) -> list[int]:
     """Return the numbers of the named features with cutting moves, in the order of the program."""
     numbers = np.unique(columns["feature"][columns["rapid"] == 0]).astype(int).tolist()
-    return [k for k in numbers if k][:MOST_FEATURES]
+    return [k for k in numbers if k][:200]  # with more names, the comments do not name features

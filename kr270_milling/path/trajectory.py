@@ -168,9 +168,15 @@ class Trajectory:
 
     @classmethod
     def straight_line(
-        cls, start, direction, length: float, feed_rate: float, knot_period_s: float, quaternion=TOOL_DOWN,
+        cls,
+        start,
+        direction,
+        length: float,
+        feed_rate: float,
+        knot_period_s: float,
+        quaternion=TOOL_DOWN,
         frame: str = "workpiece",
-    ) -> Trajectory:  # fmt: skip
+    ) -> Trajectory:
         """Return a line of a length [m] at constant feed rate [m/s]; the last knot is at the exact end."""
         direction = np.asarray(direction, float)
         if not (length > 0 and feed_rate > 0 and knot_period_s > 0 and np.linalg.norm(direction) > 0):

@@ -21,7 +21,6 @@ from kr270_milling.recordings.messages.topics import TOPICS
 __all__ = ["EXCHANGED", "GraphRecord", "PassSeries", "Series", "own_topics", "read_graph"]
 
 EXCHANGED = ("tool_pose", "wrench", "deflection")
-UNIT_LENGTH = 1e-3  #: allowed difference of a quaternion's length from 1, as the nodes allow it
 TYPES = {topic.name: topic.type for topic in TOPICS}
 
 
@@ -37,14 +36,14 @@ class StepClock(Protocol):
 
 
 class Series(NamedTuple):
-    """One topic of a pass, in the order of the file; a stamp comes several times where the exchange is iterated."""
+    """A topic of a pass, in the order of the file; a stamp comes several times where the exchange is iterated."""
 
     step: np.ndarray  #: exchange, (n,) int64, not descending
     stamp_ns: np.ndarray  #: from the start of the pass, (n,) int64
     values: np.ndarray  #: (n, columns)
 
     def last(self, before: int = 0) -> Series:
-        """Return one row for each step: its last one; before: the one so many rows before, of steps that have it."""
+        """Return the last row of each step; before: the row so many rows earlier, of the steps that have it."""
         end = np.searchsorted(self.step, np.unique(self.step), side="right") - 1
         rows = end - before
         rows = rows[(rows >= 0) & (self.step[rows] == self.step[end])]
@@ -55,26 +54,23 @@ class Series(NamedTuple):
         return int(np.argmax(np.append(self.step, -1) != np.arange(self.step.size + 1)))
 
 
-NOTHING = Series(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class PassSeries:
-    """One pass along one reference, of the simulated robot, of a robot with another clock or of an RSI session."""
+    """A pass along a reference, of the simulated robot, of a robot with another clock or of an RSI session."""
 
-    number: int  #: of the reference in the recording, from 0
+    number: int  #: place of the reference in the recording, from 0
     reference: Trajectory
     target: Trajectory | None  #: as the compensator states it; None: that of the cell
-    series: dict[str, Series]  #: by topic
-    maps: tuple[StockMap, ...] = ()  #: of the workpiece
+    series: dict[str, Series]  #: topic -> its rows
+    maps: tuple[StockMap, ...] = ()  #: maps of the workpiece
     reason: str = ""  #: why the pass cannot be used; empty: it can
     wall_s: float = float("nan")  #: wall time that the robot reported [s]
-    stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
+    stamps: str = "exchange"  #: origin of the stamps; "driver's": another clock; "place": an RSI session
     driven_lost: int = 0  #: poses that are missing where a driver stamps them
     driven_whole: bool = False  #: a driven pass has no gap and runs to the end of its reference
 
     def topic(self, name: str) -> Series:
-        return self.series.get(name, NOTHING)
+        return self.series.get(name, Series(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6))))
 
     def lost(self, last: int, thinned: int) -> int:
         """Return how many poses, wrenches and deflections are missing up to a step; thinned: steps to a deflection."""
@@ -86,20 +82,20 @@ class PassSeries:
 
 @dataclasses.dataclass(eq=False)
 class GraphRecord:
-    """What one robot's nodes published."""
+    """Messages of the nodes of one robot."""
 
     namespace: str
     topics: dict[str, str] = dataclasses.field(default_factory=dict)  #: our names -> names in the recording
     references: list[Trajectory] = dataclasses.field(default_factory=list)  #: in the order of the file
     published: list[Trajectory] = dataclasses.field(default_factory=list)  #: the same, with the bits of the messages
-    targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: by fingerprint, in this order
-    states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: in this order
+    targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: fingerprint -> target, in this order
+    states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: states in the order of the file
     refused: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that cannot be read
     outside: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages of no exchange of a pass
-    passes: list[PassSeries] = dataclasses.field(default_factory=list)  #: of the simulated robot, by their starts
+    passes: list[PassSeries] = dataclasses.field(default_factory=list)  #: passes of the simulated robot by their starts
 
     def target_of(self, reference: Trajectory) -> Trajectory | None:
-        """Return the target that a reference follows from: as a state says, else the last one; None: the cell's."""
+        """Return the target of a reference: as a state says, else the last target; None: the target of the cell."""
         digest = fingerprint(reference)
         stated = [state.target for state in self.states if state.reference == digest]
         if stated:
@@ -108,7 +104,7 @@ class GraphRecord:
 
 
 def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
-    """The full name of one of the graph's topics in a recording; raises RecordingError where there is not just one."""
+    """Return the full name of a topic of the graph in a recording; raise RecordingError unless it is unique."""
     if namespace is not None:
         matches = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
         matches = [topic for topic in matches if topic in recording.topics()]
@@ -134,9 +130,12 @@ def own_topics(recording: Recording, name: str) -> list[str]:
 
 
 def read_graph(
-    recording: Recording, clock: StepClock, namespace: str | None = None, joint_names: Sequence[str] = (),
+    recording: Recording,
+    clock: StepClock,
+    namespace: str | None = None,
+    joint_names: Sequence[str] = (),
     on_damage: Callable | None = None,
-) -> GraphRecord:  # fmt: skip
+) -> GraphRecord:
     """Read the nodes' topics of one robot once, and cut the series into the passes along its references.
 
     joint_names: of the robot, to read its joint states and the maps of the part; on_damage: see
@@ -151,7 +150,7 @@ def read_graph(
     graph = GraphRecord(space, {**topics, "reference_trajectory": reference})
     joints: list[JointSample] = []
     maps: list[StockMap] = []
-    walls: list[float] = []  # of complete passes [s]
+    walls: list[float] = []  # wall times of complete passes [s]
 
     def add_reference(data: bytes) -> Trajectory:
         reference, as_sent = trajectory_from_bytes(data), trajectory_from_bytes(data, as_sent=True)
@@ -162,9 +161,10 @@ def read_graph(
         graph.targets[fingerprint(target)] = target
 
     take: dict[str, Callable] = {
-        "target_trajectory": add_target, "compensator_state": graph.states.append,
+        "target_trajectory": add_target,
+        "compensator_state": graph.states.append,
         **({"joint_states": joints.append, "workpiece": maps.append} if joint_names else {}),
-    }  # fmt: skip
+    }
     others = {f"{space}/{name}": _reader(graph, name, receive) for name, receive in take.items()}
     others[reference] = _reader(graph, "reference_trajectory", graph.references.append, add_reference)
     if "/diagnostics" in recording.topics():
@@ -175,14 +175,16 @@ def read_graph(
     series = several(recording, list(topics.values()), others, WORKPIECE, on_damage)
     if not graph.references:
         raise RecordingError(recording.path, f"{reference} has no message that is a path of the tool")
-    recorded = {kind: one for kind, one in zip(topics, series, strict=True) if kind in topics}
-    own = [one for one in joints if set(joint_names) <= set(one.names) and len(one.names) == len(one.position)]
+    recorded = {kind: rows for kind, rows in zip(topics, series, strict=True) if kind in topics}
+    own = [
+        state for state in joints if set(joint_names) <= set(state.names) and len(state.names) == len(state.position)
+    ]
     if own:  # by name: a gripper may publish on the same topic
-        table = np.array([[one.position[one.names.index(name)] for name in joint_names] for one in own])
-        recorded["joint_states"] = TopicSeries(np.array([one.stamp for one in own], np.int64), table)
+        table = np.array([[state.position[state.names.index(name)] for name in joint_names] for state in own])
+        recorded["joint_states"] = TopicSeries(np.array([state.stamp for state in own], np.int64), table)
     graph.passes = _passes(graph, clock, recorded, maps, walls)
-    for name, one in recorded.items():
-        graph.outside[name] = one.stamp.size - sum(part.topic(name).step.size for part in graph.passes)
+    for name, topic in recorded.items():
+        graph.outside[name] = topic.stamp.size - sum(part.topic(name).step.size for part in graph.passes)
     return graph
 
 
@@ -219,35 +221,35 @@ def _passes(
     walls: list[float],
 ) -> list[PassSeries]:
     """Return the passes: references with a pose of the exchange between their start and the next one."""
-    # of two references with one start, the later one replaced the other before the pass
+    # the later of two references with the same start replaced the other before the pass
     starts = {reference.start_ns: (number, reference) for number, reference in enumerate(graph.references)}
     ordered = sorted(starts)
     passes: list[PassSeries] = []
     for start, end in zip(ordered, [*ordered[1:], np.iinfo(np.int64).max], strict=True):
         number, reference = starts[start]
         last = clock.steps(reference.duration_ns)
-        cut = {name: _cut(clock, one, name, start, end, last) for name, one in recorded.items()}
+        cut = {name: _cut(clock, topic, name, start, end, last) for name, topic in recorded.items()}
         series = {name: part for name, part in cut.items() if part.step.size}
         if "tool_pose" not in series:
             continue
         published = recorded.get("deflection")  # once an exchange
         starting = 0 if published is None else int(np.count_nonzero(published.stamp == start))
         reason = f"does not separate its passes: {starting} passes have one start" if starting > 1 else ""
-        inside = tuple(one for one in maps if start <= one.stamp < end)
+        inside = tuple(stock_map for stock_map in maps if start <= stock_map.stamp < end)
         passes.append(PassSeries(number, reference, graph.target_of(reference), series, inside, reason))
     if len(walls) == len(passes):
-        return [dataclasses.replace(one, wall_s=wall) for one, wall in zip(passes, walls, strict=True)]
+        return [dataclasses.replace(part, wall_s=wall) for part, wall in zip(passes, walls, strict=True)]
     return passes
 
 
-def _cut(clock: StepClock, one: TopicSeries, name: str, start: int, end: int, last: int) -> Series:
+def _cut(clock: StepClock, topic: TopicSeries, name: str, start: int, end: int, last: int) -> Series:
     """Return the rows of a topic that the nodes use in one pass."""
-    here = (one.stamp >= start) & (one.stamp < end)
-    stamp, values = one.stamp[here] - start, one.values[here]
+    here = (topic.stamp >= start) & (topic.stamp < end)
+    stamp, values = topic.stamp[here] - start, topic.values[here]
     step = np.rint(stamp / (clock.period * 1e9)).astype(np.int64)
     used = (step <= last) & (clock.stamp(step) == stamp) & np.isfinite(values).all(axis=1)
     if name == "tool_pose":
         with np.errstate(over="ignore", invalid="ignore"):
-            used &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= UNIT_LENGTH
+            used &= np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= 1e-3  # as the nodes allow it
     used[used] = np.maximum.accumulate(step[used]) == step[used]  # an older one comes from another publisher
     return Series(step[used], stamp[used], values[used])

@@ -115,7 +115,8 @@ def same_as_compiled(cell, reference=None):
     )
     assert column(outputs, "clock", "stamp").tolist() == expected.time_ns[:: cell.exchange.steps_of(0.01)].tolist()
     assert robot.correction == expected.correction.max() and cut.cut.removed_area == expected.removed_area
-    assert robot.done and robot.passes == 1 and robot.wrench(WrenchSample(robot.awaited_ns, "workpiece", DOWN)) == []
+    assert robot.finished and robot.passes == 1
+    assert robot.wrench(WrenchSample(robot.awaited_ns, "workpiece", DOWN)) == []
     iterations = cell.exchange.iterations
     stamps = column(outputs, "tool_pose", "stamp").tolist()
     assert stamps[: 1 + iterations] == [0] + iterations * [stamps[1]] and len(stamps) == 1 + iterations * robot.steps

@@ -17,8 +17,6 @@ from kr270_milling.recordings.bag.reader import Recording
 __all__ = ["attached_cell", "recorded_cells"]
 
 CELL, PLANT = "cell.yaml", "plant.yaml"
-LONGEST_NAME = 200  # [bytes], of an attached file
-MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
 
 
 def attached_cell(recording: Recording) -> Cell:
@@ -34,7 +32,7 @@ def attached_cell(recording: Recording) -> Cell:
         raise RecordingError(
             recording.path, f"{what} attached, but {CELL} is needed to recompute it; give it by --cell"
         )
-    if sum(a.size for a in recording.attachments) > MOST_ATTACHED:
+    if sum(a.size for a in recording.attachments) > 64 * 1024 * 1024:
         raise RecordingError(recording.path, "holds more attachments than a cell needs")
     return _read(recording, CELL if CELL in names else parameter_files[0])
 
@@ -55,7 +53,7 @@ def _names(recording: Recording) -> set[str]:
 
 def _is_plain(name: str) -> bool:
     alone = bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
-    return alone and len(name.encode()) <= LONGEST_NAME
+    return alone and len(name.encode()) <= 200  # bytes
 
 
 def _read(recording: Recording, main: str) -> Cell:
@@ -73,12 +71,12 @@ def _read(recording: Recording, main: str) -> Cell:
     return cell
 
 
-def _localise(recording: Recording, file: Path, names: set[str], seen: set[str]) -> None:
+def _localise(recording: Recording, file: Path, names: set[str], visited: set[str]) -> None:
     """Make a parameter file, and its includes, name the attached files instead of their original places.
 
     Raises RecordingError where a parameter file names a file that is neither attached nor shipped.
     """
-    seen.add(file.name)
+    visited.add(file.name)
     try:
         tree = read_yaml(file)
         parameters = tree["/**"]["ros__parameters"]
@@ -98,5 +96,5 @@ def _localise(recording: Recording, file: Path, names: set[str], seen: set[str])
             path["file"] = Path(path["file"]).name
         file.write_text(yaml.safe_dump(tree), encoding="utf-8")
     for name in includes:
-        if Path(name).name in names and Path(name).name not in seen:
-            _localise(recording, file.with_name(Path(name).name), names, seen)
+        if Path(name).name in names and Path(name).name not in visited:
+            _localise(recording, file.with_name(Path(name).name), names, visited)

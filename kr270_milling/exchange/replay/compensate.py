@@ -67,9 +67,9 @@ def compensate_recording(
         for number, namespace in enumerate(namespaces, 1):
             graph = read_graph(recording, path_of(cell).clock, namespace, on_damage=pass_over)
             with usable(recording):
-                made = Revisions(recording, cells, graph).revise(method)
-            if made is not None:
-                revised.append(_revised(cell, namespace, *made))
+                revision = Revisions(recording, cells, graph).revise(method)
+            if revision is not None:
+                revised.append(_revised(cell, namespace, *revision))
             if progress:
                 progress(number, len(namespaces))
         if not revised:
@@ -78,15 +78,15 @@ def compensate_recording(
 
 
 def _revised(
-    cell: Cell, namespace: str, made: Compensator, target: Trajectory, published: Trajectory | None
+    cell: Cell, namespace: str, compensator: Compensator, target: Trajectory, published: Trajectory | None
 ) -> Revised:
-    shift = made.reference.position - target.sample(made.reference.time_ns)
+    shift = compensator.reference.position - target.sample(compensator.reference.time_ns)
     return Revised(
         namespace,
-        made.method,
-        made.reference,
-        commanded_joints(cell, made.reference),
-        made.errors[-1],
+        compensator.method,
+        compensator.reference,
+        commanded_joints(cell, compensator.reference),
+        compensator.errors[-1],
         float(np.linalg.norm(shift, axis=1).max()),
-        None if published is None else record_difference(published, made.reference) is None,
+        None if published is None else record_difference(published, compensator.reference) is None,
     )

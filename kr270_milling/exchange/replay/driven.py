@@ -30,7 +30,6 @@ from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, rea
 __all__ = ["read_passes", "too_long"]
 
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
-NEAR_END = 1e-4  # [m] from the end of the path, where an RSI session is complete
 TOPICS = ("reference_trajectory", "tool_pose", "wrench")
 
 
@@ -39,8 +38,10 @@ def read_passes(recording: Recording, cell: Cell, namespace: str | None = None) 
     graph = read_graph(recording, path_of(cell).clock, namespace)
     if f"{graph.namespace}/correction" in recording.topics():
         return [_rsi_pass(recording, cell, graph)]
-    passes = [one for one in graph.passes if one.reason or one.topic("deflection").step.size]  # a driver publishes none
-    if any(not one.reason for one in passes):
+    passes = [
+        part for part in graph.passes if part.reason or part.topic("deflection").step.size
+    ]  # a driver publishes none
+    if any(not part.reason for part in passes):
         return passes
     return [*passes, *_driven_passes(recording, cell, graph)]
 
@@ -107,9 +108,14 @@ def _received(
 
 
 def _at_exchanges(
-    cell: Cell, number: int, reference: Trajectory, target: Trajectory | None, received: ReceivedPass, whole: bool,
+    cell: Cell,
+    number: int,
+    reference: Trajectory,
+    target: Trajectory | None,
+    received: ReceivedPass,
+    whole: bool,
     stamps: str,
-) -> PassSeries:  # fmt: skip
+) -> PassSeries:
     """Return a pass with a row for each exchange from its first pose to its last; whole: of all exchanges.
 
     The deviation from the reference, which changes slowly, is interpolated; it is the deflection.
@@ -125,9 +131,14 @@ def _at_exchanges(
         "wrench": interpolated(times, received.wrench_ns, received.wrench),
     }
     return PassSeries(
-        number, reference, target, {name: Series(steps, times, values) for name, values in rows.items()},
-        stamps=stamps, driven_lost=_poses_lost(received), driven_whole=whole,
-    )  # fmt: skip
+        number,
+        reference,
+        target,
+        {name: Series(steps, times, values) for name, values in rows.items()},
+        stamps=stamps,
+        driven_lost=_poses_lost(received),
+        driven_whole=whole,
+    )
 
 
 def _poses_lost(received: ReceivedPass) -> int:
@@ -164,4 +175,5 @@ def _rsi_pass(recording: Recording, cell: Cell, graph: GraphRecord) -> PassSerie
     shift = reference.position - programmed.position
     along = Trajectory(programmed.time_ns, target.sample(programmed.time_ns) + shift, target.quaternion[0])
     received = ReceivedPass(time, target.sample(time) + off, np.zeros(0, np.int64), np.zeros((0, 6)))
-    return _at_exchanges(cell, 0, along, target, received, path.length - path.progress <= NEAR_END, "place")
+    whole = path.length - path.progress <= 1e-4  # the session is complete
+    return _at_exchanges(cell, 0, along, target, received, whole, "place")

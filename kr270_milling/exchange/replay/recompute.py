@@ -1,4 +1,4 @@
-"""Recompute a recording: the models along what was recorded, and every output compared bit for bit.
+"""Recompute a recording: the models along the recorded inputs, and every output compared bit for bit.
 
 Robot: simulated along the recorded wrenches. Cut: along the recorded poses. Compensator: revised from the recorded
 passes. There is no ROS graph and no clock. Robots in several namespaces are recomputed one after the other.
@@ -43,10 +43,7 @@ __all__ = [
 ]
 
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
-CHECKSUM = 13  # [bytes] of the record with the checksum of the data, whose damage costs no message
-LIBRARY = re.compile(r"kr270_milling/(\d+\.\d+)\.")
 TRAJECTORY = ("time_ns", "position", "quaternion", "velocity")  # fields with the bits of a message
-RANK = {topic.name: place for place, topic in enumerate(TOPICS)}  # in the order of causes
 AXES = {  # fields of the columns of a topic
     "tool_pose": [f"pose.position.{a}" for a in "xyz"] + [f"pose.orientation.{a}" for a in "xyzw"],
     "wrench": [f"wrench.force.{a}" for a in "xyz"] + [f"wrench.torque.{a}" for a in "xyz"],
@@ -60,7 +57,7 @@ class Difference:
     """The first message that is not what the models give."""
 
     topic: str
-    index: int  #: of the message among those of its topic that belong to a pass, from 0
+    index: int  #: place of the message among those of its topic that belong to a pass, from 0
     stamp_ns: int
     field: str
     recorded: object
@@ -94,10 +91,10 @@ class Recomputed:
 
     file: str
     cut_off: bool
-    channels: dict[str, TopicCount]  #: by full names of topics
+    channels: dict[str, TopicCount]  #: full name of a topic -> its counts
     first: Difference | None
     stops: tuple[tuple[str, int | None, str], ...]  #: namespace, stamp [ns] if a time belongs to the reason, reason
-    version: str  #: of the package that wrote the recording
+    version: str  #: version of the package that wrote the recording
     damage: tuple[str, ...] = ()
 
     @property
@@ -140,7 +137,7 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
     Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
     """
     with Recording(path, remap=remap) as recording:
-        recorded = LIBRARY.match(recording.library)
+        recorded = re.match(r"kr270_milling/(\d+\.\d+)\.", recording.library)
         if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
             version = recording.library.partition("/")[2]
             raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
@@ -179,7 +176,7 @@ def usable(recording: Recording) -> Iterator[None]:
 
 def pass_over(damage: Damage, size: int) -> None:
     """Pass over a damage that costs no message, which ``findings`` reports. Raises Damage."""
-    if size > CHECKSUM:
+    if size > 13:  # bytes of the record with the checksum of the data
         raise damage
 
 
@@ -198,8 +195,8 @@ class _Robot:
             reason = "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report "
             raise RecordingError(recording.path, reason + "scores them")
         complete = 0
-        for number, one in enumerate(graph.passes):
-            complete += self._compare_pass(one, number, complete)
+        for number, series in enumerate(graph.passes):
+            complete += self._compare_pass(series, number, complete)
             if progress:
                 progress(number + 1, len(graph.passes))
         self._check_outputs(graph)
@@ -215,41 +212,41 @@ class _Robot:
 
     def _differs(self, name: str, order: tuple[int, int], index: int, field: str, recorded, recomputed) -> None:
         """Keep the difference if it is the first by pass, time and cause."""
-        key = (*order, RANK[name])
+        key = (*order, [topic.name for topic in TOPICS].index(name))  # in the order of causes
         if self.first is None or key < self.first.order:
             topic = f"{self._namespace}/{name}"
             self.first = Difference(topic, index, order[1], field, recorded, recomputed, key)
 
     # --- robot and cut ---
 
-    def _compare_pass(self, one: PassSeries, number: int, complete: int) -> bool:
+    def _compare_pass(self, series: PassSeries, number: int, complete: int) -> bool:
         """Compare one pass; return whether it ran to the end of its reference. complete: passes before that did."""
-        last = path_of(self.plant).clock.steps(one.reference.duration_ns)
-        wrench, pose = one.topic("wrench").last(), one.topic("tool_pose").last()
-        start, inputs = one.reference.start_ns, {"wrench": wrench.unbroken(), "tool pose": pose.unbroken()}
-        if one.reason or not inputs["tool pose"]:
-            self._stop(None, one.reason or "the recording begins in the middle of a pass, whose state is not known")
-            for name, part in one.series.items():
+        last = path_of(self.plant).clock.steps(series.reference.duration_ns)
+        wrench, pose = series.topic("wrench").last(), series.topic("tool_pose").last()
+        start, inputs = series.reference.start_ns, {"wrench": wrench.unbroken(), "tool pose": pose.unbroken()}
+        if series.reason or not inputs["tool pose"]:
+            self._stop(None, series.reason or "the recording begins in the middle of a pass, whose state is not known")
+            for name, part in series.series.items():
                 self._count(name).not_compared += part.step.size
             return False
-        outputs = self._robot(one, wrench, inputs["wrench"], last, complete)
-        outputs["wrench"] = self._cut(one, number, pose, inputs["tool pose"])
+        outputs = self._robot(series, wrench, inputs["wrench"], last, complete)
+        outputs["wrench"] = self._cut(series, number, pose, inputs["tool pose"])
         for name, expected in outputs.items():
-            self._compare(name, one, number, expected)
-        done = inputs["wrench"] > last
-        allowed = 0 if done and not self._cut_off else UNDER_WAY
+            self._compare(name, series, number, expected)
+        whole = inputs["wrench"] > last
+        allowed = 0 if whole and not self._cut_off else UNDER_WAY
         for cause, effects in (("wrench", ("tool_pose", "deflection")), ("tool pose", ("wrench",))):
-            beyond = max((int(one.topic(name).step[-1]) for name in effects if name in one.series), default=0)
+            beyond = max((int(series.topic(name).step[-1]) for name in effects if name in series.series), default=0)
             if beyond - inputs[cause] >= allowed and inputs[cause] <= last:
                 stamp = start + int(path_of(self.plant).clock.stamp(inputs[cause]))
                 self._stop(stamp, f"the {cause} of this time is not in the recording")
         for name in ("deflection", "joint_states"):
-            self._check_tail(name, one, min(len(outputs[name]), last + 1) - allowed)
-        return done
+            self._check_tail(name, series, min(len(outputs[name]), last + 1) - allowed)
+        return whole
 
-    def _check_tail(self, name: str, one: PassSeries, end: int) -> None:
+    def _check_tail(self, name: str, series: PassSeries, end: int) -> None:
         """Stop where the last messages of a pass are missing, which no gap in the stamps shows."""
-        every, there, topic = self._every(name), one.topic(name).step, f"{self._namespace}/{name}"
+        every, there, topic = self._every(name), series.topic(name).step, f"{self._namespace}/{name}"
         due = (max(end, 0) - 1) // every - (int(there[-1]) // every if there.size else -1)
         if due > 0 and not self._cut_off and topic in self.counts:
             reason = f"{due} messages that belong on {topic} are not in the recording, and the stamps show no gap"
@@ -268,33 +265,33 @@ class _Robot:
         """Return the number of steps from one message that must be there to the next."""
         return self.cell.publish.steps(self.cell.exchange) if name in ("deflection", "joint_states") else 1
 
-    def _robot(self, one: PassSeries, wrench: Series, count: int, last: int, complete: int) -> dict[str, np.ndarray]:
+    def _robot(self, series: PassSeries, wrench: Series, count: int, last: int, complete: int) -> dict[str, np.ndarray]:
         """Return poses, deflections and joint positions along the recorded wrenches, by steps."""
-        plant, reference = self.plant, one.reference
-        course = imperfect_course(plant, reference, complete)
+        plant, reference = self.plant, series.reference
+        planned = imperfect_course(plant, reference, complete)
         model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
         stamps = path_of(plant).clock.stamp(np.arange(last + 1))
-        arm = CompliantArm(model, model.push(course, stamps))
-        guesses = self._guesses(one)
-        tool, deflection = course.sample(stamps[: count + 1]), np.zeros((count, 6))
+        arm = CompliantArm(model, model.push(planned, stamps))
+        guesses = self._guesses(series)
+        tool, deflection = planned.sample(stamps[: count + 1]), np.zeros((count, 6))
         for step in range(1, len(tool)):
             tool[step] += arm.predict(guesses.get(step))[:3]
             if step < count:
                 deflection[step] = arm.correct(wrench.values[step])
-        turn = course.sample_orientation(stamps[: len(tool)])
+        turn = planned.sample_orientation(stamps[: len(tool)])
         every = self.cell.publish.steps(self.cell.exchange)
         joints = arm_of(plant).joints_along(reference, stamps[:count:every]) if count else np.zeros((0, 6))
         repeated = np.repeat(joints, every, axis=0)[:count]  # only the rows at multiples of ``every`` are compared
         return {"tool_pose": np.hstack([tool, turn]), "deflection": deflection, "joint_states": repeated}
 
-    def _guesses(self, one: PassSeries) -> dict[int, np.ndarray]:
+    def _guesses(self, series: PassSeries) -> dict[int, np.ndarray]:
         """Return the wrench from which the last pose of an iterated exchange was predicted, by steps."""
         if self.cell.exchange.iterations == 1:
             return {}
-        before = one.topic("wrench").last(1)
+        before = series.topic("wrench").last(1)
         return dict(zip(before.step.tolist(), before.values, strict=True))
 
-    def _cut(self, one: PassSeries, number: int, pose: Series, count: int) -> np.ndarray:
+    def _cut(self, series: PassSeries, number: int, pose: Series, count: int) -> np.ndarray:
         """Return the wrenches along the recorded poses, by steps; compare the map of the part at their end."""
         plant, steps = self.plant, np.arange(count)
         protocol = CutProtocol(plant)
@@ -302,22 +299,22 @@ class _Robot:
         wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * path_of(plant).clock.micro_steps)
         if path_of(plant).drills:
             wrench[silent_periods(path_of(plant).drilling_at(path_of(plant).clock.stamp(steps)))] = 0.0
-        protocol.stamp_ns = one.reference.start_ns + int(path_of(plant).clock.stamp(count - 1))
+        protocol.stamp_ns = series.reference.start_ns + int(path_of(plant).clock.stamp(count - 1))
         expected = protocol.map_of_part()
-        at_end = [index for index, recorded in enumerate(one.maps) if recorded.stamp == expected.stamp]
-        if one.maps:  # the others are of the part before, or within the pass
-            self._count("workpiece").not_compared += len(one.maps) - bool(at_end)
+        at_end = [index for index, recorded in enumerate(series.maps) if recorded.stamp == expected.stamp]
+        if series.maps:  # the others are of the part before, or within the pass
+            self._count("workpiece").not_compared += len(series.maps) - bool(at_end)
         if at_end:
-            counted, recorded = self._count("workpiece"), one.maps[at_end[-1]]
+            counted, recorded = self._count("workpiece"), series.maps[at_end[-1]]
             counted.compared += 1
             if field := _array_difference("data", recorded.cells.T.ravel(), expected.cells.T.ravel()):
                 counted.differing += 1
                 self._differs("workpiece", (number, recorded.stamp), at_end[-1], *field)
         return wrench
 
-    def _compare(self, name: str, one: PassSeries, number: int, expected: np.ndarray) -> None:
+    def _compare(self, name: str, series: PassSeries, number: int, expected: np.ndarray) -> None:
         """Compare one topic of a pass with what the models give, (steps, columns)."""
-        there, every = one.topic(name).last(), self._every(name)
+        there, every = series.topic(name).last(), self._every(name)
         if not there.step.size:
             return
         counted = self._count(name)
@@ -336,7 +333,7 @@ class _Robot:
         counted.missing += np.setdiff1d(np.arange(0, len(expected), every), there.step).size
         if row >= 0:
             column = int(np.argmax(expected[steps[row]].view(np.int64) != values[row].view(np.int64)))
-            stamp = one.reference.start_ns + int(there.stamp_ns[used][row])
+            stamp = series.reference.start_ns + int(there.stamp_ns[used][row])
             index = before + int(np.flatnonzero(used)[row])
             recorded, recomputed = float(values[row, column]), float(expected[steps[row], column])
             self._differs(name, (number, stamp), index, AXES[name][column], recorded, recomputed)

@@ -29,7 +29,7 @@ NO_PASS = "poses, wrenches and deflections of at least one period"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RecordedFacts:
-    """What a recording states about a scored pass: cell, target, and what is missing."""
+    """Facts of a recording about a scored pass: cell, target, and the missing messages."""
 
     cell: Cell
     target: Trajectory
@@ -37,7 +37,7 @@ class RecordedFacts:
     lost_to_end: int  #: the same, where the pass is known to have run to the end of its reference
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
     program: str | None = None  #: text of the tool path file, where the recording carries it
-    stamps: str = "exchange"  #: of the poses; "driver's": of another clock; "place": in an RSI session
+    stamps: str = "exchange"  #: see ``PassSeries.stamps``
     unused: Mapping[str, str] = dataclasses.field(default_factory=dict)  #: pass that cannot be used: reason
 
 
@@ -52,9 +52,12 @@ def pass_from_recording(
 
 
 def passes_from_recording(
-    path, name: str | None = None, namespace: str | None = None, remap: Mapping[str, str] = MappingProxyType({}),
+    path,
+    name: str | None = None,
+    namespace: str | None = None,
+    remap: Mapping[str, str] = MappingProxyType({}),
     cell_file=None,
-) -> list[tuple[ScoredPass, RecordedFacts]]:  # fmt: skip
+) -> list[tuple[ScoredPass, RecordedFacts]]:
     """Return every pass of a recording and its facts, along reference and target of its time; the file is read once.
 
     A file that was cut off gives the part that is there. The facts name each pass that cannot be used.
@@ -65,54 +68,56 @@ def passes_from_recording(
         read = read_passes(recording, cells[0], namespace)
         name, program = name or recording.path.stem, _program(recording, cells[0])
         names = [f"{name}_{number}" if len(read) > 1 else name for number in range(1, len(read) + 1)]
-        results = [_scored(recording, cells, *one, program) for one in zip(read, names, strict=True)]
+        results = [_scored(recording, cells, *pair, program) for pair in zip(read, names, strict=True)]
     passes = [result for result in results if not isinstance(result, str)]
     unused = {name: result for name, result in zip(names, results, strict=True) if isinstance(result, str)}
     if not passes:
         reason = f"holds no pass: {NO_PASS}, or a pass of a robot with another clock"
         raise RecordingError(recording.path, next(iter(unused.values()), reason))
-    return [(ran, dataclasses.replace(facts, unused=unused)) for ran, facts in passes]
+    return [(scored_pass, dataclasses.replace(facts, unused=unused)) for scored_pass, facts in passes]
 
 
 def _scored(
-    recording: Recording, cells: tuple[Cell, Cell], one: PassSeries, name: str, program: str | None
+    recording: Recording, cells: tuple[Cell, Cell], series: PassSeries, name: str, program: str | None
 ) -> tuple[ScoredPass, RecordedFacts] | str:
     """Return the scored pass, or the reason why it cannot be used."""
     cell, plant = cells
-    reference, target = one.reference, one.target or path_of(cell).target
-    if reason := one.reason or too_long(cell, reference):
+    reference, target = series.reference, series.target or path_of(cell).target
+    if reason := series.reason or too_long(cell, reference):
         return reason
     last = path_of(cell).clock.steps(reference.duration_ns)
-    recorded = {kind: one.topic(kind).last() for kind in EXCHANGED}
-    driven = one.stamps != "exchange"
-    course = reference if driven else imperfect_course(plant, reference, 0)
+    recorded = {kind: series.topic(kind).last() for kind in EXCHANGED}
+    driven = series.stamps != "exchange"
+    planned = reference if driven else imperfect_course(plant, reference, 0)
     if not driven:
-        recorded["deflection"] = _all_deflections(plant, reference, course, recorded)
+        recorded["deflection"] = _all_deflections(plant, reference, planned, recorded)
     steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in recorded.values()))
     if steps.size < 2:
         return f"has no {NO_PASS}"
     rows = {kind: part.values[np.searchsorted(part.step, steps)] for kind, part in recorded.items()}
     if driven:
-        lost = to_end = one.driven_lost
-        complete = one.driven_whole
+        lost = to_end = series.driven_lost
+        complete = series.driven_whole
     else:
-        lost, to_end = (one.lost(end, cell.publish.steps(cell.exchange)) for end in (int(steps[-1]), last))
+        lost, to_end = (series.lost(end, cell.publish.steps(cell.exchange)) for end in (int(steps[-1]), last))
         complete = int(steps[-1]) == last and not lost
-    result = _result(cells, target, course, steps, rows, one.wall_s)
-    ran = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
+    result = _result(cells, target, planned, steps, rows, series.wall_s)
+    scored_pass = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
     complete = complete and not recording.cut_off
-    return ran, RecordedFacts(cell, target, lost, to_end, complete, program, one.stamps)
+    return scored_pass, RecordedFacts(cell, target, lost, to_end, complete, program, series.stamps)
 
 
-def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, recorded: dict[str, Series]) -> Series:
-    """Those that were recorded and, as far as these are the same to the bit, those between them: they follow from the
-    wrenches, which were all published."""
+def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, recorded: dict[str, Series]) -> Series:
+    """Return the recorded deflections, completed by recomputed ones where both agree bit for bit.
+
+    The deflections follow from the wrenches, which were all published.
+    """
     wrench, there = recorded["wrench"], recorded["deflection"]
     if len(there.step) >= len(wrench.step):
         return there
     model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
-    whole = path_of(plant).clock.steps(course.duration_ns) + 1
-    pushes = model.push(course, path_of(plant).clock.stamp(np.arange(whole)))
+    whole = path_of(plant).clock.steps(planned.duration_ns) + 1
+    pushes = model.push(planned, path_of(plant).clock.stamp(np.arange(whole)))
     computed = follow(model, pushes, wrench.values[: min(wrench.unbroken(), whole)])
     known = there.step < len(computed)
     other = (computed[there.step[known]].view(np.int64) != there.values[known].view(np.int64)).any(axis=1)
@@ -123,7 +128,7 @@ def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, rec
 
 
 def _program(recording: Recording, cell: Cell) -> str | None:
-    """The tool path file that a recording carries."""
+    """Return the text of the attached tool path file; None without such a file."""
     name = Path(cell.path.file).name
     if name not in [about.name for about in recording.attachments]:
         return None
@@ -133,18 +138,31 @@ def _program(recording: Recording, cell: Cell) -> str | None:
 def _result(
     cells: tuple[Cell, Cell], target: Trajectory, run: Trajectory, steps: np.ndarray, rows: dict, wall: float
 ) -> PassResult:
-    """What no message carries (torque, volume, heights) from the recorded tool centres on a fresh workpiece; across a
-    hole in the recording the tool goes straight."""
+    """Return the result of a pass; torque, volume and heights come from the recorded tool centres.
+
+    These cut a fresh workpiece; across a gap in the recording the tool moves straight.
+    """
     cell, plant = cells
     stamps, tool = path_of(cell).clock.stamp(steps), rows["tool_pose"][:, :3]
-    course = run.sample(stamps)
-    shift = course + rows["deflection"][:, :3] - tool
+    planned = run.sample(stamps)
+    shift = planned + rows["deflection"][:, :3] - tool
     cut, counts = cut_of(plant), steps * path_of(plant).clock.micro_steps
     _, torque, volume = cut.along(tool, counts, predicted=True)
     silent = silent_periods(path_of(plant).drilling_at(stamps))
     torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(
-        stamps, target.sample(stamps), course, tool, rows["deflection"], rows["wrench"],
-        np.sqrt(np.sum(shift**2, axis=1)), torque, volume, int(counts[-1]), cut.removed_area, cut.removed_volume, wall,
+        stamps,
+        target.sample(stamps),
+        planned,
+        tool,
+        rows["deflection"],
+        rows["wrench"],
+        np.sqrt(np.sum(shift**2, axis=1)),
+        torque,
+        volume,
+        int(counts[-1]),
+        cut.removed_area,
+        cut.removed_volume,
+        wall,
         cut.map_heights()[2],
-    )  # fmt: skip
+    )

@@ -25,10 +25,6 @@ class NotRecorded(MillingError):
         super().__init__(reason)
 
 
-EXPERIENCED = ("learned", "inverse", "robust")  # methods whose revision follows from all passes before
-ELSEWHERE = "the reference trajectory follows from passes in other recordings"
-
-
 class Revisions:
     """The node publishes its n-th state together with its n-th reference."""
 
@@ -37,19 +33,19 @@ class Revisions:
         self.cell, plant = cells
         self._plant = None if plant is self.cell else plant
         self._file = f"{recording.path.parent.name}/{recording.path.name}"
-        self._passes = [one for one in graph.passes if self._complete(one)]
+        self._passes = [series for series in graph.passes if self._complete(series)]
         self._learned: dict[str, int] = {}  # stated fingerprint -> number of the pass in this file
         target = path_of(self.cell).target
         self._targets = {fingerprint(target): target, **graph.targets}
 
-    def _complete(self, one: PassSeries) -> bool:
-        pose = one.topic("tool_pose").last()
-        steps = path_of(self.cell).clock.steps(one.reference.duration_ns)
-        return not one.reason and pose.unbroken() > 0 and pose.step[-1] == steps
+    def _complete(self, series: PassSeries) -> bool:
+        pose = series.topic("tool_pose").last()
+        steps = path_of(self.cell).clock.steps(series.reference.duration_ns)
+        return not series.reason and pose.unbroken() > 0 and pose.step[-1] == steps
 
     def order(self, index: int) -> tuple[int, int]:
         """Return number and end stamp [ns] of the pass before a state, for the order of differences."""
-        numbers = [k for k, one in enumerate(self.graph.passes) if one.number < index]
+        numbers = [k for k, series in enumerate(self.graph.passes) if series.number < index]
         if not numbers:
             return 0, 0
         reference = self.graph.passes[numbers[-1]].reference
@@ -60,27 +56,33 @@ class Revisions:
         if index >= len(self.graph.states):
             raise NotRecorded("a reference trajectory was published without its compensator_state", index == 0)
         stated = self.graph.states[index]
-        made = self._revised(stated, index)
-        numbers = [self._number(one, index) for one in stated.learned]
+        rebuilt = self._revised(stated, index)
+        numbers = [self._number(named, index) for named in stated.learned]
         learned = tuple(
-            one if number is None else self._received(number, one).as_learned(one.recording)
-            for one, number in zip(stated.learned, numbers, strict=True)
+            named if number is None else self._received(number, named).as_learned(named.recording)
+            for named, number in zip(stated.learned, numbers, strict=True)
         )
-        reference = fingerprint(made.reference)
+        reference = fingerprint(rebuilt.reference)
         state = CompensatorState(
-            stated.name, made.method, stated.passes, made.finished, fingerprint(made.target), reference, learned
+            stated.name,
+            rebuilt.method,
+            stated.passes,
+            rebuilt.finished,
+            fingerprint(rebuilt.target),
+            reference,
+            learned,
         )
-        return state, made.reference
+        return state, rebuilt.reference
 
     def _number(self, stated: LearnedRecording, index: int) -> int | None:
         """Return the pass in this file that a state names; None for a pass of another file. Raises NotRecorded."""
         if stated.fingerprint in self._learned:
             return self._learned[stated.fingerprint]
         same = [n for n in range(len(self._passes)) if self._received(n, stated).fingerprint == stated.fingerprint]
-        before = {one.fingerprint for state in self.graph.states[:index] for one in state.learned}
+        before = {named.fingerprint for state in self.graph.states[:index] for named in state.learned}
         if not same and (index == 0 or stated.fingerprint in before):
             return None
-        free = [n for n, one in enumerate(self._passes) if n not in self._learned.values() and one.number < index]
+        free = [n for n, series in enumerate(self._passes) if n not in self._learned.values() and series.number < index]
         if not same and not free:
             raise NotRecorded("the reference trajectory follows from a pass that was not recorded")
         number = (same or free)[0]
@@ -97,8 +99,8 @@ class Revisions:
 
     def _received(self, number: int, stated: LearnedRecording | None = None) -> ReceivedPass:
         """Return a pass as the compensator received it, with the wrenches that a state counts."""
-        one = self._passes[number]
-        pose, wrench = one.topic("tool_pose").last(), one.topic("wrench").last()
+        series = self._passes[number]
+        pose, wrench = series.topic("tool_pose").last(), series.topic("wrench").last()
         received = ReceivedPass(pose.stamp_ns, pose.values[:, :3].copy(), wrench.stamp_ns, wrench.values)
         return received if stated is None else received.until_wrench(stated.wrenches)
 
@@ -112,24 +114,26 @@ class Revisions:
         if target is None or state.method not in METHODS:
             reason = f"the target trajectory {state.target} of the compensator is not in the recording"
             raise NotRecorded(reason if target is None else f"the method {state.method} is not known")
-        numbers = [self._number(one, index) for one in state.learned]
-        made = compensator(self.cell, target, state.method)
+        numbers = [self._number(named, index) for named in state.learned]
+        rebuilt = compensator(self.cell, target, state.method)
         known = [number for number in numbers if number is not None]
         if len(known) < len(numbers):
             last = numbers[-1]
-            if made.repeats or made.method in EXPERIENCED or (last is None and place is None):
-                raise NotRecorded(ELSEWHERE, elsewhere=True)
+            # the revision of these methods follows from all passes before
+            experienced = rebuilt.repeats or rebuilt.method in ("learned", "inverse", "robust")
+            if experienced or (last is None and place is None):
+                raise NotRecorded("the reference trajectory follows from passes in other recordings", elsewhere=True)
             known = [] if last is None else [last]
             start = place if last is None else self._passes[last].number
-            made.resume(self.graph.published[start or 0], state.finished)
+            rebuilt.resume(self.graph.published[start or 0], state.finished)
         for number in known:
-            made.revise(self._received(number, self._state_of(number)).record(self.cell, self._plant, number))
-        return made
+            rebuilt.revise(self._received(number, self._state_of(number)).record(self.cell, self._plant, number))
+        return rebuilt
 
     def _state_of(self, number: int) -> LearnedRecording | None:
-        """Return what a state says of a pass."""
+        """Return the statement of a state about a pass."""
         names = [digest for digest, known in self._learned.items() if known == number]
-        stated = (one for state in self.graph.states for one in state.learned if one.fingerprint in names)
+        stated = (named for state in self.graph.states for named in state.learned if named.fingerprint in names)
         return next(stated, None)
 
     def revise(self, method: str | None = None) -> tuple[Compensator, Trajectory, Trajectory | None] | None:
@@ -141,7 +145,7 @@ class Revisions:
         if not self._passes:
             return None
         number = len(self._passes) - 1
-        place = self._passes[number].number  # of its reference, and of the state that was published with it
+        place = self._passes[number].number  # index of its reference, and of the state that was published with it
         state = self.graph.states[min(place, len(self.graph.states) - 1)] if self.graph.states else None
         target = self._targets.get(state.target) if state else list(self._targets.values())[-1]
         if target is None:
@@ -149,15 +153,15 @@ class Revisions:
         following = self.graph.states[place + 1] if place + 1 < len(self.graph.states) else None
         same = state is None or method in (None, state.method)
         if state is not None and same:
-            made = self._revised(state, place, place)
+            rebuilt = self._revised(state, place, place)
         else:
-            made = compensator(self.cell, target, method)
+            rebuilt = compensator(self.cell, target, method)
             reference = self.graph.published[place]
             if fingerprint(reference) != fingerprint(target):
-                if method is None and made.repeats:
-                    raise NotRecorded(f"{made.method} needs the passes before this one, and no state names them")
-                made.resume(reference, state is not None and state.finished)
+                if method is None and rebuilt.repeats:
+                    raise NotRecorded(f"{rebuilt.method} needs the passes before this one, and no state names them")
+                rebuilt.resume(reference, state is not None and state.finished)
         last = self._received(number, following.learned[-1] if following and following.learned else None)
-        made.revise(last.record(self.cell, self._plant, number))
+        rebuilt.revise(last.record(self.cell, self._plant, number))
         published = self.graph.published[place + 1] if same and place + 1 < len(self.graph.published) else None
-        return made, target, published
+        return rebuilt, target, published

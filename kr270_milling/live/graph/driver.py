@@ -25,8 +25,6 @@ from kr270_milling.live.ros.status import Status, status_topic
 
 __all__ = ["Driver"]
 
-LOOK = 0.02  # [s] between two checks of the processes while waiting
-
 
 class Driver:
     """A node in a separate context. ``check`` is called some 50 times a second while the node waits, and may raise."""
@@ -34,16 +32,20 @@ class Driver:
     def __init__(self, namespace: str, check: Callable[[], None]):
         self.check = check
         self.statuses: dict[str, Status] = {}  #: last status by node
-        self.arrivals: dict[str, float] = {}  #: of the last status [s of the monotonic clock], by node
-        self.silences: dict[str, Silence] = {}  #: by node
+        self.arrivals: dict[str, float] = {}  #: node -> arrival of its last status [s of the monotonic clock]
+        self.silences: dict[str, Silence] = {}  #: node -> its silence
         self.error: tuple[str, str] | None = None  #: (node, message) of the first ERROR
         self.foreign = ""  #: name of a node that another process also uses; reports of that process are ignored
         self._context = Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(
-            "milling_run", namespace=namespace, context=self._context, use_global_arguments=False,
-            start_parameter_services=False, enable_rosout=False,
-        )  # fmt: skip
+            "milling_run",
+            namespace=namespace,
+            context=self._context,
+            use_global_arguments=False,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Client] = {}
@@ -88,7 +90,7 @@ class Driver:
         return value
 
     def spin(self) -> None:
-        self._executor.spin_once(timeout_sec=LOOK)
+        self._executor.spin_once(timeout_sec=0.02)  # then the processes are checked
 
     def _call(self, node: str, kind: type, service: str, request, what: str, deadline: float) -> Callable:
         """Call a service of a node; return a function that waits for the response and returns it.

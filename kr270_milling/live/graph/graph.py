@@ -32,11 +32,9 @@ from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER,
 __all__ = ["CELL", "NOT_COMPLETE", "PLANNER", "Graph", "RunValues"]
 
 UP = 300.0  # [s] for a node to start, to compile at its first use on a busy machine, or to revise a long trajectory
-MATCH = 30.0  # [s] for the nodes to discover each other
 DISCOVERY = 0.5  # [s] for this process to discover another graph, five announcements of the profile
 QUIET = 1.0  # [s] without a report in mid-pass, after which the run prints a warning
 CATCH_UP = 5.0  # [s] for a recorder at the end of a pass to request the messages that it missed
-METHOD = "compensation.method"
 CELL, PLANNER = (ROBOT, CUT), (COMPENSATOR, RECORDER)  # the two processes of a composed graph
 NODES = (*CELL, *PLANNER)
 NOT_COMPLETE = "its recording is not complete"
@@ -67,7 +65,7 @@ class Graph:
         self.cell = cell
         self.plant = plant
         self.out = Path(out).resolve()
-        self.children: dict[str, Child] = {}  #: by node
+        self.children: dict[str, Child] = {}  #: node -> its process
         self.passes = 0  #: number of recorded passes
         self._composed = composed
         self._namespace = namespace
@@ -179,12 +177,12 @@ class Graph:
     def choose(self, method: str) -> None:
         """Set the method of the compensator, which revises at once from the pass along the target."""
         revision = self._value("revision")
-        self.driver.set_parameters(COMPENSATOR, {METHOD: method}, UP)
+        self.driver.set_parameters(COMPENSATOR, {"compensation.method": method}, UP)
         self.driver.until(lambda: self._value("revision") != revision, "choosing the method", UP, COMPENSATOR)
 
     @property
     def repeats(self) -> bool:
-        """Whether the method continues with passes until the compensator is finished."""
+        """Return whether the method continues with passes until the compensator is finished."""
         return bool(self._value("repeats"))
 
     def _value(self, key: str, node: str = COMPENSATOR) -> Any:
@@ -214,7 +212,7 @@ class Graph:
             first = self.plant.imperfections.replace(first_pass=self.passes)
             plant = cell_text(self.plant.replace(imperfections=first))
         self.driver.set_parameters(RECORDER, recording_parameters(self.out, name, self.cell.path.files, plant), UP)
-        file, end = f"{name}/{name}.mcap", time.monotonic() + MATCH
+        file, end = f"{name}/{name}.mcap", time.monotonic() + 30.0  # [s] for the nodes to discover each other
         while self._value("recording") != file or self._value("waiting_for"):
             self.check()
             self.driver.spin()

@@ -20,7 +20,7 @@ __all__ = ["RunRow", "run_plan"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunRow:
-    """One row of the table of a run."""
+    """A row of the table of a run."""
 
     run: RunValues
     scored: ScoredPass
@@ -44,7 +44,7 @@ class RunRow:
     def row(self) -> dict:
         """Return the row with the keys that the command prints."""
         row = {**self.scored.row(), "recording": str(self.run.recording), **as_dict(self)}
-        return {**row, "learning": [ran.row() for ran in self.learning]} if self.learning else row
+        return {**row, "learning": [scored_pass.row() for scored_pass in self.learning]} if self.learning else row
 
 
 def run_plan(
@@ -64,8 +64,8 @@ def run_plan(
     def run(name: str) -> RunRow:
         say(f"{name}, pass {next(numbers)} of at most {most}")
         pass_run = graph.run_pass(name)
-        ran, recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
-        return RunRow(pass_run, ran, recorded.lost_to_end)
+        scored_pass, recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
+        return RunRow(pass_run, scored_pass, recorded.lost_to_end)
 
     original = run("original")
     rows = [original]

@@ -24,9 +24,6 @@ from kr270_milling.recordings.messages.topics import ROBOT
 
 __all__ = ["AlreadyRunning", "Child", "RunError", "own_graph", "recording_parameters", "ros_arguments", "stop"]
 
-GRACE = 3.0  # [s] for a node to close its files and to leave the graph, before it is killed
-TOGETHER = "milling_cell"  # the program that holds several nodes
-
 
 class RunError(MillingError):
     """The run cannot continue; node: the failed node; reason: what happened."""
@@ -50,7 +47,7 @@ class AlreadyRunning(MillingError):
 def own_graph(domain: int, namespace: str) -> socket.socket:
     """Return the right to start the nodes of a namespace in a ROS domain, until it is closed. Raises AlreadyRunning.
 
-    Of two runs that start at once, the first has it. The name of a socket is free again when its process ends, and it
+    If two runs start at once, the first has it. The name of a socket is free again when its process ends, and it
     belongs to the network of this host, as the loopback interface does.
     """
     own = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -79,13 +76,18 @@ class Child:
     def __init__(self, nodes: Sequence[str], arguments: Iterable[str], logs: Path):
         self.name = "+".join(nodes)
         self.log = logs / f"{self.name}.log"
-        program = nodes if len(nodes) == 1 else (TOGETHER, *nodes)
+        program = nodes if len(nodes) == 1 else ("milling_cell", *nodes)
         command = [sys.executable, "-m", "kr270_milling.live.nodes", *program, *arguments]
         with open(self.log, "ab") as stream, _signals_blocked():
             self.process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=logs,
-                env=child_environment(), start_new_session=True,
-            )  # fmt: skip
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                cwd=logs,
+                env=child_environment(),
+                start_new_session=True,
+            )
         self.ended_at = math.inf  #: [s of the monotonic clock]
         threading.Thread(target=self._wait, daemon=True).start()
 
@@ -122,7 +124,7 @@ class Child:
                 os.killpg(self.pid, number)
 
 
-def stop(children: Iterable[Child], grace: float = GRACE) -> list[str]:
+def stop(children: Iterable[Child], grace: float = 3.0) -> list[str]:
     """Interrupt all nodes at once and wait; kill those that do not end within ``grace`` [s] and return their names."""
     children = [c for c in children if c.alive]
     for child in children:

@@ -96,7 +96,7 @@ class CompliantRobot(ManagedNode):
     def _watch_answer(self) -> None:
         """Start the pass when the graph is ready; give up when no wrench arrives."""
         protocol, silent = self.protocol, self._silence.seconds()
-        if not self.active or self._late or (protocol.started and (protocol.done or self._given_up)):
+        if not self.active or self._late or (protocol.started and (protocol.finished or self._given_up)):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
         if not protocol.started:
@@ -122,21 +122,21 @@ class CompliantRobot(ManagedNode):
         return True
 
     def _on_wrench(self, sample: WrenchSample) -> None:
-        if not self.active or self._given_up or self.protocol.done:
+        if not self.active or self._given_up or self.protocol.finished:
             return
         outputs = self.protocol.wrench(sample)
-        if not outputs and not self.protocol.done:
+        if not outputs and not self.protocol.finished:
             return  # not the awaited wrench
         self.stamp_ns = sample.stamp
         self._answer(outputs)
-        if self.protocol.done:
+        if self.protocol.finished:
             self._finish()
 
     def _answer(self, outputs) -> None:
         """Publish the outputs; delay the next tool pose to the wall clock of a pace, or for readers that are late."""
         if self._silence.end():
             self.report(OK, "pass running")
-        if not self.protocol.done:
+        if not self.protocol.finished:
             ahead = LOOK if self._is_too_far_ahead() else 0.0
             if self.pace > 0.0:
                 paced = self._started + self.protocol.time_ns * 1e-9 / self.pace - time.monotonic()

@@ -11,8 +11,7 @@ from kr270_milling.recordings.bag.play_options import MOST, PlayOptions
 __all__ = ["PLAY", "play_options"]
 
 CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
-MOST_RATE = 1e6  # and of --clock [Hz]
-_ABOVE, _LEAST = bounded(0.0, MOST_RATE, above=True), bounded(0.0, MOST)
+_ABOVE, _LEAST = bounded(0.0, 1e6, above=True), bounded(0.0, MOST)
 #: names and keywords for ``add_argument`` of the options of ``ros2 bag play`` that the player has
 PLAY: tuple[tuple[tuple[str, ...], dict], ...] = (
     (("-r", "--rate"), dict(type=_ABOVE, default=1.0, help="how many times as fast as recorded")),

@@ -26,11 +26,7 @@ from kr270_milling.recordings.bag.reader import RawMessage, Recording
 
 __all__ = ["Player", "player_main", "run_player", "qos_of"]
 
-TICK = 0.001  # [s] between two checks for due messages
-AT_ONCE = 500  # messages in one check at most, so that signals and services are handled in between
 DEPTH = 1000  # messages that may wait for a slow reader
-#: topics of the whole graph, which a namespace of the player does not move
-GLOBAL = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
 
 
 class Player(ReportingNode):
@@ -49,7 +45,7 @@ class Player(ReportingNode):
         for name, paused in (("pause", True), ("resume", False), ("toggle_paused", None)):
             self.create_service(Trigger, f"~/{name}", functools.partial(self._set_paused, paused))
         self._start()
-        self._timer = self.create_timer(TICK, self._tick)
+        self._timer = self.create_timer(0.001, self._tick)  # [s]
         self.report(OK, "paused" if options.start_paused else "playing")
 
     def _prepare(self, options: PlayOptions) -> None:
@@ -75,7 +71,9 @@ class Player(ReportingNode):
         try:
             if about.encoding != "cdr":
                 raise NameRefused(f"its encoding is {about.encoding}")
-            name = topic if topic in GLOBAL else topic.lstrip("/")
+            # a namespace of the player does not move the topics of the whole graph
+            common = topic in ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
+            name = topic if common else topic.lstrip("/")
             return self.create_publisher(message_class(about.type), name, qos_of(about))
         except (NameRefused, NameValidationException, ValueError, ImportError) as error:
             self.get_logger().warning(one_line(f"{topic} is not played: {error}"))
@@ -99,13 +97,13 @@ class Player(ReportingNode):
             self.report(ERROR, str(error))
 
     def _play_on(self, now: float) -> None:
-        if self.done or self._pace.paused:
+        if self.finished or self._pace.paused:
             return
         position = self._pace.position(now)
         for message in self._opening:
             self._publish(message)
         self._opening = []
-        for _ in range(AT_ONCE):
+        for _ in range(500):  # signals and services are handled in between
             if self._next is None:
                 self._next = next(self._passage, None)
             if self._next is None:
@@ -144,7 +142,7 @@ class Player(ReportingNode):
 
     def close(self) -> None:
         """After the last message: wait until the subscribers have received it, and close the file."""
-        if self.done:
+        if self.finished:
             for outlet in self._outlets.values():
                 outlet.wait_for_all_acked(Duration(seconds=1))
         self.recording.close()

@@ -19,8 +19,6 @@ from kr270_milling.recordings.messages.topics import RECORDER
 
 __all__ = ["Recorder"]
 
-DISCOVERY_PERIOD = 0.1  # [s] between two checks for new topics and of the chunk's age
-
 
 class Recorder(ReportingNode):
     """Record every topic (or those of the parameter ``topics``) to ``directory``/NAME.mcap until a signal.
@@ -31,7 +29,7 @@ class Recorder(ReportingNode):
     def __init__(self, **kwargs):
         super().__init__("recorder", **kwargs)
         self._where = "parameters of " + self.get_fully_qualified_name()
-        self.session: RecordingSession | None = None  #: of the open file
+        self.session: RecordingSession | None = None  #: session of the open file
         patterns = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
         self._topics = [
             t if "*" in t or "?" in t else resolved_topic(self, t, f"{self._where}: topics") for t in patterns
@@ -55,7 +53,7 @@ class Recorder(ReportingNode):
         else:
             self.report(OK, "waiting for a directory")
         self.add_on_set_parameters_callback(self._on_parameters)
-        self.create_timer(DISCOVERY_PERIOD, self._discover)
+        self.create_timer(0.1, self._discover)  # [s]
 
     def _texts(self, name: str, about: str, **fields) -> list[str]:
         """Declare a parameter of one text, or of several as a list or separated by commas."""

@@ -1,4 +1,4 @@
-"""One file of a recorder: subscribe to the topics, write the messages, count the missing ones."""
+"""Write a file of a recorder: subscribe to the topics, write the messages, count the missing ones."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RecordingSession:
         self._node = node
         self._topics = topics
         self._viewers = viewers
-        self._scenes: dict[str, Scene] = {}  # of each robot, by its namespace
+        self._scenes: dict[str, Scene] = {}  # namespace of a robot -> its scene
         self._live: dict[str, Publisher | None] = {}  # topics for viewers; None where the type is not installed
         # the recorder does not record its own topics: a player would repeat the name of the recording
         self._subscriptions: dict[str, Subscription | None] = {o.topic_name: None for o in node.outlets.values()}

@@ -34,15 +34,11 @@ __all__ = ["TrajectoryCompensator"]
 
 METHOD = "compensation.method"
 TARGET = "the target itself"
-LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
-WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
-JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a joint trajectory may start
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
 #: reliable and best-effort publishers match; of the joints only the last message counts
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 SENSOR = QoSProfile(depth=topics.LOOP.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
-LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
 
 class TrajectoryCompensator(ReportingNode):
@@ -66,7 +62,7 @@ class TrajectoryCompensator(ReportingNode):
         start_type = message_class(self.declared("start_type", "std_msgs/msg/Header", about))
         self.protocol = CompensatorProtocol(
             self.cell, cuts, self.get_fully_qualified_name(), self._now_ns, announced=bool(self._start_topic)
-        )  # fmt: skip
+        )
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
         self.set_values(recording="", reference="")
@@ -92,7 +88,7 @@ class TrajectoryCompensator(ReportingNode):
         self._silence = Silence()
         self._report_time = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
         self.add_on_set_parameters_callback(self._on_parameters)
-        self.create_timer(LOOK, self._watch_pass)
+        self.create_timer(0.1, self._watch_pass)  # [s] of the wall clock
         if own:
             self._publish(self.protocol.begin(path_of(self.cell).target), TARGET)
         else:
@@ -150,7 +146,7 @@ class TrajectoryCompensator(ReportingNode):
     def _on_pose(self, sample: PoseSample) -> None:
         outputs = self.protocol.pose(sample)
         inbox = self.protocol.inbox
-        late = inbox.ignored == WITHOUT_START and inbox.distance is None
+        late = inbox.ignored == 20 and inbox.distance is None
         if late and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
@@ -185,7 +181,7 @@ class TrajectoryCompensator(ReportingNode):
             return
         if self.protocol.at_end:
             ended = time.monotonic() if self._ended is None else self._ended
-            if time.monotonic() - ended > LAST_WRENCH or not self._wrench.get_publisher_count():
+            if time.monotonic() - ended > 0.5 or not self._wrench.get_publisher_count():  # [s]
                 self.used(self._pose.topic_name, lambda: self._revised(self.protocol.finish()))
             return
         for what in (self._pose, self._wrench):
@@ -236,7 +232,7 @@ class TrajectoryCompensator(ReportingNode):
         """Return the joint positions of the robot [rad], (6,); raises MessageError where these are unknown."""
         arrival, position = self._joints or (-math.inf, np.empty(0))
         age = time.monotonic() - arrival
-        if age > JOINTS_AGE:
+        if age > 1.0:  # [s]
             _, reason, _ = self.unusable.get("joint_states", (0, "joint_states: no message was received", 0.0))
             last = f"joint_states: the last message of the robot is {age:.1f} s old" if self._joints else reason
             raise MessageError(f"{last}, so the position of the robot is not known")

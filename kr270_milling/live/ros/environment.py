@@ -23,7 +23,6 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 #: a node ends when its parent is no longer this process, so that a killed runner leaves no orphans
 PARENT = "KR270_MILLING_PARENT"
-ANSWER = 2.0  # [s] for a datagram from this process to itself
 
 
 class NoLoopback(MillingError):
@@ -69,7 +68,7 @@ def _check_loopback() -> None:
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
             end.bind(("127.0.0.1", 0))
-            end.settimeout(ANSWER)
+            end.settimeout(2.0)  # [s]
             end.sendto(b"?", end.getsockname())
             end.recv(1)
     except OSError as error:

@@ -15,8 +15,6 @@ from kr270_milling.base.errors import InputError, MillingError
 
 __all__ = ["NameRefused", "full_namespace", "message_class", "resolved_topic"]
 
-TYPE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
-
 
 class NameRefused(MillingError):
     """A message type that cannot be used here."""
@@ -27,7 +25,7 @@ def message_class(type_name: str) -> type:
 
     The name may come from a foreign file: only packages of messages are imported.
     """
-    parts = TYPE.fullmatch(type_name)
+    parts = re.fullmatch(r"([A-Za-z][A-Za-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)", type_name)
     if parts is None:
         raise NameRefused(f"{type_name!r} is not the name of a message type, such as std_msgs/msg/String")
     package, name = parts.groups()

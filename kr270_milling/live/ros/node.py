@@ -33,14 +33,8 @@ from kr270_milling.recordings.messages.topics import published_by
 __all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-REPORT_PERIOD = 0.2  # [s] of the wall clock
 SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
 LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a run gives up
-HELD_UP = 0.5  # [s] between two checks; after a longer time this process itself was stopped
-LONGEST = 300  # characters of a reason
-SAY_AGAIN = 1.0  # [s] of the wall clock between two warnings about messages of one topic
-HARDWARE = "simulated robot cell"  # hardware_id of every status: no node of this package represents a machine
-OWN = ("/rosout", "/parameter_events")  # topics of every ROS node
 
 
 def stamp_from_ns(ns: int) -> Time:
@@ -88,7 +82,7 @@ class Silence:
     def seconds(self) -> float:
         """Return the silence [s of the wall clock]; call this several times a second."""
         now = time.monotonic()
-        if now - self._checked > HELD_UP:
+        if now - self._checked > 0.5:  # this process itself was stopped
             self._last = now
         self._checked = now
         return now - self._last
@@ -102,13 +96,13 @@ class Silence:
 class Ending:
     """Mixin: a node that may end its process (``spin.run_nodes``)."""
 
-    done = False  #: the node has nothing more to do
+    finished = False  #: the node has nothing more to do
     failure: str | None = None  #: sentence of a failed node; the exit code is then 1
     lap: Future | None = None  #: the executor returns when this future is done
 
     def end(self, failure: str | None = None) -> None:
         """End the process after the current callback."""
-        self.done, self.failure = True, failure or self.failure
+        self.finished, self.failure = True, failure or self.failure
         if self.lap is not None:
             self.lap.set_result(None)
 
@@ -123,15 +117,15 @@ class ReportingNode(Ending, Node):
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
         self.refused = 0  #: messages and requests that could not be used
-        self.unusable: dict[str, tuple[int, str, float]] = {}  #: by source: count, last reason, last report [s]
+        self.unusable: dict[str, tuple[int, str, float]] = {}  #: source -> count, last reason, last report [s]
         self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
-        self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
+        self.outlets: dict[str, Publisher] = {}  #: name of a topic -> its publisher
         self.stamp_ns = 0  #: time of the pass, for messages without a stamp
         self._level, self.message, self._error = OK, "starting", ""
         self._values: dict[str, object] = {}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._status_publisher = self.create_publisher(*topics.STATUS)
-        self._report_timer = self.create_timer(REPORT_PERIOD, self._report)
+        self._report_timer = self.create_timer(0.2, self._report)  # [s] of the wall clock
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
         """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
@@ -174,7 +168,7 @@ class ReportingNode(Ending, Node):
             return use(*args)
         except Exception as error:  # noqa: BLE001 - no message of another node ends this node
             what = "" if isinstance(error, MillingError) else f"{source}: {type(error).__name__}: "
-            self._refuse(source, one_line(f"{what}{error}")[:LONGEST], isinstance(error, (MessageError, ExchangeError)))
+            self._refuse(source, one_line(f"{what}{error}")[:300], isinstance(error, (MessageError, ExchangeError)))
         return None
 
     def answer(self, response, source: str, use: Callable):
@@ -188,7 +182,7 @@ class ReportingNode(Ending, Node):
         self.refused += 1
         count, before, reported = self.unusable.get(source, (0, "", -math.inf))
         now = time.monotonic()
-        say = not message or (sentence != before and now - reported > SAY_AGAIN)
+        say = not message or (sentence != before and now - reported > 1.0)
         self.unusable[source] = count + 1, sentence, now if say else reported
         if not message:
             self.report(ERROR, sentence)
@@ -263,14 +257,12 @@ class ReportingNode(Ending, Node):
 
     def status(self) -> Status:
         """Return the present status."""
-        own = {*OWN, self._status_publisher.topic_name}
+        own = {"/rosout", "/parameter_events", self._status_publisher.topic_name}
         listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers if p.topic_name not in own}
         sources = {s.topic_name: s.get_publisher_count() for s in self.subscriptions}
         refused = {f"refused {name}": f"{count}, the last: {text}" for name, (count, text, _) in self.unusable.items()}
         values = {**self._values, **self.watch(), "refused": self.refused, **refused}
-        return Status(
-            os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values
-        )  # fmt: skip
+        return Status(os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values)
 
     def _report(self) -> None:
         self._report_incompatible()
@@ -282,7 +274,7 @@ class ReportingNode(Ending, Node):
         diagnostic = DiagnosticStatus(
             level=self._level,
             name=self.get_fully_qualified_name(),
-            hardware_id=HARDWARE,
+            hardware_id="simulated robot cell",  # no node of this package represents a machine
             message=self.message,
             values=[KeyValue(key=k, value=str(v)) for k, v in status.values.items()],
         )

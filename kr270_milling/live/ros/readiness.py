@@ -1,4 +1,4 @@
-"""Whether a pass may start: the compensator decides from the statuses of the nodes."""
+"""Readiness for a pass: the compensator decides from the statuses of the nodes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER,
 __all__ = ["WAIT_FOR", "Readiness", "is_recorded", "unmatched"]
 
 WAIT_FOR = f"{CUT}, {ROBOT}?, {RECORDER}?"  #: names, separated by commas; with ?: only where the node is in the graph
-ONLY_BY_NAME = ("/rosout", "/parameter_events")
-STATUSES = tuple(f"/{node}/status" for node in (ROBOT, CUT, COMPENSATOR, RECORDER))
 
 
 class Readiness:
-    """What a pass waits for; node: the one that decides and calls ``check``; names: as ``WAIT_FOR``.
+    """Conditions before a pass; node: decides and calls ``check``; names: as ``WAIT_FOR``.
 
     A node without a status counts when it publishes one of ``inputs``, topics with their full names.
     """
@@ -72,9 +70,11 @@ class Readiness:
 
 def is_recorded(topic: str, patterns: Sequence[str]) -> bool:
     """Return whether a recorder with these patterns (none: every topic) records a topic."""
-    if topic in patterns or topic.endswith(STATUSES):
+    if topic in patterns or topic.endswith(tuple(f"/{node}/status" for node in (ROBOT, CUT, COMPENSATOR, RECORDER))):
         return topic in patterns
-    return any(fnmatch.fnmatchcase(topic, p) for p in patterns) if patterns else topic not in ONLY_BY_NAME
+    if not patterns:
+        return topic not in ("/rosout", "/parameter_events")
+    return any(fnmatch.fnmatchcase(topic, p) for p in patterns)
 
 
 def unmatched(statuses: Mapping[str, Status]) -> str:

@@ -48,9 +48,9 @@ def run_node(make: Callable, args: list[str] | None = None) -> int:
 
 
 def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
-    """Spin nodes with one executor until a signal arrives, the parent process ends, or a node is done.
+    """Spin nodes with one executor until a signal arrives, the parent process ends, or a node has finished.
 
-    Exit code: 0 after a signal or when done, 1 when a node failed, 2 when a node could not be made (bad parameters).
+    Exit code: 0 after a signal or at the end, 1 when a node failed, 2 when a node could not be made (bad parameters).
     Without ``args`` the process belongs to the nodes and ends here; otherwise the exit code is returned.
     The handlers replace those of rclpy, which sometimes end with exit code 1; EventsExecutor.spin() does not return on
     a signal.
@@ -108,14 +108,14 @@ def _leave_graph(nodes: list, executor, context: Context) -> None:
 def _spin(nodes: list, executor, signals: list[int]) -> int:
     """Spin until the end, close the files, and return the exit code."""
     parent = int(os.environ.get(PARENT, 0))
-    while not signals and not any(node.done for node in nodes):
+    while not signals and not any(node.finished for node in nodes):
         lap = Future()  # one lap is many callbacks: returning after each callback took a tenth of an exchange
         for node in nodes:
             node.lap = lap
         executor.spin_until_future_complete(lap, timeout_sec=LAP)
         if parent and os.getppid() != parent:
             break
-    if not any(node.done for node in nodes):
+    if not any(node.finished for node in nodes):
         executor.spin_until_future_complete(Future(), timeout_sec=LAP)  # messages that were received before the end
     code = 0
     for node in nodes:

@@ -14,7 +14,7 @@ __all__ = ["Status", "status_topic"]
 
 @dataclass(frozen=True)
 class Status:
-    """What a node publishes as JSON on ``~/status`` five times a second and at every change."""
+    """The status that a node publishes as JSON on ``~/status`` five times a second and at every change."""
 
     pid: int
     level: int  #: as in diagnostic_msgs/DiagnosticStatus

@@ -15,8 +15,8 @@ __all__ = ["BY_NAME", "EVERY", "LATCHED", "LOOP", "RosTopic"]
 #: was stopped for two seconds can still request the messages that it missed
 LOOP = QoSProfile(depth=20_000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 #: a subscriber that must lose nothing: it takes no message that it has no room for, so that the publisher, which keeps
-#: the message in its history, sends it again. Of 30,000 poses to a subscriber that is half as quick and stops for 3 s,
-#: 30,000 arrive where the publisher waits for ``wait_for_all_acked`` every 1000, 25,451 where it does not
+#: the message in its history, sends it again. If a subscriber is half as quick and stops for 3 s, 30,000 of 30,000
+#: poses arrive where the publisher waits for ``wait_for_all_acked`` every 1000, 25,451 where it does not
 EVERY = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 #: late subscribers receive the last message
 LATCHED = QoSProfile(

@@ -43,10 +43,10 @@ def read_corrections(path) -> CorrectionTable:
 
 @dataclass(frozen=True)
 class CorrectionLimits:
-    """CorrectionLimits of the applied correction."""
+    """Limits of the applied correction."""
 
     size: float = 1e-3  #: [m], of the displacement
-    angle: float = float(np.radians(0.5))  #: of the rotation [rad]
+    angle: float = float(np.radians(0.5))  #: limit of the rotation [rad]
     rate: float = 20e-3  #: [m/s], of the displacement; the rotation changes in proportion to its limit
     ramp: float = 0.2  #: [s], from no correction to the full one
     reach: float = 1e-3  #: [m]: no correction farther from the path
@@ -64,7 +64,7 @@ class Corrector:
         self._way = path.distance
         self._limits, self._cycle = limits, cycle
         self.applied = np.zeros(6)
-        self.share = 0.0  #: of the wanted correction, 0 to 1
+        self.share = 0.0  #: applied share of the wanted correction, 0 to 1
         self.reason = "waiting for the start of the path"  #: why the correction is what it is
         self.limited = 0  #: cycles in which a limit reduced the correction
         self._started = False

@@ -29,9 +29,13 @@ class RsiRecording:
     """
 
     def __init__(
-        self, directory, table: CorrectionTable, metadata: Mapping[str, object],
-        attachments: Mapping[str, bytes | str], now: Callable[[], int],
-    ):  # fmt: skip
+        self,
+        directory,
+        table: CorrectionTable,
+        metadata: Mapping[str, object],
+        attachments: Mapping[str, bytes | str],
+        now: Callable[[], int],
+    ):
         self._now = now
         self._writer = BagWriter(directory, metadata=metadata, attachments=attachments)
         time_ns = (table.time * SECOND).round().astype("int64")

@@ -23,18 +23,14 @@ from kr270_milling.live.rsi.telegram import MOST_BYTES, RobotTelegram, read_tele
 __all__ = ["AnsweredCycle", "Counts", "RsiSession", "open_socket", "real_time"]
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
-POLL = 0.2  #: [s]
-WAITING = 1000  #: telegrams read at once at most, 4 s at 4 ms, so that a flood does not keep the session from answering
 WRAP = 2**32  #: IPOC counts milliseconds in 32 bits
-FARTHEST = 60_000  #: [ms]; a counter that is farther ahead is no next telegram; assumed: a robot waits a second at most
-PRIORITY = 10  #: of SCHED_FIFO, 1 to 99; assumed: above all usual programs, below the kernel's threads of 50
 TIMESTAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux, asm-generic/socket.h
 TIME = struct.Struct("qq")  # timespec
 
 
 @dataclass(frozen=True, eq=False)
 class AnsweredCycle:
-    """One answered cycle, for the recording."""
+    """An answered cycle, for the recording."""
 
     stamp: int  #: [ns], since the first telegram, by the counter of the robot
     actual: np.ndarray | None  #: RIst, (6,) [m, rad]
@@ -109,7 +105,8 @@ class RsiSession:
                 point = self._point(telegram)
                 before = self._last if newest is None else newest[0].ipoc
                 ahead = 0 if before is None else (telegram.ipoc - before) % WRAP
-                if ahead > FARTHEST:
+                # a counter that is farther ahead is no next telegram; assumed: a robot waits a minute at most
+                if ahead > 60_000:
                     raise MessageError(f"IPOC {telegram.ipoc} after {before}")
             except MessageError as error:
                 self._refuse(str(error))
@@ -123,9 +120,9 @@ class RsiSession:
 
     def _arrived(self) -> Iterator[tuple[bytes, tuple, int]]:
         """Wait for a telegram, and yield all that have arrived: bytes, sender, arrival [ns of the wall clock]."""
-        if not select.select([self.connection], [], [], POLL)[0]:
+        if not select.select([self.connection], [], [], 0.2)[0]:  # [s]
             return
-        for _ in range(WAITING):
+        for _ in range(1000):  # 4 s at 4 ms: a flood does not keep the session from answering
             try:
                 data, about, _, sender = self.connection.recvmsg(MOST_BYTES + 1, socket.CMSG_SPACE(TIME.size))
             except BlockingIOError:
@@ -210,7 +207,8 @@ def real_time() -> Iterator[str]:
     """Run this thread with SCHED_FIFO in the block; yield a sentence where that is not allowed, else an empty text."""
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        # assumed: priority above all usual programs, below the kernel's threads of 50
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     except (OSError, AttributeError) as error:
         reason = getattr(error, "strerror", None) or "not on this system"
         yield f"no real-time priority (SCHED_FIFO: {reason}), so answers may be late on a busy machine; see ulimit -r"

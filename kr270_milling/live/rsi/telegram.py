@@ -16,16 +16,15 @@ from kr270_milling.base.errors import MessageError
 
 __all__ = ["MOST_BYTES", "RobotTelegram", "read_telegram", "write_answer"]
 
-MOST_BYTES = 4096  #: of a telegram; a telegram with all internal values has about 1200
+MOST_BYTES = 4096  #: size of a telegram; with all internal values it has about 1200
 AXES = ("X", "Y", "Z", "A", "B", "C")
 UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  # mm and degrees -> m and rad
 FARTHEST = 100.0  #: [m]
-COUNTER = re.compile(r"\d{1,18}")
 
 
 @dataclass(frozen=True, eq=False)
 class RobotTelegram:
-    """One telegram of the robot; poses are X, Y, Z [m], A, B, C [rad], (6,), of $TOOL in $BASE."""
+    """A telegram of the robot; poses are X, Y, Z [m], A, B, C [rad], (6,), of $TOOL in $BASE."""
 
     ipoc: int  #: cycle counter [ms]
     actual: np.ndarray | None  #: RIst
@@ -56,7 +55,7 @@ def read_telegram(data: bytes) -> RobotTelegram:
 
 
 def _counter(text: str | None, name: str) -> int:
-    if text is None or not COUNTER.fullmatch(text.strip()):
+    if text is None or not re.fullmatch(r"\d{1,18}", text.strip()):
         raise MessageError(f"a telegram has no whole number in {name}")
     return int(text)
 

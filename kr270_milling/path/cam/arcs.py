@@ -8,7 +8,6 @@ from kr270_milling.path.toolpath import REACH
 
 __all__ = ["ArcError", "centre_from_radius", "arc_points"]
 
-MOST_TURNS = 1000
 FAR = f"the arc leads more than {REACH:g} m away; wrong unit?"
 
 
@@ -25,7 +24,7 @@ def centre_from_radius(start, end, radius: float, clockwise: bool, tolerance: fl
     if not chord <= 2 * (abs(radius) + tolerance):
         raise ArcError(f"the arc does not close: radius {1e3 * radius:g} mm, but {1e3 * chord:g} mm from start to end")
     height = math.sqrt(max(0.0, radius**2 - chord**2 / 4))
-    side = -1.0 if clockwise == (radius > 0) else 1.0  # of the centre, seen along the chord: +1 left, -1 right
+    side = -1.0 if clockwise == (radius > 0) else 1.0  # side of the centre, seen along the chord: +1 left, -1 right
     return (start[0] + dx / 2 - side * height * dy / chord, start[1] + dy / 2 + side * height * dx / chord)
 
 
@@ -54,7 +53,7 @@ def arc_points(
         sweep -= 2 * math.pi
     if clockwise and sweep > 0:
         sweep = -sweep
-    if not 0 <= turns <= MOST_TURNS:
+    if not 0 <= turns <= 1000:
         raise ArcError(f"a helix of {turns} turns is not meant")
     sweep += math.copysign(2 * math.pi * turns, -1.0 if clockwise else 1.0)
     length = abs(sweep) * (first + last) / 2

@@ -1,4 +1,4 @@
-"""What comments of posts say: names of operations, and tools with their diameters and teeth."""
+"""Information in the comments of posts: names of operations, and tools with their diameters and teeth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NO_NAME = re.compile(
     r"footer)\b",
     re.I,
 )
-#: what happens inside an operation
+#: steps inside an operation
 INSIDE = re.compile(
     r"(?:(?:helical|helix|spiral|linear|zig-?zag|profile)\s+(?:ramp(?:ing)?|entry|exit|plunge|motion|lead)"
     r"|ramp(?:ing)?|lead[- ]?(?:in|out)|plunge|link(?:ing)?|transition|(?:depth|level|layer|pass)\s*\d*)"
@@ -32,27 +32,17 @@ INSIDE = re.compile(
     re.I,
 )
 LONGEST_NAME = 48
-MOST_WORDS = 7
 
 TOOL_WORD = r"(?:tool|werkzeug|wkzg?|wz|outil|utensile|herramienta)"
+FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
 TOOL_NUMBER = re.compile(rf"\s*(?:{TOOL_WORD}\s*(?:n[or]\.?\s*)?[-#:]?\s*|t\s*)0*(\d+)\b", re.I)
-ANY_NUMBER = re.compile(r"\bT0*(\d+)\b", re.I)
-NO_TOOL = re.compile(r"\s*(?:stock|material|block|wcs|part)\b", re.I)
-SAYS_DIAMETER = re.compile(r"\bdia", re.I)
-OLD_MASTERCAM = re.compile(r"(.*?)TOOL\s*-\s*0*(\d+)\s+DIA\. OFF", re.I)
 DIAMETER = re.compile(
     rf"(?:tool dia\.?|\bdiam(?:eter)?|\bdia\.?|\bd|ø)\s*[-=:.]?\s*{NUMBER}"
     r"(?![\d/]|\.\d|\s*(?:CR|R|rad\w*)\b(?!\s*[=\d.]))\s*(mm|in|inch|\")?(?!\s*\. off)",
     re.I,
 )
-BEFORE = re.compile(rf"{NUMBER}\s*dia(?:m|meter)?\b", re.I)
-METRIC = re.compile(rf"{NUMBER}\s*mm\b", re.I)
-FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
-INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
 #: radius of a corner: CR=1, R0.5, D10R2, RAD. 2., Eckenradius 0.5; and 0.5 CR
 CORNER = re.compile(rf"(?:\b(?:CR|(?:eck(?:en)?)?rad(?:ius)?)|(?<![^\W\d_])R)\.?\s*[-=:]?\s*{NUMBER}", re.I)
-CORNER_BEFORE = re.compile(rf"{NUMBER}(?:\s*(?:mm|in|\")?\s*(?:CR|(?:corner )?rad(?:ius)?)|R)\b", re.I)
-DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 TEETH = re.compile(r"(?:(?<!\d)(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
 #: comment that is about a tool as a whole, without its number: FreeCAD, Vectric, Estlcam, TOOL DESC: and TOOL NAME;
 #: or a size and the shape alone: 1/4 BALL
@@ -145,7 +135,6 @@ OF_FLAT = re.compile(
     r"|\w*(?:schaft|plan|eck|stirn|walzen|schrupp|schlicht|finger|langloch|nuten|igel|schneid\w*|zahn|platten|wsp))",
     re.I,
 )
-OPERATIONS = frozenset(("drill", "tap", "probe"))  #: names of operations and of tools
 #: kinds of tools that are not judged as mills while they go along their axis only; a tap needs the angle of the spindle
 AXIAL_KINDS = frozenset(("countersink", "counterbore", "spot drill", "centre drill", "reamer", "boring bar", "drill"))
 #: cutters with inserts in a body, and faces are milled with such cutters
@@ -153,7 +142,6 @@ INSERTS = re.compile(
     r"insert|\bindex|\bshell|\bfac(?:e|ing)|platte|\bwsp|messerkopf|(?:plan|eck|igel|walzenstirn)fr|coromill|plaquette|surfac",
     re.I,
 )
-TAPER_ANGLE = re.compile(r"\bTAPER=", re.I)  #: of a chamfer mill or of the point of a drill
 
 
 def kind_of(words: str) -> str:
@@ -161,7 +149,7 @@ def kind_of(words: str) -> str:
 
     A mill with a name that is in no list is a kind.
     """
-    words = TAPER_ANGLE.sub("", words.replace("_", " "))
+    words = re.sub(r"\bTAPER=", "", words.replace("_", " "), flags=re.I)  # the angle of a chamfer mill or of a drill
     if CONICAL_FACE.match(words):
         return "tapered mill"
     if FLAT_KINDS.search(words):
@@ -176,7 +164,7 @@ def operation_name(comment: str) -> tuple[str, bool]:
     announced = ANNOUNCED.fullmatch(comment)
     if announced and re.search(r"[^\W\d_]", announced.group(1)):
         return announced.group(1).strip()[:LONGEST_NAME], True
-    if len(comment) > LONGEST_NAME or len(comment.split()) > MOST_WORDS or not NAME.fullmatch(comment):
+    if len(comment) > LONGEST_NAME or len(comment.split()) > 7 or not NAME.fullmatch(comment):
         return "", False
     if INSIDE.fullmatch(comment):
         return "", False
@@ -191,15 +179,15 @@ def operation_name(comment: str) -> tuple[str, bool]:
 def described_tool(comment: str, unit: float, changed: str | None = None, beside: bool = False) -> ProgramTool | None:
     """The tool that a comment describes; lengths without a unit are in ``unit`` [m]; changed: the tool of its line.
 
-    beside: the comment is in the line of the change. Of a comment without a tool number, which may name an operation
+    beside: the comment is in the line of the change. In a comment without a tool number, which may name an operation
     (drill, chamfer), only the name of a tool counts (twist drill, chamfer mill).
     """
-    if NO_TOOL.match(comment):
+    if re.match(r"\s*(?:stock|material|block|wcs|part)\b", comment, re.I):
         return None
-    comment = ASIDE.sub(lambda aside: aside["size"] or " ", DECIMAL_COMMA.sub(".", comment))
-    old = OLD_MASTERCAM.match(comment)
+    comment = ASIDE.sub(lambda aside: aside["size"] or " ", re.sub(r"(?<=\d),(?=\d)", ".", comment))
+    old = re.match(r"(.*?)TOOL\s*-\s*0*(\d+)\s+DIA\. OFF", comment, re.I)
     numbered = TOOL_NUMBER.match(comment)
-    inside = ANY_NUMBER.search(comment)
+    inside = re.search(r"\bT0*(\d+)\b", comment, re.I)
     number = next((match.group(k) for match, k in ((old, 2), (numbered, 1), (inside, 1)) if match), "")
     name = f"T{int(number)}" if number else changed
     diameter = _diameter(comment, unit)
@@ -207,11 +195,13 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     phrase = KIND.search(comment)
     words = " ".join(phrase.group().split()).lower().strip("- ") if phrase else ""
     about_tool = bool(number or beside or ABOUT_TOOL.match(comment))
-    kind = kind_of(comment if about_tool else words if words not in OPERATIONS else "")
-    if name is None or not (words or kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):
+    operation = words in ("drill", "tap", "probe")  # names of operations and of tools
+    kind = kind_of(comment if about_tool else "" if operation else words)
+    if name is None or not (words or kind or teeth or (diameter and (number or re.search(r"\bdia", comment, re.I)))):
         return None
     count = int(next(filter(None, teeth.groups()))) if teeth else 0
-    corner = CORNER.search(comment) or CORNER_BEFORE.search(comment)
+    before = rf"{NUMBER}(?:\s*(?:mm|in|\")?\s*(?:CR|(?:corner )?rad(?:ius)?)|R)\b"
+    corner = CORNER.search(comment) or re.search(before, comment, re.I)
     radius = float(corner.group(1)) * unit if corner else 0.0
     if radius > 0.51 * diameter > 0.0:  # a number of another thing, as R8 of a collet
         radius = 0.0
@@ -232,17 +222,17 @@ def _diameter(comment: str, unit: float) -> float:
     comment = re.sub(r"\|\s*[HD]\s*\d+\s*(?=\||$)", "|", comment)  # offset numbers of Mastercam
     comment = re.sub(r"DIA\. OFF\.\s*-\s*\d+", "", comment)
     diameter = 0.0
-    if given := list(DIAMETER.finditer(comment)):
-        number, mark = given[-1].groups()
+    if diameters := list(DIAMETER.finditer(comment)):
+        number, mark = diameters[-1].groups()
         scale = {"mm": 1e-3, "in": 0.0254, "inch": 0.0254, '"': 0.0254}.get((mark or "").lower(), unit)
         diameter = float(number) * scale
-    elif before := BEFORE.search(comment):
+    elif before := re.search(rf"{NUMBER}\s*dia(?:m|meter)?\b", comment, re.I):
         diameter = float(before.group(1)) * unit
-    elif metric := METRIC.search(comment):
+    elif metric := re.search(rf"{NUMBER}\s*mm\b", comment, re.I):
         diameter = float(metric.group(1)) * 1e-3
     elif fraction := FRACTION.search(comment):
         whole, above, below = fraction.groups()
         diameter = (int(whole or 0) + int(above) / max(int(below), 1)) * 0.0254
-    elif inches := INCH_MARK.search(comment):
+    elif inches := re.search(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", comment, re.I):
         diameter = float(inches.group(1)) * 0.0254
     return diameter if 1e-5 < diameter <= 0.2 else 0.0

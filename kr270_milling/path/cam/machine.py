@@ -22,13 +22,10 @@ OF_ARCS = (*CENTRES, "R", "CR", "TURN")
 MOVING = ("X", "Y", "Z", *CENTRES, "R", "CR")
 #: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
-FEED_MODES = {93: "moves a minute (G93)", 94: "a minute", 95: "a revolution (G95)"}
 CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
-REPEATS = 1000  #: holes that one block drills in a row
 NO_FEED = "a cutting move without a feed"
-FEED_OF_EACH = "G93 needs F in each line with a cutting move"
 START = "start with G0 X Y Z"
 
 
@@ -72,7 +69,8 @@ class Machine:
     def set_feed(self, value: float, unit: float) -> None:
         """The number of a feed, lengths in ``unit`` [m]."""
         most = 60 * REACH / unit
-        length, time = "inches" if unit == INCH else "mm", FEED_MODES[self.feed_mode]
+        length = "inches" if unit == INCH else "mm"
+        time = {93: "moves a minute (G93)", 94: "a minute", 95: "a revolution (G95)"}[self.feed_mode]
         self.program.feed_units[time if self.feed_mode == 93 else f"{length} {time}"] = None
         if 0 <= value <= most:
             self.feed = {94: value * unit / 60, 95: value * unit, 93: value / 60}[self.feed_mode]
@@ -188,7 +186,7 @@ class Machine:
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
         feed = self._feed_rate(length if math.isfinite(length) else 0.0)
         if self.feed_mode == 93:
-            self.feed, self.no_feed = None, FEED_OF_EACH
+            self.feed, self.no_feed = None, "G93 needs F in each line with a cutting move"
         if feed:
             self.program.cut(start, ends, feed, curvature)
         elif length and feed == 0:
@@ -273,7 +271,8 @@ class Machine:
             cycle.bottom = floor * self.unit + (cycle.retract if self.incremental else 0.0)
         if peck is not None:
             cycle.peck = abs(peck) * self.unit
-        if not 0 <= repeats <= REPEATS or repeats != int(repeats) or (repeats > 1 and not self.incremental):
+        # holes that one block drills in a row
+        if not 0 <= repeats <= 1000 or repeats != int(repeats) or (repeats > 1 and not self.incremental):
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
             axes.clear()
             return

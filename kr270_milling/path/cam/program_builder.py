@@ -16,9 +16,6 @@ from kr270_milling.path.toolpath import TOP, PathBuilder, Toolpath, cut_features
 
 __all__ = ["ProgramBuilder"]
 
-SAME_SPEED = 0.1  #: [rad/s], 1 rpm: spindle speeds that differ by less are one
-MOST_REFUSALS = 10_000  #: a file with more is no program
-
 
 class ProgramBuilder(PathBuilder):
     """Collects the moves of one tool and, of all of them, what cannot be run.
@@ -131,7 +128,7 @@ class ProgramBuilder(PathBuilder):
     @property
     def hopeless(self) -> bool:
         """Return whether there are too many refusals to continue."""
-        return len(self._refused) >= MOST_REFUSALS
+        return len(self._refused) >= 10_000  # a file with more is no program
 
     def refuse(
         self, word: str, reason: str = "", advice: str = "", lost: bool = False, derived: bool = False, line: int = 0
@@ -235,7 +232,8 @@ class ProgramBuilder(PathBuilder):
 def _several_speeds(speeds: dict[float, int]) -> list[Refusal]:
     distinct: list[tuple[float, int]] = []
     for speed, line in speeds.items():
-        if speed and all(abs(speed - known) > SAME_SPEED for known, _ in distinct):
+        # 0.1 rad/s is 1 rpm: speeds that differ by less are equal
+        if speed and all(abs(speed - known) > 0.1 for known, _ in distinct):
             distinct.append((speed, line))
     words = [(f"S{abs(speed) * 30 / math.pi:.6g}{' M4' if speed < 0 else ''}", line) for speed, line in distinct]
     return _several("spindle speeds", words)

@@ -32,7 +32,6 @@ __all__ = [
 LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_per_s")
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
 COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}
-EXAMPLE = "x_mm,y_mm,z_mm,feed_mm_per_min or x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min"
 
 
 def read_points(path) -> Toolpath:
@@ -40,7 +39,8 @@ def read_points(path) -> Toolpath:
     table = read_table(path, COLUMNS, whole=True)
     names, scales = zip(*(COLUMNS[name] for name in table.names), strict=True)
     if sorted(names) not in (sorted({"x", "y", "z", "feed"}), sorted(UNITS_OF)):
-        raise InputError(path, f"the header must be {EXAMPLE}", 1)
+        headers = "x_mm,y_mm,z_mm,feed_mm_per_min or x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min"
+        raise InputError(path, f"the header must be {headers}", 1)
     builder = PathBuilder(path)
     for number, row in zip(table.lines, (table.numbers(table.names) * scales).tolist(), strict=True):
         values = dict(zip(names, row, strict=True))
@@ -84,13 +84,12 @@ class PathReader:
 
 GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed"))
 APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
-POINTS = PathReader("kr270_milling.path.cam.readers", "read_points")
 RECORDING = PathReader("kr270_milling.recordings.bag.recorded_path", "read_recorded", ("topic", "feed"))
 #: the reader of each kind of file, by the end of the name
 READERS: dict[str, PathReader] = {
     **dict.fromkeys((".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt"), GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
-    ".csv": POINTS,
+    ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
     ".mcap": RECORDING,
 }
 READERS |= {point.name.lower(): PathReader(point.module, point.attr) for point in registered("readers", READERS)}

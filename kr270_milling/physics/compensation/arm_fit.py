@@ -18,33 +18,27 @@ __all__ = ["Evidence", "Identified", "fit_arm"]
 
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
-OFFSET = 50e-6  #: [m], assumed: standard deviation of a constant offset between arm and part
-MODEL_ERROR = 1e-6  #: [m], assumed: what the model of the cut leaves unexplained of the uncorrected pass
-DIFFERENCE_ERROR = 0.3e-6  #: [m], assumed: the same of the difference of two passes, in which most of it cancels
-MATTERS = 0.003  #: share of the sensitivity to all modes that a mode must have to be fitted
-RESOLVED = 1.0  #: [rad] of a mode within a part: means over the parts say little about a faster mode
 SCAN = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  #: factors on frequency and damping that are tried first
 KEPT = 4  #: latest corrected passes that are fitted
 MOST_FITTED = 8192  #: segments; of a longer path PIECES are fitted
 PIECES, PIECE = 4, 1024  #: pieces, evenly spread over the path, and segments of each
-SETTLING = 3.0  #: [s], of a piece that do not count: a mode of 7 Hz and 4 % forgets how the piece began
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One pass: the cubics of its correction, deviation and wrench in each part."""
+    """Evidence of a pass: the cubics of its correction, deviation and wrench in each part."""
 
     cubic: np.ndarray  #: (m, 4, 3)
     deviation: np.ndarray  #: [m], (m, parts, 3)
     wrench: np.ndarray | None  #: [N, N m], (m, parts, 6)
-    on_path: np.ndarray | None = None  #: what it would have been of a tool on its path [N, N m], (m, parts, 6)
+    on_path: np.ndarray | None = None  #: wrench on a tool on its path [N, N m], (m, parts, 6)
 
 
 @dataclass(frozen=True)
 class Identified:
     """The fitted values; modes that the passes do not show are missing."""
 
-    gain: float  #: of the tool's response to the reference
+    gain: float  #: gain of the tool's response to the reference
     compliance_factor: float  #: on the static compliance of the model
     frequency_hz: tuple[float, ...]
     damping_ratio: tuple[float, ...]
@@ -63,11 +57,14 @@ class _Problem:
         self.arm, self.segments, self.path, self.approach = arm, segments, path, approach
         self.first, self.later = passes[0], passes[1:][-KEPT:]
         self.weight = weight[..., None]
-        self.sigma = np.hypot(MODEL_ERROR, noise), np.hypot(DIFFERENCE_ERROR, np.sqrt(2.0) * noise)
+        # assumed: the model of the cut leaves 1 um of the uncorrected pass unexplained, and 0.3 um of the difference of
+        # two passes, in which most of the error cancels
+        self.sigma = np.hypot(1e-6, noise), np.hypot(0.3e-6, np.sqrt(2.0) * noise)
         self.modes = self._sensitive()
         n = self.modes.size
         spread = [PRIOR["gain"], PRIOR["softness"]] + [PRIOR["frequency"]] * n + [PRIOR["damping"]] * n
-        self.prior = np.array(spread + [OFFSET] * 3)
+        # assumed: a constant offset between arm and part has a standard deviation of 50 um
+        self.prior = np.array(spread + [50e-6] * 3)
 
     def start(self, frequency: float, damping: float) -> np.ndarray:
         n = self.modes.size
@@ -87,11 +84,11 @@ class _Problem:
         if first.wrench is not None:
             model = self._uncorrected(arm) + numbers[-3:]
             parts.append((self.weight * (model - first.deviation) / single).ravel())
-        for ran in self.later:
-            model = arm.follow(self.segments, ran.cubic) - arm.follow(self.segments, first.cubic)
-            if first.wrench is not None and ran.wrench is not None:
-                model = model + arm.deflect(self.segments, ran.wrench - first.wrench)
-            parts.append((self.weight * (model - (ran.deviation - first.deviation)) / double).ravel())
+        for evidence in self.later:
+            model = arm.follow(self.segments, evidence.cubic) - arm.follow(self.segments, first.cubic)
+            if first.wrench is not None and evidence.wrench is not None:
+                model = model + arm.deflect(self.segments, evidence.wrench - first.wrench)
+            parts.append((self.weight * (model - (evidence.deviation - first.deviation)) / double).ravel())
         return np.concatenate(parts)
 
     def _uncorrected(self, arm: ArmResponse) -> np.ndarray:
@@ -104,21 +101,28 @@ class _Problem:
         for mode in range(self.arm.order):
             factor = np.where(np.arange(self.arm.order) == mode, 1.05, 1.0)
             effect[mode] = sum(np.sum((self.weight * change) ** 2) for change in self._changes(factor))
-        slow = self.arm.frequency[0] * float(np.median(self.segments.duration)) / self.segments.parts < RESOLVED
-        return np.flatnonzero(slow & (effect > MATTERS * max(effect.sum(), 1e-300)))
+        # 1 rad of a mode within a part: means over the parts say little about a faster mode
+        slow = self.arm.frequency[0] * float(np.median(self.segments.duration)) / self.segments.parts < 1.0
+        # a fitted mode has at least 0.3 % of the sensitivity to all modes
+        return np.flatnonzero(slow & (effect > 0.003 * max(effect.sum(), 1e-300)))
 
     def _changes(self, factor: np.ndarray):
         other = self.arm.scaled(factor, 1.0)
         if self.first.wrench is not None:
             yield self._uncorrected(other) - self._uncorrected(self.arm)
-        for ran in self.later:
-            yield other.follow(self.segments, ran.cubic) - self.arm.follow(self.segments, ran.cubic)
+        for evidence in self.later:
+            yield other.follow(self.segments, evidence.cubic) - self.arm.follow(self.segments, evidence.cubic)
 
 
 def fit_arm(
-    arm: ArmResponse, segments: Segments, path: np.ndarray, approach: np.ndarray, passes: tuple[Evidence, ...],
-    weight: np.ndarray, noise: float,
-) -> tuple[ArmResponse, Identified | None]:  # fmt: skip
+    arm: ArmResponse,
+    segments: Segments,
+    path: np.ndarray,
+    approach: np.ndarray,
+    passes: tuple[Evidence, ...],
+    weight: np.ndarray,
+    noise: float,
+) -> tuple[ArmResponse, Identified | None]:
     """Return the arm that explains the passes, the uncorrected pass first, and the fitted values.
 
     path: cubics of the programmed path, (m, 4, 3); approach: its velocity before [m/s], (3,); weight: (m, parts);
@@ -155,11 +159,14 @@ def _pieces(arm: ArmResponse, segments: Segments, path, passes: tuple[Evidence, 
     starts = np.linspace(0, len(segments) - PIECE, PIECES).astype(int)
     rows = (starts[:, None] + np.arange(PIECE)).ravel()
     time_ns = np.concatenate([[0], np.cumsum(np.diff(segments.time_ns)[rows])])
-    settling = min(PIECE // 2, int(SETTLING / np.median(segments.duration)))
+    # 3 s at the start of a piece do not count: a mode of 7 Hz and 4 % forgets how the piece began
+    settling = min(PIECE // 2, int(3.0 / np.median(segments.duration)))
     counts = (np.arange(rows.size) % PIECE >= settling) | (rows < PIECE)
     shown = tuple(
-        Evidence(ran.cubic[rows], ran.deviation[rows], None if ran.wrench is None else ran.wrench[rows])
-        for ran in (passes[0], *passes[1:][-KEPT:])
+        Evidence(
+            evidence.cubic[rows], evidence.deviation[rows], None if evidence.wrench is None else evidence.wrench[rows]
+        )
+        for evidence in (passes[0], *passes[1:][-KEPT:])
     )
     part = Segments(time_ns, segments.parts)
     return arm.cut(rows), part, path[rows], shown, np.where(counts[:, None], weight[rows], 0.0)

@@ -20,20 +20,18 @@ from kr270_milling.physics.compensation.settings import CompensationSettings
 
 __all__ = ["Compensator", "noise_floor", "remaining_error"]
 
-#: a pass that improves the largest error by less than this share, or by less than LEAST_STEP, ends the learning
-LEAST_GAIN = 0.01
-LEAST_STEP = 0.05e-6  #: [m]
+LEAST_STEP = 0.05e-6  #: [m]: an improvement of the largest error by less, or by less than 1 %, ends the learning
 
 
-def remaining_error(target: Trajectory, ran: PassRecord) -> float:
+def remaining_error(target: Trajectory, record: PassRecord) -> float:
     """Largest distance [m] of the tool from the target path, across the feed, over the scored part of a pass.
 
     A noisy measurement is replaced by its least-squares spline on the knots of the target.
     """
-    error = ran.position - target.sample(ran.time_ns)
-    if ran.noise:
-        error = _smoothed(target.time, ran.time_ns * 1e-9, error)
-    time, error = ran.time_ns[ran.scored], error[ran.scored]
+    error = record.position - target.sample(record.time_ns)
+    if record.noise:
+        error = _smoothed(target.time, record.time_ns * 1e-9, error)
+    time, error = record.time_ns[record.scored], error[record.scored]
     feed = target.sample_velocity(time)
     unit = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-300)
     across = error - np.sum(error * unit, axis=1, keepdims=True) * unit
@@ -48,9 +46,9 @@ def _smoothed(knots: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.nda
     return make_lsq_spline(time, values, breaks)(time)
 
 
-def noise_floor(target: Trajectory, ran: PassRecord) -> float:
+def noise_floor(target: Trajectory, record: PassRecord) -> float:
     """Standard deviation [m] that the noise gives to ``remaining_error``, of a spline on the knots of the target."""
-    return ran.noise * math.sqrt(len(target) / max(len(target), ran.time_ns.size))
+    return record.noise * math.sqrt(len(target) / max(len(target), record.time_ns.size))
 
 
 class Compensator:
@@ -130,12 +128,12 @@ class Compensator:
         """[m], what max_correction took away from the largest correction."""
         return max((part.missing for part in self.limited if part.kind == "size"), default=0.0)
 
-    def revise(self, ran: PassRecord) -> Trajectory:
+    def revise(self, record: PassRecord) -> Trajectory:
         """Return the reference for the next pass from the pass along the present one; raise RevisionError."""
         if not self.errors and self.reference is self.target:
-            self.first = ran
-        self.errors += (remaining_error(self.target, ran),)
-        if self.repeats and self._is_best(ran):
+            self.first = record
+        self.errors += (remaining_error(self.target, record),)
+        if self.repeats and self._is_best(record):
             self.finished = True
             _, self.reference, self.limited = self._best
             if len(self.errors) > 1 and self.reference is self.target:
@@ -144,11 +142,13 @@ class Compensator:
         parameters, target = self.parameters, self.target
         bounds = Bounds(parameters.max_correction, parameters.max_change_per_tick, parameters.tick)
         task = RevisionTask(
-            target, self.reference, ran, self.models, parameters.criterion, parameters.smooth, self.learner
+            target, self.reference, record, self.models, parameters.criterion, parameters.smooth, self.learner
         )
-        made = self.chosen.revise(task)
-        self.learner = made.learner
-        self.reference, self.limited = corrected(target, made.offset, made.smooth, bounds, quaternion=made.quaternion)
+        correction = self.chosen.revise(task)
+        self.learner = correction.learner
+        self.reference, self.limited = corrected(
+            target, correction.offset, correction.smooth, bounds, quaternion=correction.quaternion
+        )
         if self.learner is not None:
             self._refuse_worse(self.learner)
         return self.reference
@@ -163,17 +163,17 @@ class Compensator:
                 f"{1e6 * none:.3g} um: no correction is made"
             )
 
-    def _is_best(self, ran: PassRecord) -> bool:
+    def _is_best(self, record: PassRecord) -> bool:
         """Return whether the best reference so far is not worth another revision.
 
-        Of passes that differ by less than the noise the later one is better, because it follows from more passes. One
+        If passes differ by less than the noise, the later pass is better, because it follows from more passes. One
         such pass may be bad luck, so a noisy measurement needs two passes in a row without improvement.
         """
-        error, best, floor = self.errors[-1], self._best[0], noise_floor(self.target, ran)
+        error, best, floor = self.errors[-1], self._best[0], noise_floor(self.target, record)
         first = len(self.errors) == 1
         if first or error < (best + floor if best < self.errors[0] else best):
             self._best = (min(error, best), self.reference, self.limited)
-        worth = first or best - error > max(LEAST_GAIN * best, LEAST_STEP, floor)
+        worth = first or best - error > max(0.01 * best, LEAST_STEP, floor)
         self._in_vain = 0 if worth else self._in_vain + 1
         return self.finished or self._in_vain > bool(floor) or len(self.errors) > self.parameters.max_passes
 

@@ -27,10 +27,8 @@ from kr270_milling.physics.compensation.response import ArmResponse, Segments
 __all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitions", "units"]
 
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
-ROUNDS = 40  #: most reweightings
 STEPS = 30  #: most conjugate gradients
-CLOSE = 1.02  #: the largest deviation is within 2 % of the least possible one: it is good enough
-TINY = 1e-12  #: of the trace: keeps what no sample sees from making a matrix singular
+TINY = 1e-12  #: share of the trace: keeps numbers that no sample shows from making a matrix singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +40,7 @@ class KnotConditions:
     fixed: np.ndarray  #: (m,) bool: the target rests along the whole segment, and so does the correction
 
     def cut(self, part: slice) -> KnotConditions:
-        """Those of the segments of ``part``."""
+        """Return the conditions of the segments of ``part``."""
         return KnotConditions(self.smooth, self.resting[part.start : part.stop + 1], self.fixed[part])
 
 
@@ -97,7 +95,7 @@ class Lifted:
 
         def go_back(part: slice, later: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             """Policy and push of a block; P and p of its last knot become those of its first."""
-            output, step, given, free = self._matrices(part)
+            output, step, from_state, free = self._matrices(part)
             weighted = np.swapaxes(output, -1, -2) @ weight[part]
             cost = np.sum(weighted @ output, axis=1)
             slope = np.sum(weighted @ deviation[part, ..., None], axis=1)[..., 0]
@@ -106,7 +104,7 @@ class Lifted:
             if self.smooth:  # weight of j
                 cost[:, 2 * r + 9 :, 2 * r + 9 :] += smoothness * np.eye(3)
             policy, push = np.zeros((len(step), CONTROLS, size)), np.zeros((len(step), CONTROLS))
-            _backward(cost, slope, step, given, free, bend, later, linear, policy, push)
+            _backward(cost, slope, step, from_state, free, bend, later, linear, policy, push)
             return policy, push
 
         ends = []  # P and p of the last knot of each block
@@ -121,9 +119,9 @@ class Lifted:
         for part in blocks:
             end = ends.pop()
             policy, push = first if part.start == 0 else go_back(part, *end)
-            output, step, given, free = self._matrices(part)
+            output, step, from_state, free = self._matrices(part)
             local = np.zeros((len(step), 2 * r + 12))
-            _forward(step, given, free, policy, push, state, local)
+            _forward(step, from_state, free, policy, push, state, local)
             left[part] += (output @ local[:, None, :, None])[..., 0]
             cubic[part] = (local * self._unit)[:, 2 * r :].reshape(-1, 4, 3)
         return LiftedCorrection(cubic, left)
@@ -142,7 +140,7 @@ class Lifted:
         segments, n = self._segments, len(plants)
 
         def slope(cubic: np.ndarray, share: float) -> np.ndarray:
-            """Of half the cost by the cubics, with this share of the deviations."""
+            """Slope of half the cost by the cubics, with this share of the deviations."""
             total = self._roughness(cubic, smoothness)
             for arm, deviation in plants:
                 left = share * deviation + arm.follow(segments, cubic)
@@ -183,13 +181,14 @@ class Lifted:
         """
         share, least = np.ones(scored.shape), np.inf
         best: LiftedCorrection | None = None
-        for _ in range(ROUNDS if scored.any() else 1):
+        for _ in range(40 if scored.any() else 1):  # most reweightings
             solution = self.least_squares(deviation, weight * share[..., None, None], smoothness)
             size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", solution.left, weight, solution.left))[scored]
             if best is None or size.max() < least:
                 best, least = solution, float(size.max(initial=0.0))
             now = share[scored]
-            if size.max(initial=0.0) < TINY or least <= CLOSE * np.sqrt(np.sum(now * size**2) / np.sum(now)):
+            # a largest deviation within 2 % of the least possible one is good enough
+            if size.max(initial=0.0) < TINY or least <= 1.02 * np.sqrt(np.sum(now * size**2) / np.sum(now)):
                 break
             now = now * size / size.max()
             share[scored] = np.maximum(now / now.mean(), 1e-4)
@@ -197,7 +196,7 @@ class Lifted:
 
 
 @njit(cache=True, error_model="numpy")
-def _backward(cost, slope, step, given, free, bend, later, linear, policy, push):
+def _backward(cost, slope, step, from_state, free, bend, later, linear, policy, push):
     """Fill the best free numbers of each segment, policy x + push; P and p of the last knot become those of the first.
 
     bend: cost of the change of slope of straight lines, (x + CONTROLS, x + CONTROLS); 0: none.
@@ -206,7 +205,7 @@ def _backward(cost, slope, step, given, free, bend, later, linear, policy, push)
     both, block = np.zeros((step.shape[2], size + count)), np.zeros((count, count))
     right = np.zeros((count, size + 1))
     for k in range(len(step) - 1, -1, -1):
-        both[:, :size], both[:, size:] = given[k], free[k]
+        both[:, :size], both[:, size:] = from_state[k], free[k]
         total = both.T @ ((cost[k] + step[k].T @ (later @ step[k])) @ both)
         gradient = both.T @ (slope[k] + step[k].T @ linear)
         if np.any(free[k]):
@@ -225,10 +224,10 @@ def _backward(cost, slope, step, given, free, bend, later, linear, policy, push)
 
 
 @njit(cache=True, error_model="numpy")
-def _forward(step, given, free, policy, push, state, local):
+def _forward(step, from_state, free, policy, push, state, local):
     """Fill y of each segment, from the state at its first knot, which becomes that of the last knot."""
     for k in range(len(step)):
-        local[k] = given[k] @ state + free[k] @ (policy[k] @ state + push[k])
+        local[k] = from_state[k] @ state + free[k] @ (policy[k] @ state + push[k])
         state[:] = step[k] @ local[k]
 
 
@@ -277,13 +276,13 @@ def choices(
     first: the segments are those from the first knot of the path on.
     """
     m, r = len(segments), arm.order
-    given, free = np.zeros((m, 2 * r + 12, 2 * r + 9)), np.zeros((m, 2 * r + 12, CONTROLS))
-    given[:, : 2 * r + 3, : 2 * r + 3] = np.eye(2 * r + 3)
+    from_state, free = np.zeros((m, 2 * r + 12, 2 * r + 9)), np.zeros((m, 2 * r + 12, CONTROLS))
+    from_state[:, : 2 * r + 3, : 2 * r + 3] = np.eye(2 * r + 3)
     if conditions.smooth:
-        _smooth(given, free, segments.duration * unit[2 * r + 3], conditions, r)
+        _smooth(from_state, free, segments.duration * unit[2 * r + 3], conditions, r)
     else:
-        _straight(given, free, conditions, _jump(arm, unit), r, first)
-    return given, free
+        _straight(from_state, free, conditions, _jump(arm, unit), r, first)
+    return from_state, free
 
 
 def first_state(arm: ArmResponse, conditions: KnotConditions, unit: np.ndarray) -> np.ndarray:
@@ -303,22 +302,22 @@ def _jump(arm: ArmResponse, unit: np.ndarray) -> np.ndarray:
     return -arm.inward * (unit[2 * r + 3] / unit[r : 2 * r, None]) if arm.moves else np.zeros(arm.inward.shape)
 
 
-def _smooth(given, free, time, conditions: KnotConditions, r: int) -> None:
+def _smooth(from_state, free, time, conditions: KnotConditions, r: int) -> None:
     v, a, j = (slice(2 * r + 3 * i, 2 * r + 3 * i + 3) for i in (1, 2, 3))
     moving, rests, stops = ~conditions.fixed, conditions.resting[:-1], conditions.resting[1:]
-    given[moving & ~rests, v, v] = given[moving & ~rests, a, a] = np.eye(3)
+    from_state[moving & ~rests, v, v] = from_state[moving & ~rests, a, a] = np.eye(3)
     free[moving & rests, a, 3:] = np.eye(3)  # a free bend after a stop
     k, time = moving & stops, time[moving & stops, None, None]  # v + a t + j t^2 / 2 = 0
-    given[k, j] = -2.0 / time**2 * (given[k, v] + time * given[k, a])
+    from_state[k, j] = -2.0 / time**2 * (from_state[k, v] + time * from_state[k, a])
     free[k, j] = -2.0 / time * free[k, a]
     free[moving & ~stops, j, :3] = np.eye(3)
 
 
-def _straight(given, free, conditions: KnotConditions, jump: np.ndarray, r: int, first: bool) -> None:
+def _straight(from_state, free, conditions: KnotConditions, jump: np.ndarray, r: int, first: bool) -> None:
     v, rate = slice(2 * r + 3, 2 * r + 6), slice(r, 2 * r)
-    corner = np.arange(len(given)) >= int(first)
-    given[~corner, v, v] = np.eye(3)
-    given[corner, rate, v] = -jump[corner]  # at a corner u' jumps by -dv
+    corner = np.arange(len(from_state)) >= int(first)
+    from_state[~corner, v, v] = np.eye(3)
+    from_state[corner, rate, v] = -jump[corner]  # at a corner u' jumps by -dv
     k = corner & ~conditions.fixed
     free[k, v, :3] = np.eye(3)
     free[k, rate, :3] = jump[k]

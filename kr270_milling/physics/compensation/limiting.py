@@ -8,12 +8,10 @@ import numpy as np
 
 __all__ = ["UNBOUNDED", "Bounds", "Limited", "describe", "limit_change"]
 
-NOTHING = 1e-9  #: [m] less missing of a correction is no limitation
-
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a correction is limited to."""
+    """Limits of a correction."""
 
     max_correction: float = np.inf  #: [m]
     max_change: float = np.inf  #: [m], within each tick
@@ -42,8 +40,8 @@ class Limited:
         A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
         in a tick goes with f^3.
         """
-        made = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
-        return made ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
+        remaining = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
+        return remaining ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
 
     @property
     def sentence(self) -> str:
@@ -81,10 +79,11 @@ def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
     return followed
 
 
-def describe(kind: str, time: np.ndarray, wanted: np.ndarray, made: np.ndarray) -> tuple[Limited, ...]:
-    """One Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
-    missing, size = np.linalg.norm(wanted - made, axis=1), np.linalg.norm(wanted, axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > NOTHING, [0]]))).reshape(-1, 2)
+def describe(kind: str, time: np.ndarray, wanted: np.ndarray, allowed: np.ndarray) -> tuple[Limited, ...]:
+    """Return a Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
+    missing, size = np.linalg.norm(wanted - allowed, axis=1), np.linalg.norm(wanted, axis=1)
+    # 1 nm less of a correction is no limitation
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > 1e-9, [0]]))).reshape(-1, 2)
     worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]
     return tuple(
         Limited(kind, start + 1, stop, k + 1, float(time[k]), float(size[k]), float(missing[k]))

@@ -24,12 +24,12 @@ class RevisionTask:
     """The input of one revision."""
 
     target: Trajectory
-    reference: Trajectory  #: of the last pass
+    reference: Trajectory  #: reference of the last pass
     ran: PassRecord  #: the last pass
     models: CellModels
     criterion: str  #: "min_max" or "least_squares", of methods that minimise
     smooth: bool  #: a spline joins the knots, of methods that can do both
-    learner: Learner | None  #: of the last revision by this method
+    learner: Learner | None  #: learner of the last revision by this method
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +50,15 @@ class Method(Protocol):
 
     @property
     def repeats(self) -> bool:
-        """Whether passes and revisions continue until a pass brings no improvement."""
+        """Return whether passes and revisions continue until a pass brings no improvement."""
 
     @property
     def smooth(self) -> bool:
-        """Whether the reference is smooth between the knots, so that a robot program runs it as SPLINE."""
+        """Return whether the reference is smooth between the knots, so that a robot program runs it as SPLINE."""
 
     @property
     def recommended(self) -> bool:
-        """Whether ``best`` and the verdict compare it; a method of another package need not state it."""
+        """Return whether ``best`` and the verdict compare it; a method of another package need not state it."""
 
     def revise(self, task: RevisionTask) -> Correction:
         """Return the correction for the next pass; raise RevisionError where the pass does not allow one."""

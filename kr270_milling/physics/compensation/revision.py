@@ -15,11 +15,17 @@ from kr270_milling.path.controller_motion import block_ends, controller_motion, 
 from kr270_milling.path.trajectory import Trajectory, slerp
 from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 
-__all__ = ["KnotsError", "PassRecord", "RevisionError", "chord_error", "corrected",
-           "resting_segments", "sampled_correction"]  # fmt: skip
+__all__ = [
+    "KnotsError",
+    "PassRecord",
+    "RevisionError",
+    "chord_error",
+    "corrected",
+    "resting_segments",
+    "sampled_correction",
+]
 
-SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
-ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
+ROUNDS = 30  #: rounds of tightening the limits at the knots until the spline between them keeps them too
 
 
 class RevisionError(MillingError):
@@ -40,7 +46,7 @@ class KnotsError(RevisionError):
 
 @dataclass(frozen=True, eq=False)
 class PassRecord:
-    """Where the tool tip was in one pass, simulated, measured or recorded."""
+    """Positions of the tool tip in a pass, simulated, measured or recorded."""
 
     time_ns: np.ndarray  #: [ns], (n,), increasing
     position: np.ndarray  #: [m], (n, 3), in the frame of the trajectories
@@ -87,11 +93,11 @@ class PassRecord:
         return np.column_stack(means)
 
 
-def sampled_correction(target: Trajectory, reference: Trajectory, ran: PassRecord) -> np.ndarray:
+def sampled_correction(target: Trajectory, reference: Trajectory, record: PassRecord) -> np.ndarray:
     """c_k = -delta(t_k) [m], (k, 3), Fig. 14: the displacement of a pass along ``reference`` at the target's knots."""
-    if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
+    if len(record.time_ns) < 2 or not np.all(np.isfinite(record.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
-    return -ran.sampled_displacement(reference, target.time_ns)
+    return -record.sampled_displacement(reference, target.time_ns)
 
 
 def corrected(
@@ -114,12 +120,11 @@ def corrected(
     follows the fading load would leave a mark that no program point can remove.
     """
     ends = block_ends(target)
-    given = np.asarray(offset, float)
 
     def slopes(knots: np.ndarray) -> np.ndarray | None:
         return spline_slopes(target.time, knots, ends) if smooth else None
 
-    wanted = _rested(target, given)
+    wanted = _rested(target, np.asarray(offset, float))
     size = np.linalg.norm(wanted, axis=1, keepdims=True)
     shorter = wanted * np.minimum(1.0, bounds.max_correction / np.maximum(size, 1e-300))
     shorter = _smaller(target, shorter, slopes, bounds)
@@ -137,11 +142,12 @@ def corrected(
 def resting_segments(target: Trajectory) -> np.ndarray:
     """(k - 1,) True for segments along which the target rests."""
     still = target.standing
-    return still[1:] & still[:-1] & (np.linalg.norm(np.diff(target.position, axis=0), axis=1) < SAME_PLACE)
+    # rounding in a file moves the knots of a rest by up to 10 nm
+    return still[1:] & still[:-1] & (np.linalg.norm(np.diff(target.position, axis=0), axis=1) < 1e-8)
 
 
 def _rested(target: Trajectory, correction: np.ndarray) -> np.ndarray:
-    """One correction, the mean, for all knots of a rest of the target."""
+    """Replace the corrections of all knots of a rest of the target by their mean."""
     same = resting_segments(target)
     if not same.any():
         return correction
@@ -155,14 +161,14 @@ def _ticks(target: Trajectory, tick: float) -> np.ndarray:
     return np.rint(np.arange(0.0, target.time[-1] + tick, tick) * 1e9).astype(np.int64)
 
 
-def _smaller(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> np.ndarray:
+def _smaller(target: Trajectory, wanted: np.ndarray, slopes, bounds: Bounds) -> np.ndarray:
     """Corrections [m] of which no tick sees more than is allowed: a spline overshoots its shortened knots."""
     largest = bounds.max_correction
     if not np.isfinite(largest):
-        return given
+        return wanted
     ticks = _ticks(target, bounds.tick)
     before = np.clip(np.searchsorted(target.time_ns, ticks, side="right") - 1, 0, len(target) - 2)
-    knots = given
+    knots = wanted
     for _ in range(ROUNDS):
         size = np.linalg.norm(target.with_position(knots, slopes(knots)).sample(ticks), axis=1)
         over = size > largest * (1.0 + 1e-9)
@@ -175,14 +181,14 @@ def _smaller(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> n
     return knots * (largest / size.max())
 
 
-def _slower(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> np.ndarray:
+def _slower(target: Trajectory, wanted: np.ndarray, slopes, bounds: Bounds) -> np.ndarray:
     """Corrections [m] that change by no more than is allowed in a tick; slopes(knots): those of the spline, or None."""
     max_change = bounds.max_change
     if not np.isfinite(max_change):
-        return given
+        return wanted
     ticks = _ticks(target, bounds.tick)
     first, last = (target.locate(t)[0] for t in (ticks[:-1], np.minimum(ticks[1:], target.duration_ns) - 1))
-    knots, most = given, np.diff(target.time) * (max_change / bounds.tick)
+    knots, most = wanted, np.diff(target.time) * (max_change / bounds.tick)
     for tried in range(ROUNDS):
         run = target.with_position(knots, slopes(knots))
         change = np.linalg.norm(np.diff(run.sample(ticks), axis=0), axis=1)
@@ -191,7 +197,7 @@ def _slower(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> np
             return knots
         for segment in (first, last) if tried else ():
             np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
-        knots = limit_change(given, most)
+        knots = limit_change(wanted, most)
     return knots * (max_change / change.max())  # the slope of a spline scales with its height
 
 

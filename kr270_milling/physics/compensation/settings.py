@@ -55,5 +55,5 @@ class CompensationSettings(Record):
 
     @property
     def smooth(self) -> bool:
-        """Whether a spline joins the knots of methods that use the response of the arm."""
+        """Return whether a spline joins the knots of methods that use the response of the arm."""
         return self.interpolation == "spline"

@@ -11,7 +11,28 @@ from kr270_milling.physics.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = [
-    "AL7075_T6", "KLIMCHIK2014", "LAWS", "NO_FORCES", "Cut", "CutModel", "Cutting", "EngagementCut", "ForceLaw",
-    "FractionalLaw", "GridError", "LinearEdgeLaw", "Params", "State", "Stock", "SweepError", "Tool", "UndoError",
-    "fractional", "linear_edge", "make_params", "make_state", "sweep", "undo",
-]  # fmt: skip
+    "AL7075_T6",
+    "KLIMCHIK2014",
+    "LAWS",
+    "NO_FORCES",
+    "Cut",
+    "CutModel",
+    "Cutting",
+    "EngagementCut",
+    "ForceLaw",
+    "FractionalLaw",
+    "GridError",
+    "LinearEdgeLaw",
+    "Params",
+    "State",
+    "Stock",
+    "SweepError",
+    "Tool",
+    "UndoError",
+    "fractional",
+    "linear_edge",
+    "make_params",
+    "make_state",
+    "sweep",
+    "undo",
+]

@@ -1,4 +1,4 @@
-"""One workpiece under one tool: poses in, wrenches out."""
+"""Cut of a workpiece by a tool: poses in, wrenches out."""
 
 from __future__ import annotations
 
@@ -34,8 +34,6 @@ from kr270_milling.physics.cutting.sweep import NO_FORCES
 from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = ["Cut", "CutModel", "EngagementCut", "SweepError", "UndoError"]
-
-MOST_NODES = 400  #: of a map along the longer side of the stock
 
 
 class UndoError(MillingError):
@@ -173,8 +171,8 @@ class CutModel:
 
     @property
     def map_thinning(self) -> int:
-        """One node in so many each way is in ``map_heights``."""
-        return max(1, round(max(self.stock.nodes) / MOST_NODES))
+        """Nodes of the grid from one node of ``map_heights`` to the next."""
+        return max(1, round(max(self.stock.nodes) / 400))
 
     def map_heights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``heights`` of the whole stock, thinned to some 400 nodes along its longer side."""

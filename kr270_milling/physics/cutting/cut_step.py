@@ -1,4 +1,4 @@
-"""One step of whichever cutting model a state belongs to, for compiled loops: chosen by type when they are compiled."""
+"""Step of a cutting model for compiled loops; the type of the state chooses the model at compilation."""
 
 from __future__ import annotations
 

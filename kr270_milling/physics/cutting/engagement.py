@@ -65,16 +65,12 @@ SECTORS = 18  # bins of a whole turn below a sinking tool, whose force is nearly
 SINES = 4096  # entries of the table ``front`` from one side of the tool to the other
 BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of a node reach beyond the sides
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
-END_NODES = 0.4  # nodes across the feed in the outermost bins
 FAR = 1e9  # [nodes], beyond every grid
-LONGEST = 0.25  # of the radius: a longer move is divided
+LONGEST = 0.25  # share of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
-SLIGHT = 0.1  # of the move: what a tool sinks below that, its rim ahead removes with the crescent
 BLOCK = 16  # nodes, a power of two
 NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
 NEAR = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
-KEPT = 0.9  # assumed: share of an earlier contact that still counts; a tool that swings meets the whole floor again
-HALVINGS = 20  # of the interval in which a rise is searched: from 1 mm to 1 nm
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
 # Places in EngagementState.ints
@@ -83,9 +79,9 @@ FLOORS_KNOWN = 6  # rows in use of ``floors``
 FLOORS_KEPT = 8  # of these rows, the first ones that the last step has not changed
 FLOOR_NEAR = 9  # deepest level to which a footprint near the present one is cut (-1: not known)
 # Places in EngagementState.load, after wrench and torque
-THRUST = 7  # of the end edges [N]
+THRUST = 7  # thrust of the end edges [N]
 CONTACT = 8  # mean length of all end edges on the floor when the tool last went below FLOOR_NEAR [m]
-RISE = 9  # of the tip above the predicted pose [m]
+RISE = 9  # rise of the tip above the predicted pose [m]
 
 
 class EngagementParams(NamedTuple):
@@ -97,8 +93,8 @@ class EngagementParams(NamedTuple):
     micro_step: float  # [rad]
     lag: float  # [rad]: half a pitch, after which on average a tooth cuts what the footprint covers
     twist: float  # [rad/m], further lag of the edge by height above the tip
-    spacing: float  # of nodes
-    origin_x: float  # of node 0
+    spacing: float  # distance of nodes
+    origin_x: float  # place of node 0
     origin_y: float
     nx: int
     ny: int
@@ -106,11 +102,11 @@ class EngagementParams(NamedTuple):
     thickness: float
     level_step: float
     law: int  # address of the compiled force law, see ``force_law.call_law``
-    coefficients: np.ndarray  # of the law [SI], (p,)
-    end_share: float  # of the end edge that presses on the floor
+    coefficients: np.ndarray  # coefficients of the law [SI], (p,)
+    end_share: float  # share of the end edge that presses on the floor
     edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
-    give: float  # of the predicted tip along z in a step [m/N]; 0: poses are not predicted
-    moments: bool  # whether forces turn the tool about its tip
+    give: float  # compliance of the predicted tip along z in a step [m/N]; 0: poses are not predicted
+    moments: bool  # forces turn the tool about its tip
     front: np.ndarray  # int16, (SINES + 2 BEYOND,): front bin by BEYOND + SINES (1 + sin(phi)) / 2
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
     inverse: np.ndarray  # float32, same shape: mean of R / r over the nodes of a block, by the middle of the block
@@ -192,7 +188,8 @@ def _tables(radius: float, spacing: float, bins: int) -> dict:
     window = np.pad(np.ones(BLOCK - 1), 1, constant_values=0.5) / BLOCK  # half of the axis to either side
     inverse = np.stack([np.convolve(row, window, "valid") for row in 1.0 / far])
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
-    last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * spacing / radius)))
+    # nodes across the feed in the outermost bins
+    last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - 0.4 * spacing / radius)))
     inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
     edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
     middles = 0.5 * (edges[1:] + edges[:-1])
@@ -275,9 +272,17 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
         part = _part(
-            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, start + a * dz, pose_from[0] + b * dx,
-            pose_from[1] + b * dy, start + b * dz, passes, wrench,
-        )  # fmt: skip
+            s,
+            p,
+            pose_from[0] + a * dx,
+            pose_from[1] + a * dy,
+            start + a * dz,
+            pose_from[0] + b * dx,
+            pose_from[1] + b * dy,
+            start + b * dz,
+            passes,
+            wrench,
+        )
         torque += part[0]
         height += part[1]
         thrust += part[2]
@@ -314,7 +319,7 @@ def _rise(s, p, z, passes, give):
         return 0.0
     sinks = p.top - s.ints[FLOOR_NEAR] * p.level_step - z
     low, high = -give * s.load[THRUST], sinks
-    for _ in range(HALVINGS if low < high else 0):
+    for _ in range(20 if low < high else 0):  # halve the interval of the rise from 1 mm to 1 nm
         rise = 0.5 * (low + high)
         thrust = s.load[CONTACT] * end_force(p, (sinks - rise) / passes)[1]
         if rise < give * (thrust - s.load[THRUST]):
@@ -326,7 +331,7 @@ def _rise(s, p, z, passes, give):
 
 @inlined
 def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    """One straight move of at most a quarter of the radius: first down, then level; returns torque, height, thrust.
+    """Cut along a straight move of at most a quarter of the radius: down, then level; return torque, height, thrust.
 
     A tool that sinks is as low as at the end, a tool that rises as high as in the middle of the move.
     """
@@ -344,7 +349,8 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
         for k in range(SECTORS):
             s.sunk[k, 0] = s.sunk[k, 1] = s.sunk[k, 2] = 0.0
         cut_x, cut_y = _cut_before(s, level)
-        slight = m > 0.5 * p.spacing and (level - s.ints[FLOOR_LEVEL]) * p.level_step < SLIGHT * m
+        # where a tool sinks by less than a tenth of the move, its rim ahead removes the layer with the crescent
+        slight = m > 0.5 * p.spacing and (level - s.ints[FLOOR_LEVEL]) * p.level_step < 0.1 * m
         to_middle = 0.5 * m if slight else FAR
         _clear(s, p, cut_x, cut_y, x0, y0, level, True, to_middle, ahead_x, ahead_y)
     if m > 0.0:
@@ -385,11 +391,13 @@ def _level(p, z):
 
 @inlined
 def _outside(p, x, y):
-    """Whether the footprint of the tool misses the stock."""
+    """Return whether the footprint of the tool misses the stock."""
     return (
-        x + p.radius < p.origin_x - p.spacing or x - p.radius > p.origin_x + p.nx * p.spacing
-        or y + p.radius < p.origin_y - p.spacing or y - p.radius > p.origin_y + p.ny * p.spacing
-    )  # fmt: skip
+        x + p.radius < p.origin_x - p.spacing
+        or x - p.radius > p.origin_x + p.nx * p.spacing
+        or y + p.radius < p.origin_y - p.spacing
+        or y - p.radius > p.origin_y + p.ny * p.spacing
+    )
 
 
 @inlined
@@ -441,7 +449,7 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
 
 @inlined
 def _any_wanted(low, high, ahead_y, along, sinking):
-    """Whether a node j of low..high is ahead; for a sinking tool, whether one is not."""
+    """Return whether a node j of low..high is ahead; for a sinking tool, whether a node is not ahead."""
     a, b = low * ahead_y, high * ahead_y
     return min(a, b) <= along if sinking else max(a, b) > along
 
@@ -641,7 +649,8 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
             turning += f_t * moment
             layers, contact = layers + volume, contact + length
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
-        s.load[CONTACT] = max(contact, KEPT * s.load[CONTACT])
+        # assumed: 90 % of an earlier contact still count; a tool that swings meets the whole floor again
+        s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
     torque, total = torque + turning, total + layers
     wrench[0] += ahead_x * local_x - ahead_y * local_y + side_x
     wrench[1] += ahead_y * local_x + ahead_x * local_y + side_y

@@ -18,7 +18,6 @@ from kr270_milling.physics.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED,
 SLACK = 1e-9
 MOST_SUMMED = 65_520  # nodes, of up to 65535 levels each; whole LANES
 COLUMNS = np.arange(float(BLOCK))
-VECTOR = 32  # nodes from which on it pays to look first whether anything is left
 
 
 @inlined
@@ -32,10 +31,10 @@ def tally_log(ints, old, tally, level):
     for n in range(LANES):
         old[end + np.uint64(n)] = np.uint16(LEVELS)
     deepest = np.uint16(level)
-    for done in range(np.uint64(0), whole, np.uint64(MOST_SUMMED)):  # so many at a time that their sum fits 32 bits
-        stop = min(whole, done + np.uint64(MOST_SUMMED))
+    for first in range(np.uint64(0), whole, np.uint64(MOST_SUMMED)):  # so many at a time that their sum fits 32 bits
+        stop = min(whole, first + np.uint64(MOST_SUMMED))
         count, new, most, deficit = np.uint16(0), np.uint16(0), np.uint16(0), np.uint32(0)
-        for n in range(done, stop):  # each sum is cut to its width at once, since more lanes then fit a register
+        for n in range(first, stop):  # each sum is cut to its width at once, since more lanes then fit a register
             left = np.uint16(deepest - min(old[begin + n], deepest))
             count = np.uint16(count + np.uint16(left > 0))
             new = np.uint16(new + np.uint16(left == deepest))
@@ -75,7 +74,8 @@ def _clear_columns(pool, table, ints, runs, old, tally, spans, first, count, low
                     break
             length = np.uint64(jb - ja) + np.uint64(1)
             start = np.uint64(slot) << np.uint64(16) | (column + np.uint64(n)) << np.uint64(8) | np.uint64(ja - begin)
-            if length >= VECTOR and not any_above(pool, start, length, level):
+            # from 32 nodes on it pays to look first whether anything is left
+            if length >= 32 and not any_above(pool, start, length, level):
                 continue
             if logged + length > room or logged_runs == most_runs:
                 ints[LOGGED] = logged
@@ -103,10 +103,10 @@ def _take_tile(pool, table, ints, tile_x, tile_y):
 @inlined
 def _lower(pool, old, start, logged, length, level):
     """The innermost loop; unsigned numbers, because an index that cannot count from the end costs less."""
-    done, lanes = np.uint64(0), np.uint64(LANES)
-    while done < length:
-        lower_lanes(pool, start + done, old, logged + done, np.uint16(min(length - done, lanes)), level)
-        done += lanes
+    first, lanes = np.uint64(0), np.uint64(LANES)
+    while first < length:
+        lower_lanes(pool, start + first, old, logged + first, np.uint16(min(length - first, lanes)), level)
+        first += lanes
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""What a force law is: coefficients, one compiled function, and what fits, scatters and shows them.
+"""Force laws: coefficients, one compiled function, and the methods that fit, scatter and show them.
 
 A law is a subclass of ``ForceLaw`` and a row of ``laws.LAWS``; no other file asks for the name of a law.
 """
@@ -23,7 +23,6 @@ __all__ = ["Cuts", "ForceLaw", "ChartLine", "call_law"]
 FORCES = types.UniTuple(types.float64, 3)
 SIGNATURE = FORCES(types.float64, types.CPointer(types.float64))
 POINTS = np.polynomial.legendre.leggauss(48)
-SLOPE_STEP = 1e-3  #: share of the chip thickness over which a law is differentiated
 
 
 class Cuts(Protocol):
@@ -82,7 +81,7 @@ class ForceLaw(Record):
 
     @property
     def axial(self) -> bool:
-        """Whether the law has an axial force."""
+        """Return whether the law has an axial force."""
         return any(getattr(self, name) != 0.0 for name in self.axial_names)
 
     def grown(self, factor: float) -> ForceLaw:
@@ -92,7 +91,7 @@ class ForceLaw(Record):
 
     @classmethod
     def fault(cls) -> str:
-        """What the attributes of the class contradict, in one sentence; empty where they fit."""
+        """Return a sentence on attributes of the class that contradict each other; empty where they fit."""
         names = [spec.name for spec in specs(cls)]
         unknown = [name for name in (*cls.scattered, *cls.axial_names) if name not in names]
         if unknown:
@@ -105,7 +104,7 @@ class ForceLaw(Record):
 
     @classmethod
     def address(cls) -> int:
-        """Where the compiled ``force`` is in the memory of this process; see ``_call_law``."""
+        """Return the address of the compiled ``force`` in the memory of this process; see ``_call_law``."""
         return _compiled(cls.force).address
 
     def per_depth(self, h) -> tuple:
@@ -117,7 +116,7 @@ class ForceLaw(Record):
 
     def slopes(self, h: np.ndarray) -> tuple:
         """K = dF / dh / a_p [N/m^2], tangential, radial and axial, by a central difference; h [m] > 0."""
-        step = SLOPE_STEP * h
+        step = 1e-3 * h  # the central difference spans 0.2 % of the chip thickness
         above, below = self.per_depth(h + step), self.per_depth(h - step)
         return tuple((a - b) / (2 * step) for a, b in zip(above, below, strict=True))
 

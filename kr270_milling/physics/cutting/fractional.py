@@ -69,12 +69,14 @@ class FractionalLaw(ForceLaw):
     def assumptions(self, feed_per_tooth: float) -> list[tuple[str, str, str]]:
         force = float(self.per_depth(feed_per_tooth)[0]) * 1e-3  # [N per mm of depth]
         printed = force * READING_DEPTH * 1e-3 / self.specific_chip_thickness  # (26) to the letter [kN per mm of depth]
-        return [(
-            "reading of (26)",
-            f"k_0 per millimetre of depth: {force:.1f} N per mm of depth at h = {feed_per_tooth * 1e6:.0f} µm",
-            f"As printed, k_0 ψ(h/h_s) a_p gives {printed:.1f} kN per mm of depth for one tooth, which would bend the "
-            "arm by millimetres. F_t = k_0 h_s ψ(h/h_s) a_p / (1 mm) is the reading of ordinary size.",
-        )]  # fmt: skip
+        return [
+            (
+                "reading of (26)",
+                f"k_0 per millimetre of depth: {force:.1f} N per mm of depth at h = {feed_per_tooth * 1e6:.0f} µm",
+                f"As printed, k_0 ψ(h/h_s) a_p gives {printed:.1f} kN per mm of depth for one tooth, which would bend "
+                "the arm by millimetres. F_t = k_0 h_s ψ(h/h_s) a_p / (1 mm) is the reading of ordinary size.",
+            )
+        ]
 
 
 KLIMCHIK2014 = FractionalLaw(5e6, 18e-6, 0.1, 0.3)  #: [Klimchik2014], section 6

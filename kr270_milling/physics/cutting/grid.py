@@ -18,8 +18,6 @@ __all__ = ["Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
 
 TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
 LEVELS = 65535
-MAX_TABLE = 1 << 24  # tiles that a stock may have, used or not: 4 bytes each
-NODES_PER_RADIUS = 50  #: of a tool, in the coarse grid of the mean-force model, at least
 MAX_TILES = 32768  # of 128 KiB each; a node's place in the pool then fits an int32
 
 
@@ -41,9 +39,12 @@ class Stock(Record):
     max: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="upper corner in the workpiece frame")
     grid_step: float = parameter(10e-6, unit="um", low=0.5, high=1000.0, text="distance of grid nodes, ds")
     engagement_step: float = parameter(
-        200e-6, unit="um", low=0.5, high=1000.0,
+        200e-6,
+        unit="um",
+        low=0.5,
+        high=1000.0,
         text="distance of grid nodes where cutting.detail is engagement; at most 1/50 of the radius of the tool",
-    )  # fmt: skip
+    )
     floor_tolerance: float = parameter(
         2e-6, unit="um", low=0.0, high=100.0, text="how far the tool may sink before its whole footprint is cut again"
     )
@@ -51,12 +52,14 @@ class Stock(Record):
     def check(self) -> None:
         if not np.all(self.max - self.min >= [self.grid_step, self.grid_step, 1e-6]):
             raise ParameterError("max_mm", (1e3 * self.max).tolist(), "above min_mm in x, y and z by a grid step")
-        if max(self.nodes) > 2**30 or math.prod(tile_count(self)) > MAX_TABLE:
+        # the table takes 4 bytes for each tile, used or not
+        if max(self.nodes) > 2**30 or math.prod(tile_count(self)) > 1 << 24:
             raise ParameterError("grid_step_um", 1e6 * self.grid_step, "larger: the grid has too many nodes")
 
     def for_engagement(self, radius: float) -> Stock:
         """Return the stock with the grid of the mean-force model; radius [m]: of the tool."""
-        return self.replace(grid_step=min(self.engagement_step, radius / NODES_PER_RADIUS))
+        # the mean-force model needs 50 nodes in the radius of the tool
+        return self.replace(grid_step=min(self.engagement_step, radius / 50))
 
     @property
     def nodes(self) -> tuple[int, int]:

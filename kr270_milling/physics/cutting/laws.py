@@ -77,7 +77,7 @@ class Cutting(Record):
 
     @property
     def by_engagement(self) -> bool:
-        """Whether the model of the cut is the mean force of the engagement, and not the sweep of the teeth."""
+        """Return whether the model of the cut is the mean force of the engagement, and not the sweep of the teeth."""
         return self.detail == "engagement"
 
     @property
@@ -87,12 +87,12 @@ class Cutting(Record):
 
     @property
     def coefficients(self) -> np.ndarray:
-        """Of the law that applies [SI], (p,)."""
+        """Coefficients of the law that applies [SI], (p,)."""
         return self.active.coefficients
 
     @property
     def axial(self) -> bool:
-        """Whether the law has an axial force at all."""
+        """Return whether the law has an axial force at all."""
         return self.active.axial
 
     def force_per_depth(self, h):

@@ -63,12 +63,12 @@ class LinearEdgeLaw(ForceLaw):
 
         c_2 = between(lambda p: p / 2 + np.sin(2 * p) / 4)
         sc, c_1, s_1 = between(lambda p: np.sin(p) ** 2 / 2), between(np.sin), between(lambda p: -np.cos(p))
-        one, f = cuts.exit - cuts.entry, cuts.feed_per_tooth
+        arc, f = cuts.exit - cuts.entry, cuts.feed_per_tooth
         zero = np.zeros_like(f)
         rows = [
             [f * sc, s_1, -f * c_2, -c_1, zero, zero],
             [-cuts.tool.sense * term for term in (f * c_2, c_1, f * sc, s_1, zero, zero)],
-            [zero, zero, zero, zero, -f * c_1, -one],
+            [zero, zero, zero, zero, -f * c_1, -arc],
         ]
         share = cuts.tool.teeth * cuts.depth / (2 * np.pi)
         return share[:, None, None] * np.moveaxis(np.array(rows), -1, 0)

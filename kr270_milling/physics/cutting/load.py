@@ -8,7 +8,6 @@ from kr270_milling.physics.cutting.force_law import call_law
 __all__ = ["end_force", "load"]
 
 SHORT = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its square
-LEAST_SHARE = 1e-3  # of the end edge, in the thickness of its chip
 
 
 @inlined
@@ -45,7 +44,7 @@ def end_force(p, h):
     with F_t = K_tc h the torque times the speed is K_tc dV/dt for any s. The force along the edge is left out.
     An edge that is round ploughs a layer thinner than ``p.edge_radius``: the force of that layer in proportion.
     """
-    least, share = max(h, p.edge_radius), max(p.end_share, LEAST_SHARE)
+    least, share = max(h, p.edge_radius), max(p.end_share, 1e-3)  # a share of 0.1 % bounds the thickness of its chip
     f_t = call_law(p.law, least / share, p.coefficients)[0]
     f_r = call_law(p.law, least, p.coefficients)[1]
     return h / least * share * f_t, h / least * p.end_share * f_r

@@ -19,13 +19,11 @@ FILE = "materials.csv"
 NAMES = LinearEdgeLaw.result_keys()
 SCALE = np.array([spec.scale for spec in specs(LinearEdgeLaw)])  #: [N/m^2, N/m per file unit]
 TEXTS = ("material", "cutter", "lubrication", "reference")
-COLUMNS = (*TEXTS, *NAMES)
-SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """One row of the file."""
+    """A row of the file."""
 
     name: str
     cutter: str
@@ -36,11 +34,13 @@ class Material:
 
 def materials() -> list[Material]:
     """All rows, in the order of the file."""
-    table = read_table(find_file(FILE), COLUMNS, COLUMNS)
+    columns = (*TEXTS, *NAMES)
+    table = read_table(find_file(FILE), columns, columns)
     values = table.numbers(NAMES, np.nan) * SCALE
     texts = zip(*map(table.texts, TEXTS), strict=True)
+    journal = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
     return [
-        Material(name, cutter, cooling, row, f"{SOURCE}, reference [{reference}] there")
+        Material(name, cutter, cooling, row, f"{journal}, reference [{reference}] there")
         for (name, cutter, cooling, reference), row in zip(texts, values, strict=True)
     ]
 

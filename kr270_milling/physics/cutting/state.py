@@ -1,4 +1,4 @@
-"""What the sweep of the teeth reads (Params) and changes (State): plain arrays in named tuples, for compiled code."""
+"""Input (Params) and state (State) of the sweep of the teeth: plain arrays in named tuples, for compiled code."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Params(NamedTuple):
     directions: np.ndarray  # (teeth, steps + 1, 2), of each tooth at each micro-step of a revolution
     middles: np.ndarray  # (teeth, steps, 2), half a micro-step later
     radii: np.ndarray  # (teeth,)
-    shortest: float  # of the radii
+    shortest: float  # shortest radius
     pitch_steps: np.ndarray  # (teeth,), whole micro-steps to the tooth ahead
     steps: int  # micro-steps of a revolution
     sense: float
     micro_step: float  # [rad]
-    spacing: float  # of nodes
-    origin_x: float  # of node 0
+    spacing: float  # distance of nodes
+    origin_x: float  # place of node 0
     origin_y: float
     nx: int
     ny: int
@@ -57,10 +57,10 @@ class Params(NamedTuple):
     tolerance: int  # levels that the tool may sink before its footprint is swept again
     window: int  # micro-steps within which some tooth passes any point that the tool covers
     law: int  # address of the compiled force law in this process, see ``force_law.call_law``
-    coefficients: np.ndarray  # of the law [SI], (p,)
-    nominal: bool  # whether the angle of a tooth is that of the spindle alone
-    moments: bool  # whether forces turn the tool about its tip
-    end_share: float  # of the end edge that presses on the floor
+    coefficients: np.ndarray  # coefficients of the law [SI], (p,)
+    nominal: bool  # the angle of a tooth is that of the spindle alone
+    moments: bool  # forces turn the tool about its tip
+    end_share: float  # share of the end edge that presses on the floor
     edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
     lag: float  # tan(helix) per micro-step of spindle angle: an edge lags lag z / R micro-steps at z above the tip
 

@@ -26,12 +26,11 @@ from kr270_milling.physics.cutting.state import (
 __all__ = ["NO_FORCES", "sweep", "undo"]
 
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
-FAR = 0.1  # of the radius: how far the tool may move in a window for the rim band to be used
-NEAR = 0.8  # of the radius: the rim band goes no deeper
+NEAR = 0.8  # share of the radius: the rim band goes no deeper
 TURN = 1.26  # a point beyond NEAR seen from a centre that moves by x turns by at most TURN x / radius
 LEAD = 0.02  # [rad]
-END_POINTS = 64  # of the radius, at which the layer below a sinking tool is measured
-JUMP = 0.125  # of a tooth's way in a micro-step: a centre that moves further is a jump
+END_POINTS = 64  # points of the radius, at which the layer below a sinking tool is measured
+JUMP = 0.125  # share of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
 @compiled
@@ -144,20 +143,20 @@ def _remember(s, step, x, y, moved):
 
 @inlined
 def _path(s, start, end):
-    """Way of the centre between two micro-steps [m]."""
+    """Return the distance that the centre moved between two micro-steps [m]."""
     mask = s.history.shape[0] - 1
     return s.history[end & mask, 2] - s.history[start & mask, 2]
 
 
 @inlined
 def _plan(s, p, step, level):
-    """Whether teeth must sweep whole sectors now, and else the centre's way in the last window [m].
+    """Return whether a full-sector sweep is needed; otherwise the distance the centre moved in the last window [m].
 
     Only the rim is new ground if the footprint was swept before: by a run of whole sectors over one window and half a
     turn, as far as a point near the axis turns away from the teeth when the centre goes by, and from then on because
     the tool moves little in a window. A tool that sinks below the FLOOR so left needs a new run.
     """
-    far = FAR * p.shortest
+    far = 0.1 * p.shortest  # the rim band is used where the tool moves by less in a window
     if s.ints[RUN] >= 0:
         if _path(s, s.ints[RUN], step + 1) > far:
             s.ints[RUN], s.ints[RUN_LEVEL] = step, level

@@ -76,9 +76,12 @@ class Tool(Record):
     )
     # assumed: a sharp ground edge of carbide for aluminium; honed edges are rounder
     edge_radius: float = parameter(
-        3e-6, unit="um", above=0.0, high=100.0,
+        3e-6,
+        unit="um",
+        above=0.0,
+        high=100.0,
         text="roundness of the edges: the end edge presses in proportion to a layer a tooth that is thinner",
-    )  # fmt: skip
+    )
     flute_length: float = parameter(0.0, unit="mm", low=0.0, high=500.0, text="of the cutting edges; 0: not known")
     centre_cutting: bool = parameter(True, text="whether the tool can plunge straight into material")
     max_feed_per_tooth: float = parameter(

@@ -17,8 +17,8 @@ from kr270_milling.physics.robot.mass import MODELS
 
 __all__ = ["Dynamics", "MeasuredModes", "arm_model", "measured_model", "modal_models"]
 
-#: where rotation and translation of the reference cannot both be met, a radian counts as much as this way [m]:
-#: what a turn about the tool tip moves at the radius of an ordinary cutter
+#: distance [m] that counts as much as a radian, where rotation and translation of the reference cannot both be met:
+#: a turn about the tool tip moves the edge of an ordinary cutter by it
 RADIUS = 0.01
 
 

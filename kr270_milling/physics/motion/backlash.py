@@ -24,7 +24,7 @@ from numba import njit
 
 __all__ = ["NO_GAPS", "STATES", "Gaps", "cross_gaps", "flank_after", "flanks", "tool_jumps"]
 
-STATES = 18  #: of the gaps: mean wrench, flanks, first flanks
+STATES = 18  #: numbers of the state of the gaps: mean wrench, flanks, first flanks
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,15 +32,15 @@ class Gaps:
     """The gaps of six joints along a pass, at n knots; workpiece axes."""
 
     torque: np.ndarray  #: on the joints by weight and inertia [N m], (n, 6)
-    jacobian: np.ndarray  #: of the tool point [m/rad, rad/rad], (n, 6, 6)
+    jacobian: np.ndarray  #: Jacobian of the tool point [m/rad, rad/rad], (n, 6, 6)
     friction: np.ndarray  #: T [N m], (6,)
     width: np.ndarray  #: b [rad], (6,)
-    share: float  #: of the newest wrench in the mean wrench, 1 - exp(-H / T_rev)
+    share: float  #: share of the newest wrench in the mean wrench, 1 - exp(-H / T_rev)
     steps_per_knot: float  #: exchange periods from one knot to the next
 
     @property
     def arrays(self) -> tuple:
-        """What ``cross_gaps`` takes."""
+        """Arguments of ``cross_gaps``."""
         return self.torque, self.jacobian, self.friction, self.width, self.share, self.steps_per_knot
 
 
@@ -63,7 +63,7 @@ def flank_after(torque, friction, flank):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def cross_gaps(step, state, wrench, gaps, new_state, deflection):
-    """One exchange period of the gaps: fills ``new_state`` (18,) and adds to ``deflection`` (6,).
+    """Advance the gaps by an exchange period: fill ``new_state`` (18,) and add to ``deflection`` (6,).
 
     state: mean wrench, flanks, first flanks, six each; wrench (6,): of the period; gaps: ``Gaps.arrays``.
     """

@@ -27,8 +27,19 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
-__all__ = ["ArmModel", "ModalModel", "advance", "approach", "discretise", "discretise_reference", "drive", "modes",
-           "push", "reference_motion", "swing_freely"]  # fmt: skip
+__all__ = [
+    "ArmModel",
+    "ModalModel",
+    "advance",
+    "approach",
+    "discretise",
+    "discretise_reference",
+    "drive",
+    "modes",
+    "push",
+    "reference_motion",
+    "swing_freely",
+]
 
 Side = Literal["left", "right"]
 
@@ -100,22 +111,22 @@ class ArmModel:
 
     @property
     def arrays(self) -> tuple:
-        """What ``advance`` takes."""
+        """Arguments of ``advance``."""
         gaps = self.gaps.arrays
         return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot, gaps
 
     def push(
-        self, reference: Trajectory, stamps: np.ndarray, first: int = 0, course: np.ndarray | None = None
+        self, reference: Trajectory, stamps: np.ndarray, first: int = 0, positions: np.ndarray | None = None
     ) -> np.ndarray:
         """R m over each period between the stamps [ns], (periods, 2r); none, (0, 2r), for (1) as printed.
 
-        first: number of the period that begins at the first stamp; course: positions of the reference at the stamps
+        first: number of the period that begins at the first stamp; positions: of the reference at the stamps
         [m], (periods + 1, 3), where they are known already.
         """
         if not self.reference.size:
             return np.zeros((0, self.order))
         out = np.zeros((stamps.size - 1, self.order))
-        motion = reference_motion(reference, stamps, self.approach, first, course)
+        motion = reference_motion(reference, stamps, self.approach, first, positions)
         push(motion, self.reference, self.steps_per_knot, first, out)
         return out
 
@@ -207,18 +218,21 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
 
 
 def reference_motion(
-    reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None, first: int = 0,
-    course: np.ndarray | None = None,
-) -> np.ndarray:  # fmt: skip
+    reference: Trajectory,
+    stamps: np.ndarray,
+    approach: np.ndarray | None = None,
+    first: int = 0,
+    positions: np.ndarray | None = None,
+) -> np.ndarray:
     """(n, 18) over the n periods between the stamps [ns]: jump of r', r'' at the start, r'' at the end, six each.
 
     A cubic over H from rate v to w that moves by p has r'' = (6 p / H - 4 v - 2 w) / H at its start and
     (-6 p / H + 2 v + 4 w) / H where the period ends. approach: r' before the pass, (6,), for example that of the
     programmed trajectory: a straight cut enters at its feed rate. None: that of the reference itself. first: number of
-    the period that begins at the first stamp; the pass begins with period 0. course: see ``ArmModel.push``.
+    the period that begins at the first stamp; the pass begins with period 0. positions: see ``ArmModel.push``.
     """
-    course = reference.sample(stamps) if course is None else course
-    moved = np.hstack([np.diff(course, axis=0), _turns(reference, stamps)])
+    positions = reference.sample(stamps) if positions is None else positions
+    moved = np.hstack([np.diff(positions, axis=0), _turns(reference, stamps)])
     after = _rates(reference, stamps, "right")
     before = after.copy()
     if reference.velocity is None or reference.turns:  # it may have corners, at knots alone
@@ -298,7 +312,7 @@ def push(motion, response, steps_per_knot, first, out):
 
 @njit(cache=True, error_model="numpy")
 def advance(step, state, wrench, push, arrays, new_state, deflection):
-    """One exchange period of (1): fills ``new_state`` and ``deflection`` (6,) at the end of the period.
+    """Advance (1) by an exchange period: fill ``new_state`` and ``deflection`` (6,) at the end of the period.
 
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
     interpolated linearly. push (2r,): of the reference in this period, a row of ``ArmModel.push``; (0,): none.

@@ -1,4 +1,4 @@
-"""What a real cell adds to a pass and no model knows: noise of the sensors, repeatability, backlash, servo lag."""
+"""Imperfections of a real cell that no model knows: noise of the sensors, repeatability, backlash, servo lag."""
 
 from __future__ import annotations
 
@@ -13,12 +13,7 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["Imperfections"]
 
 SERVO_DAMPING = 0.7  #: assumed: ratio of the second order of the servo lag, the usual tuning without overshoot
-SERVO_STEP = 1_000_000  #: [ns], of the lagged correction
 LEAST_SERVO_FREQUENCY = 0.1  #: [Hz]; far slower motors do not follow at all, and the filter becomes singular
-MOST_SERVO_STEPS = 900_000  #: of a long path: 4 ms in an hour
-SENSOR_LEVER = 0.1  #: [m], assumed: noise of a measured moment over that of a force
-#: of a Maxwell-distributed distance with standard deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
-REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +28,28 @@ class Imperfections(Record):
         0.0, unit="um", low=0.0, high=1e4, text="position repeatability (ISO 9283): shifts each pass as a whole"
     )
     backlash: np.ndarray = parameter(
-        np.zeros(6), unit="arcsec", size=6, low=0.0, high=18000.0,
+        np.zeros(6),
+        unit="arcsec",
+        size=6,
+        low=0.0,
+        high=18000.0,
         text="backlash of each joint of this plant, which shows where the load on the joint reverses",
-    )  # fmt: skip
+    )
     servo_frequency: float = parameter(
-        0.0, unit="hz", low=0.0, high=1000.0,
+        0.0,
+        unit="hz",
+        low=0.0,
+        high=1000.0,
         text="natural frequency of the second-order lag with which the motors follow a correction, from 0.1; 0: no lag",
-    )  # fmt: skip
+    )
     servo_delay: float = parameter(0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag")
     # the rule of a controller is not public; slopes from the neighbours are assumed
     joining: float = parameter(
-        0.0, low=0.0, high=1.0,
+        0.0,
+        low=0.0,
+        high=1.0,
         text="motion between points: 0 as planned, 1 with slopes from their neighbours (SPLINE), blended corners (LIN)",
-    )  # fmt: skip
+    )
     wrench: str = parameter(
         "noisy", choices=("none", "noisy", "exact"), text="of the cut, that the compensator receives off line"
     )
@@ -66,7 +70,8 @@ class Imperfections(Record):
 
     def shift(self, number: int) -> np.ndarray:
         """[m], (3,): by how much pass ``number`` as a whole lies beside the commanded one."""
-        deviation = self.repeatability / REPEATABILITY_SPREAD
+        # distance of a Maxwell distribution with deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
+        deviation = self.repeatability / (np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi))
         return deviation * self.generator(number).standard_normal(3)
 
     def measured(self, position: np.ndarray, number: int) -> np.ndarray:
@@ -86,7 +91,8 @@ class Imperfections(Record):
             return None
         if self.wrench == "exact" or not self.wrench_noise:
             return wrench
-        size = self.wrench_noise * np.array([1.0] * 3 + [SENSOR_LEVER] * 3)
+        # assumed: the noise of a moment is that of a force times 0.1 m
+        size = self.wrench_noise * np.array([1.0] * 3 + [0.1] * 3)
         noise = np.random.default_rng([self.seed, self.first_pass + number, 1]).standard_normal(wrench.shape)
         return np.where(np.any(wrench, axis=1, keepdims=True), wrench + size * noise, 0.0)
 
@@ -98,7 +104,7 @@ class Imperfections(Record):
         """
         if not (self.servo_frequency or self.servo_delay) or reference is target:
             return reference
-        step = max(SERVO_STEP, target.duration_ns // MOST_SERVO_STEPS)
+        step = max(1_000_000, target.duration_ns // 900_000)  # 1 ms; 4 ms in an hour
         grid = np.append(np.arange(0, target.duration_ns, step), target.duration_ns)
         late = np.maximum(grid - round(1e9 * self.servo_delay), 0)
         correction = reference.sample(late) - target.sample(late)
@@ -110,9 +116,12 @@ class Imperfections(Record):
         shift, rate = (np.column_stack([np.interp(time_ns, grid, v) for v in rows.T]) for rows in (correction, rates))
         smooth = reference.velocity is not None
         return Trajectory(
-            time_ns, target.sample(time_ns) + shift, reference.sample_orientation(time_ns),
-            target.sample_velocity(time_ns) + rate if smooth else None, reference.frame,
-        )  # fmt: skip
+            time_ns,
+            target.sample(time_ns) + shift,
+            reference.sample_orientation(time_ns),
+            target.sample_velocity(time_ns) + rate if smooth else None,
+            reference.frame,
+        )
 
 
 def _second_order(rows: np.ndarray, w: float, step: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""One milling pass, Fig. 7: the arm predicts the tool's pose, the cut answers with the wrench, the arm corrects.
+"""Milling pass, Fig. 7: the arm predicts the tool's pose, the cut answers with the wrench, the arm corrects.
 
 The functions that the compiled loop calls are the same that a robot node and a cutting node call one by one.
 """
@@ -31,7 +31,6 @@ SERIES: dict[str, tuple[int, ...]] = {
     "time_ns": (), "target": (3,), "reference": (3,), "tool": (3,), "deflection": (6,), "wrench": (6,),
     "correction": (), "torque": (), "volume": (),
 }  # fmt: skip
-NO_PUSH = np.zeros(0)  # of a reference that does not move
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
 
 
@@ -63,7 +62,7 @@ class PassResult:
     correction: np.ndarray  #: corrected minus predicted tool centre [m], (n + 1,)
     torque: np.ndarray  #: mean of the spindle over each period [N m], (n + 1,)
     volume: np.ndarray  #: removed in each period [m^3], (n + 1,)
-    micro_steps: int  #: of the spindle in the whole pass
+    micro_steps: int  #: micro-steps of the spindle in the whole pass
     removed_area: float  #: [m^2]
     removed_volume: float  #: [m^3]
     wall_time: float  #: [s], of the pass alone
@@ -97,7 +96,7 @@ class CompliantArm:
 
     @property
     def _push(self) -> np.ndarray:
-        return self.pushes[self.step] if self.step < len(self.pushes) else NO_PUSH
+        return self.pushes[self.step] if self.step < len(self.pushes) else np.zeros(0)
 
     def predict(self, wrench: np.ndarray | None = None) -> np.ndarray:
         """Deflection (6,) at the end of the next period under ``wrench``, or under that of the last period."""
@@ -119,7 +118,7 @@ class CompliantArm:
 def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndarray:
     """Deflections (n + 1, 6) of a pass whose wrenches (n + 1, 6) are known; pushes: see ``CompliantArm``.
 
-    Those that ``CompliantArm.correct`` gives one by one, to the bit.
+    ``CompliantArm.correct`` returns the same bits, one by one.
     """
     deflections = np.zeros((len(wrenches), 6))
     _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.states), pushes, model.arrays, deflections)
@@ -193,7 +192,7 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
 
 
 def silent_periods(silent: np.ndarray) -> np.ndarray:
-    """Whether a period has no force, (n + 1,) bool, by its end; silent (n + 1,): whether its end has none.
+    """Return whether a period has no force, (n + 1,) bool, by its end; silent: its end has no force, (n + 1,) bool.
 
     The period in which the drilling ends has no force either.
     """
@@ -213,7 +212,7 @@ def run_pass(
     silent: Callable[[np.ndarray], np.ndarray] | None = None,
     most_rows: float = math.inf,
 ) -> PassResult:
-    """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
+    """Run a pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
     silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
     material without a force, and the period counts as one without a cut. most_rows: of the result; those of a longer
@@ -235,16 +234,24 @@ def run_pass(
     for begin in range(0, max(n, 1), window):
         end = min(begin + window, n)
         stamps = clock.stamp(np.arange(begin, end + 1))
-        course = reference.sample(stamps)
+        positions = reference.sample(stamps)
         size = stamps.size
         out = tuple(np.zeros((size, *shape)) for shape in ((3,), (6,), (6,), (), (), ()))
         out[0][0] = tool[-1]
         ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
-        arm = (model.push(reference, stamps, begin, course), model.arrays)
+        arm = (model.push(reference, stamps, begin, positions), model.arrays)
         carried = (
-            iterations, course, without[-size:], arm, state, wrench, (cut_state, cut.params), clock.micro_steps, out
-        )  # fmt: skip
+            iterations,
+            positions,
+            without[-size:],
+            arm,
+            state,
+            wrench,
+            (cut_state, cut.params),
+            clock.micro_steps,
+            out,
+        )
         _exchange(begin, begin, begin, *carried)  # compiled before the clock runs
         start = time.perf_counter()
         for first in range(begin, end, CHUNK):
@@ -260,8 +267,8 @@ def run_pass(
                 progress(last, n)
         wall += time.perf_counter() - start
         tool = out[0]
-        programmed = course if reference is target else target.sample(stamps)
-        rows = _combined(every, int(begin > 0), (stamps, programmed, course, *out))
+        programmed = positions if reference is target else target.sample(stamps)
+        rows = _combined(every, int(begin > 0), (stamps, programmed, positions, *out))
         for values, new in zip(series.values(), rows, strict=True):
             values[filled : filled + len(new)] = new
         filled += len(rows[0])

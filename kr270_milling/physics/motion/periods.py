@@ -20,9 +20,12 @@ class Exchange(Record):
     period: float = parameter(0.5e-3, unit="ms", above=0.0, high=20.0, text="exchange period H")
     micro_step: float = parameter(np.radians(1.0), unit="deg", low=0.01, high=15.0, text="spindle angle a micro-step")
     engagement_period: float = parameter(
-        4e-3, unit="ms", above=0.0, high=20.0,
+        4e-3,
+        unit="ms",
+        above=0.0,
+        high=20.0,
         text="exchange period where cutting.detail is engagement, rounded to whole micro-steps",
-    )  # fmt: skip
+    )
     iterations: int = parameter(1, low=1, high=20, text="exchanges a period; above 1 the correction is fed back")
     warn_correction: float = parameter(
         0.05, above=0.0, high=1.0, text="share of the feed per tooth above which a correction is reported"
@@ -59,9 +62,11 @@ class Publish(Record):
     """YAML ``publish``: topics that are published less often than every exchange, unlike pose and wrench."""
 
     every: int = parameter(
-        0, low=0, high=1_000_000,
+        0,
+        low=0,
+        high=1_000_000,
         text="exchange periods from one deflection, and one joint state, to the next; 1: all; 0: as many as make 10 ms",
-    )  # fmt: skip
+    )
 
     def steps(self, exchange: Exchange) -> int:
         """Exchange periods from one published deflection to the next."""

@@ -14,7 +14,7 @@ factor 1 - 1/mu, and the chip vibration h = e . u of one tooth obeys
     g_i(t + tau) = mu g_i(t)
 
 where Im_i is (x - its counterpart with the conjugate pole) / 2i. Gauss-Legendre nodes on the arc make of it a matrix
-whose eigenvalues are 1/a. Those that are real and positive are the limits, at all depths: period doubling at
+whose eigenvalues are 1/a. Real and positive eigenvalues are the limits, at all depths: period doubling at
 mu = -1, Hopf between mu = 1 and -1. Source of the factor: [Budak1998], of mu at period doubling: [Insperger2004].
 """
 
@@ -34,18 +34,10 @@ from kr270_milling.physics.cutting.tool import Tool
 __all__ = ["DEEPEST", "Lobe", "Modes", "has_uniform_pitch", "stability_limit"]
 
 DEEPEST = 0.1  #: [m], up to which limits are looked for
-WAVES = 20.0  #: of a mode on the arc of engagement
+WAVES = 20.0  #: waves of a mode on the arc of engagement
 NODES = 8  #: on the arc for each wave, and 8 more: random limits are then within 1 % of another solution
-POLYNOMIALS = 4.5  #: for each wave, pi at least; 4.5 more
-MOST_NUMBERS = 10**6  #: of the matrices of several frequencies at once
-START = 9  #: frequencies from mu = 1 to -1 at which the search starts
-RESONANCE = np.array([-2.5, -0.7, 0.0, 0.7, 2.5])  #: further ones, in half widths of a resonance from its frequency
-PRECISION = 5e-3  #: distance of two eigenvalues that enclose a limit, a share of the larger one; the limit is between
 #: distance from the real axis, as a share of that to the next eigenvalue, that makes a limit possible
 NEAR = 0.35
-SMALL = 0.7  #: share of the least 1/a below which eigenvalues do not matter
-UNDAMPED = 1e-6  #: least damping ratio, with which a resonance is finite
-REAL = 1e-7  #: largest imaginary part of a real eigenvalue, a share of its magnitude
 
 _gauss = functools.cache(np.polynomial.legendre.leggauss)
 
@@ -72,14 +64,20 @@ class Lobe:
 
 
 def has_uniform_pitch(tool: Tool) -> bool:
-    """Whether all teeth have the same delay, as the limit supposes."""
+    """Return whether all teeth have the same delay, as the limit supposes."""
     return not tool.pitch.size or bool(np.ptp(tool.pitch) < 1e-9)
 
 
 def stability_limit(
-    modes: Modes, tool: Tool, cutting: Cutting, feed_per_tooth: float, entry: float, leave: float, speed: float,
+    modes: Modes,
+    tool: Tool,
+    cutting: Cutting,
+    feed_per_tooth: float,
+    entry: float,
+    leave: float,
+    speed: float,
     deepest: float = DEEPEST,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """Smallest depth [m] up to ``deepest`` at which vibration does not die out, and its frequency [rad/s].
 
     Where there is none: infinite, NaN. modes: in axes with x along the feed; entry, leave: angles of a tooth [rad] from
@@ -103,9 +101,14 @@ def stability_limit(
 
 
 def _inverse_depths(
-    modes: Modes, tool: Tool, cutting: Cutting, feed_per_tooth: float, angle: np.ndarray, weight: np.ndarray,
+    modes: Modes,
+    tool: Tool,
+    cutting: Cutting,
+    feed_per_tooth: float,
+    angle: np.ndarray,
+    weight: np.ndarray,
     speed: float,
-) -> Callable:  # fmt: skip
+) -> Callable:
     """Return the function of frequencies [rad/s] (m,) that yields the 1/a there [1/m], (m, k); 0 for small ones."""
     count, delay = angle.size, 2.0 * math.pi / (speed * tool.teeth)
     radial = np.stack([np.cos(angle), tool.sense * np.sin(angle)], -1)
@@ -115,7 +118,8 @@ def _inverse_depths(
     plane = -(k_r[:, None] * radial + k_t[:, None] * motion)
     force = np.column_stack([plane, -k_a])  # k_a above 0 pulls the tool toward the part, -z
     step = weight / speed  # [s]
-    w, zeta = modes.frequency, np.maximum(modes.damping_ratio, UNDAMPED)
+    # a resonance with this damping ratio is finite
+    w, zeta = modes.frequency, np.maximum(modes.damping_ratio, 1e-6)
     damped = w * np.sqrt(1.0 - zeta * zeta)
     pole = -zeta * w + 1j * damped
     time = (angle[:, None] - angle) / speed
@@ -130,18 +134,20 @@ def _inverse_depths(
 
     # the vibrations are smooth: a few polynomials on the arc make a smaller matrix of the same largest eigenvalues
     span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
-    degree = math.ceil(POLYNOMIALS * count / NODES) + 4
+    degree = math.ceil(4.5 * count / NODES) + 4  # for each wave, pi at least; 4.5 more
     basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
 
     def at(frequency: np.ndarray, least: float) -> np.ndarray:
         values = np.zeros((frequency.size, basis.shape[1]), complex)
-        for part in np.array_split(np.arange(frequency.size), 1 + frequency.size * count**2 // MOST_NUMBERS):
+        # numbers in the matrices of several frequencies at once
+        for part in np.array_split(np.arange(frequency.size), 1 + frequency.size * count**2 // 1_000_000):
             mu = np.exp(1j * frequency[part] * delay)[:, None]
             both = (1.0 / (1.0 - decay / mu)) @ kernel + (1.0 / (1.0 - decay.conj() / mu)) @ kernel.conj()
             loop = (both.reshape(-1, count, count) + kink) * mu[..., None] ** turns
             loop = (1.0 - 1.0 / mu)[..., None] * (basis.T @ loop @ basis)
             # no eigenvalue is larger than the root of the norm of the square
-            large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (SMALL * least) ** 2
+            # eigenvalues below 70 % of the least 1/a do not matter
+            large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (0.7 * least) ** 2
             values[part[large]] = np.linalg.eigvals(loop[large])
         return values
 
@@ -165,10 +171,14 @@ def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.nda
 def _starts(modes: Modes, delay: float) -> np.ndarray:
     """Frequencies [rad/s] from above mu = 1 to mu = -1, ascending: equal steps, and about the resonances."""
     most = np.pi / delay
-    about = modes.frequency[:, None] * (np.sqrt(1.0 - modes.damping_ratio**2)[:, None]
-                                        + modes.damping_ratio[:, None] * RESONANCE)  # fmt: skip
+    about = modes.frequency[:, None] * (
+        # in half widths of a resonance from its frequency
+        np.sqrt(1.0 - modes.damping_ratio**2)[:, None]
+        + modes.damping_ratio[:, None] * np.array([-2.5, -0.7, 0.0, 0.7, 2.5])
+    )
     folded = np.abs((about.ravel() + most) % (2.0 * most) - most)
-    return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, START)[1:]))
+    # the search starts at 9 frequencies from mu = 1 to -1
+    return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, 9)[1:]))
 
 
 def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float) -> tuple[float, float]:
@@ -178,7 +188,8 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
     one, may pass the real axis above the largest crossing so far.
     """
     values = inverse_depths(frequency, least)
-    real = values[-1].real[np.abs(values[-1].imag) <= REAL * np.abs(values[-1])]
+    # the imaginary part of a real eigenvalue is rounding
+    real = values[-1].real[np.abs(values[-1].imag) <= 1e-7 * np.abs(values[-1])]
     best, at = max([(least, math.nan), *((value, frequency[-1]) for value in real.tolist())])
     low, high = np.append(0.0, frequency[:-1]), frequency
     before, after = np.concatenate([np.zeros_like(values[:1]), values[:-1]]), values  # 0 at mu = 1
@@ -186,15 +197,16 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
         apart = np.abs(before[:, :, None] - after[:, None])
         start = np.concatenate([before, np.take_along_axis(before, apart.argmin(1), 1)], 1)
         end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
-        way, passes = np.abs(end - start), start.imag * end.imag <= 0.0
-        close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * way)
-        fine = way <= PRECISION * np.maximum(np.abs(start), np.abs(end))
+        travel, passes = np.abs(end - start), start.imag * end.imag <= 0.0
+        close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * travel)
+        # two eigenvalues that differ by less than 0.5 % enclose a limit
+        fine = travel <= 5e-3 * np.maximum(np.abs(start), np.abs(end))
         share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
         on_axis = np.where(fine & passes, start.real + share * (end.real - start.real), 0.0)
         row, k = np.unravel_index(np.argmax(on_axis), on_axis.shape)
         if on_axis[row, k] > best:
             best, at = float(on_axis[row, k]), float(low[row] + share[row, k] * (high[row] - low[row]))
-        reach = np.maximum(start.real, end.real) + NEAR * way
+        reach = np.maximum(start.real, end.real) + NEAR * travel
         halved = np.any(close & ~fine & (reach > best), 1) & (high - low > 1e-9 * high)
         low, high, before, after = low[halved], high[halved], before[halved], after[halved]
         middle = 0.5 * (low + high)

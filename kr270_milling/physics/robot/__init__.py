@@ -15,8 +15,25 @@ from kr270_milling.physics.robot.loads import link_loads
 from kr270_milling.physics.robot.mass import beam_mass, cartesian_mass, joint_mass, mode_frequencies, rigid_joint_mass
 
 __all__ = [
-    "BARE", "Arm", "Mount", "beam_mass", "cartesian_mass", "compliance", "equilibrium", "forward",
-    "inverse_along", "inverse_near", "jacobian", "joint_mass", "link_loads", "mode_frequencies", "pose",
+    "BARE",
+    "Arm",
+    "Mount",
+    "beam_mass",
+    "cartesian_mass",
+    "compliance",
+    "equilibrium",
+    "forward",
+    "inverse_along",
+    "inverse_near",
+    "jacobian",
+    "joint_mass",
+    "link_loads",
+    "mode_frequencies",
+    "pose",
     "rigid_joint_mass",
-    "rotate_matrix", "singularity_measures", "status_turn", "stiffness", "wrench_for_pose",
-]  # fmt: skip
+    "rotate_matrix",
+    "singularity_measures",
+    "status_turn",
+    "stiffness",
+    "wrench_for_pose",
+]

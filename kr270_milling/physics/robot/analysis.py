@@ -1,4 +1,4 @@
-"""One posture of one arm, everything there is to know about its stiffness: what the command ``stiffness`` prints."""
+"""Stiffness of an arm in one posture, as the command ``stiffness`` prints it."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
 
 
 def _warnings(arm: Arm, q: np.ndarray, tip: np.ndarray) -> list[str]:
-    """What no robot on its floor does: joints beyond their limits, the tool point or the wrist below the floor."""
+    """Return a sentence for each joint beyond its limits, and for a tool point or wrist below the floor."""
     beyond = np.flatnonzero((q > arm.joint_upper + 1e-9) | (q < arm.joint_lower - 1e-9))
     findings = [
         f"axis {k + 1} at {np.degrees(q[k]):.4g} deg is outside its limits, {np.degrees(arm.joint_lower[k]):.4g} to "

@@ -131,23 +131,38 @@ class Arm(Record):
         text="centre of mass of each link as a share of its length, from the base side", low=0.0, high=1.0, size=6
     )
     link_section_radius: np.ndarray = parameter(
-        unit="mm", text="radius of each link seen as a thin tube, for the rotary inertia of its sections", low=0.0,
-        high=2000.0, size=6,
-    )  # fmt: skip
+        unit="mm",
+        text="radius of each link seen as a thin tube, for the rotary inertia of its sections",
+        low=0.0,
+        high=2000.0,
+        size=6,
+    )
     base_compliance: np.ndarray = parameter(
-        np.zeros(3), unit="urad_per_n_m", low=0.0, high=1e4, size=3,
+        np.zeros(3),
+        unit="urad_per_n_m",
+        low=0.0,
+        high=1e4,
+        size=3,
         text="of the ground under the robot: three springs that let base_link turn about its x, y, z; 0: rigid",
-    )  # fmt: skip
+    )
     backlash: np.ndarray = parameter(
-        ASSUMED_BACKLASH, unit="arcsec", size=6, low=0.0, high=18000.0,
+        ASSUMED_BACKLASH,
+        unit="arcsec",
+        size=6,
+        low=0.0,
+        high=18000.0,
         text="backlash of each joint, between its two flanks",
-    )  # fmt: skip
+    )
     # the whole drive of the KR 300 of that model: 188, 490, 470, 99, 99, 57 N m (motor friction times gear ratio);
     # assumed: half of it acts on the link's side, where it holds the link while the load reverses
     friction_torque: np.ndarray = parameter(
-        [94.0, 245.0, 235.0, 49.0, 49.0, 29.0], unit="n_m", size=6, low=0.0, high=1e5,
+        [94.0, 245.0, 235.0, 49.0, 49.0, 29.0],
+        unit="n_m",
+        size=6,
+        low=0.0,
+        high=1e5,
         text="friction torque of each joint on the link's side; a smaller load leaves the link on its flank",
-    )  # fmt: skip
+    )
     payload: float = parameter(0.0, unit="kg", low=0.0, high=5000.0, text="most that the flange carries; 0: not known")
     compensator: GravityCompensator = NO_COMPENSATOR
 
@@ -199,15 +214,29 @@ class Arm(Record):
 class Mount(Record):
     """Spindle and tool on the flange: where ``tcp`` is in ``flange``, and a rigid mass."""
 
-    xyz: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", text="tool tip in the flange frame", size=3,
-                                low=-5000.0, high=5000.0)  # fmt: skip
-    abc: np.ndarray = parameter([0.0, math.pi / 2, 0.0], unit="deg", size=3, low=-360.0, high=360.0, text="A, B, C of "
-                                "tcp in the flange frame; 0, 90, 0: spindle in line with axis 6")  # fmt: skip
+    xyz: np.ndarray = parameter(
+        [0.0, 0.0, 0.0], unit="mm", text="tool tip in the flange frame", size=3, low=-5000.0, high=5000.0
+    )
+    abc: np.ndarray = parameter(
+        [0.0, math.pi / 2, 0.0],
+        unit="deg",
+        size=3,
+        low=-360.0,
+        high=360.0,
+        text="A, B, C of tcp in the flange frame; 0, 90, 0: spindle in line with axis 6",
+    )
     mass: float = parameter(0.0, unit="kg", text="mass of spindle and tool", low=0.0, high=5000.0)
-    mass_centre: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", text="its centre in the flange frame", size=3,
-                                        low=-5000.0, high=5000.0)  # fmt: skip
-    inertia: np.ndarray = parameter([0.0, 0.0, 0.0], unit="kg_m2", size=3, low=0.0, high=1e4, text="its moments of "
-                                    "inertia about that centre, axes of the flange; for rigid masses")  # fmt: skip
+    mass_centre: np.ndarray = parameter(
+        [0.0, 0.0, 0.0], unit="mm", text="its centre in the flange frame", size=3, low=-5000.0, high=5000.0
+    )
+    inertia: np.ndarray = parameter(
+        [0.0, 0.0, 0.0],
+        unit="kg_m2",
+        size=3,
+        low=0.0,
+        high=1e4,
+        text="its moments of inertia about that centre, axes of the flange; for rigid masses",
+    )
 
     def check(self):
         if 2.0 * self.inertia.max() > self.inertia.sum() * (1 + 1e-9):

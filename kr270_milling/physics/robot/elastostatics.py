@@ -21,13 +21,11 @@ from kr270_milling.physics.robot.loads import GRAVITY, LinkLoads, link_loads, lo
 __all__ = ["Equilibrium", "compliance", "equilibrium", "stiffness", "wrench_for_pose"]
 
 RESIDUAL = 1e-9  #: a solved equilibrium is out of balance by no more than this [N m]
-MISPLACED = 1e-12  #: and its pose is off by no more than this [m], [rad]
 ITERATIONS = 25
 #: a larger joint deflection [rad] is believed only when the load path leads there
 LARGE = 0.05
 #: and a still larger one is refused: drives and bearings are no linear springs over 10 deg
 TOO_LARGE = 0.2
-LEAST_STEP = 1 / 512  #: of the load; a path that needs smaller steps ends at a limit point
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +33,10 @@ class Equilibrium:
     """A loaded arm at rest, one or a batch."""
 
     wrench: np.ndarray  #: on the tool at the tool point, base axes [N, N m], (..., 6)
-    tilt: np.ndarray  #: of the base, about its k compliant axes [rad], (..., k)
+    tilt: np.ndarray  #: rotation of the base about its k compliant axes [rad], (..., k)
     theta: np.ndarray  #: deflection of the joint springs [rad], (..., 6)
     posture: np.ndarray  #: q + theta [rad], (..., 6)
-    pose: Pose  #: of the loaded tcp in base_link
+    pose: Pose  #: pose of the loaded tcp in base_link
     jacobian: np.ndarray  #: at the tool point in the loaded posture, (..., 6, k + 6): base, then joints
     hessian: np.ndarray  #: H_theta_theta [N m/rad], (..., k + 6, k + 6)
     residual: np.ndarray  #: largest torque out of balance [N m], (...,)
@@ -154,7 +152,7 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
                 raise DeflectionError(joint, float(theta[0, worst]), TOO_LARGE, carried, index)
             continue
         residual, step = left[0], step / 2
-        if step < LEAST_STEP:
+        if step < 1 / 512:  # a load path that needs smaller steps ends at a limit point
             raise EquilibriumError(float(residual), count, carried, index)
     return theta[0], residual, count
 
@@ -177,7 +175,8 @@ def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True)
         missing = np.concatenate([target.position - frames.tool.position, turn], -1)
         balance = load_torque(frames, wrench, loads) - arm.spring_stiffness * theta
         residual = np.abs(balance).max(-1)
-        going = ~((residual <= RESIDUAL) & (np.abs(missing).max(-1) <= MISPLACED))
+        # the pose is met within 1e-12 m and rad
+        going = ~((residual <= RESIDUAL) & (np.abs(missing).max(-1) <= 1e-12))
         if not going.any() or count == ITERATIONS:
             break
         change = _solve(_system(arm, frames, wrench, loads), np.concatenate([missing, -balance], -1))  # (16)

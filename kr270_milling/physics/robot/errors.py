@@ -1,4 +1,4 @@
-"""What an arm refuses; every error carries the numbers of its sentence.
+"""Errors of an arm; every error carries the numbers of its sentence.
 
 ``index`` is the place in the batch of postures or poses, () for a single one.
 """
@@ -9,8 +9,15 @@ import math
 
 from kr270_milling.base.errors import MillingError
 
-__all__ = ["ReachError", "JointLimitError", "SingularityError", "ConditionError", "UnstableLoadError",
-           "DeflectionError", "EquilibriumError"]  # fmt: skip
+__all__ = [
+    "ReachError",
+    "JointLimitError",
+    "SingularityError",
+    "ConditionError",
+    "UnstableLoadError",
+    "DeflectionError",
+    "EquilibriumError",
+]
 
 
 def _place(index) -> str:

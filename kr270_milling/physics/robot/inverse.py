@@ -19,7 +19,6 @@ __all__ = ["BRANCHES", "branches", "branches_at", "inverse_along", "inverse_near
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)
-STRAIGHT = 1e-12  #: sine of A5 below which the pose determines only the sum of A4 and A6
 SLACK = 1e-12  #: [rad], of the joint limits: rounding
 TWO_PI = 2 * np.pi
 
@@ -126,7 +125,7 @@ def branches_at(lengths, position, rotation, near_a4, q, distance):
         q1 = wrapped(-np.arctan2(side * y, side * x))
         bend = np.arccos(min(1.0, max(-1.0, cosine)))
         for elbow in range(2):
-            beta = -bend if elbow == 0 else bend  # of the forearm against the upper arm, counted upwards
+            beta = -bend if elbow == 0 else bend  # angle of the forearm against the upper arm, counted upwards
             lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
             q2, q3 = wrapped(lead - np.arctan2(height, radius)), wrapped(elbow_offset - beta)
             s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)
@@ -135,7 +134,8 @@ def branches_at(lengths, position, rotation, near_a4, q, distance):
                 wrist[1, j] = s1 * rotation[0, j] + c1 * rotation[1, j]
                 wrist[2, j] = c1 * s * rotation[0, j] - s1 * s * rotation[1, j] + c * rotation[2, j]
             q4 = near_a4
-            if np.hypot(wrist[1, 0], wrist[2, 0]) >= STRAIGHT:
+            # below this sine of A5, the pose determines only the sum of A4 and A6
+            if np.hypot(wrist[1, 0], wrist[2, 0]) >= 1e-12:
                 q4 = np.arctan2(-wrist[1, 0], -wrist[2, 0])
             s4, c4 = np.sin(q4), np.cos(q4)  # A5 and A6 from Rx(A4) R36 = Ry(A5) Rx(-A6): right for any A4 where A5 = 0
             q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])

@@ -1,4 +1,4 @@
-"""Where every link is, and how it moves: forward kinematics and geometric Jacobians.
+"""Place and motion of every link: forward kinematics and geometric Jacobians.
 
 All functions take postures ``q`` [rad], (..., 6), and work on whole batches. Everything is in ``base_link`` axes.
 A posture with k more numbers in front, (..., k + 6), has the turns of a compliant base (``Arm.base_axes``) before the
@@ -19,13 +19,25 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.errors import SingularityError
 
-__all__ = ["LinkFrames", "check_regular", "cross", "elbow_and_reach", "forward", "jacobian", "jacobian_at",
-           "jacobian_column", "pose", "rotate_matrix", "rows_of", "singularity_measures", "status_turn"]  # fmt: skip
+__all__ = [
+    "LinkFrames",
+    "check_regular",
+    "cross",
+    "elbow_and_reach",
+    "forward",
+    "jacobian",
+    "jacobian_at",
+    "jacobian_column",
+    "joint_motion",
+    "pose",
+    "rotate_matrix",
+    "rows_of",
+    "singularity_measures",
+    "status_turn",
+]
 
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
 TURNS, SIGNS = np.argmax(np.abs(AXES), axis=1), AXES.sum(axis=1)
-#: below this measure (see ``singularity_measures``) a Jacobian is not inverted
-SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +49,7 @@ class LinkFrames:
     axes: np.ndarray  #: unit vectors of the k axes of the base and the joint axes, with KUKA's sign, (..., k + 6, 3)
     flange: Pose
     tool: Pose
-    mass_centre: np.ndarray  #: of spindle and tool [m], (..., 3)
+    mass_centre: np.ndarray  #: mass centre of spindle and tool [m], (..., 3)
 
     @property
     def origins(self) -> np.ndarray:
@@ -97,9 +109,15 @@ def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
     angles = q.reshape(-1, turns)
     rotations, axes, nodes = np.empty((*batch, 6, 3, 3)), np.empty((*q.shape, 3)), np.zeros((*batch, 7, 3))
     _chain(
-        np.cos(angles), np.sin(angles), np.append(base, TURNS), np.append(np.ones(base.size), SIGNS),
-        np.array(arm.link_vectors), rotations.reshape(-1, 6, 3, 3), axes.reshape(-1, turns, 3), nodes.reshape(-1, 7, 3),
-    )  # fmt: skip
+        np.cos(angles),
+        np.sin(angles),
+        np.append(base, TURNS),
+        np.append(np.ones(base.size), SIGNS),
+        np.array(arm.link_vectors),
+        rotations.reshape(-1, 6, 3, 3),
+        axes.reshape(-1, turns, 3),
+        nodes.reshape(-1, 7, 3),
+    )
     flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 
@@ -185,7 +203,8 @@ def singularity_measures(arm: Arm, q) -> np.ndarray:
 def check_regular(arm: Arm, q: np.ndarray) -> None:
     """Raise SingularityError for the first posture whose Jacobian has no inverse."""
     measures = singularity_measures(arm, q)
-    bad = np.argwhere(~(measures > SINGULAR))
+    # below this measure (see ``singularity_measures``) a Jacobian is not inverted
+    bad = np.argwhere(~(measures > 1e-9))
     if len(bad):
         *index, which = (int(i) for i in bad[0])
         raise SingularityError(("shoulder", "elbow", "wrist")[which], float(measures[tuple(bad[0])]), tuple(index))
@@ -203,3 +222,27 @@ def status_turn(arm: Arm, q) -> tuple[np.ndarray, np.ndarray]:
     status = (radius < -1e-9) + 2 * (beta <= 1e-9) + 4 * (q[..., 4] < -1e-9)
     turn = np.sum((q < -1e-9) * (1 << np.arange(6)), -1)
     return status, turn
+
+
+def joint_motion(arm: Arm, mount: Mount, q, velocity, acceleration) -> tuple[np.ndarray, np.ndarray]:
+    """Joint speeds [rad/s] and accelerations [rad/s^2], (n, 6) each, at postures q (n, 6) [rad].
+
+    velocity, acceleration (n, 6): of the tool tip, translations [m/s, m/s^2] before rotations [rad/s, rad/s^2], base
+    axes. With the axes a_i and the columns l_i = a_i x r_i of the Jacobian, and w_i the angular velocity of link i:
+
+    q' = J^-1 x'    q'' = J^-1 (x'' - J' q')
+    J' q' = (sum_i (2 w_i - a_i q_i') x l_i q_i', sum_i w_i x a_i q_i')    w_i = sum_(k<=i) a_k q_k'
+
+    The last line is the derivative of the geometric Jacobian: a_i turns with w_i, r_i with the links after it.
+
+    Raises SingularityError.
+    """
+    check_regular(arm, q)
+    frames = forward(arm, mount, q)
+    jacobian = jacobian_at(frames, frames.tool.position)
+    speed = np.linalg.solve(jacobian, np.asarray(velocity, float)[..., None])[..., 0]
+    moves = np.swapaxes(jacobian[..., :3, :], -1, -2) * speed[..., None]  # l_i q_i', (n, 6, 3)
+    turns = frames.axes * speed[..., None]
+    angular = np.cumsum(turns, axis=-2)
+    change = np.concatenate([cross(2 * angular - turns, moves).sum(-2), cross(angular, turns).sum(-2)], -1)
+    return speed, np.linalg.solve(jacobian, (np.asarray(acceleration, float) - change)[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""What weighs on the joint springs: torque of the wrench and of the link weights (6), and its derivative (14), (15).
+"""Loads on the joint springs: torque of the wrench and of the link weights (6), and its derivative (14), (15).
 
 An arm with a gravity compensator has its moment on joint 2 as well, wherever the weights count.
 
@@ -29,8 +29,8 @@ class LinkLoads:
 
     mass: np.ndarray  #: [kg], (8,)
     gravity: np.ndarray  #: [m/s^2] in base_link, (3,)
-    compensator: GravityCompensator = NO_COMPENSATOR  #: it balances weights, so it is there where they are
-    share: float = 1.0  #: of the whole load that is on: gravity has it already, the compensator's moment gets it
+    compensator: GravityCompensator = NO_COMPENSATOR  #: balances the weights
+    share: float = 1.0  #: share of the whole load; gravity contains it already, the compensator's moment not yet
 
     def part(self, share: float) -> LinkLoads:
         """The same share of every load."""
@@ -63,9 +63,11 @@ def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
     batch = frames.nodes.shape[:-2]
     moments = np.empty((*batch, 7, 3))
     _first_moments(
-        rows_of(frames.nodes, batch, 2), rows_of(frames.mass_centre, batch, 1), np.array(loads.mass),
+        rows_of(frames.nodes, batch, 2),
+        rows_of(frames.mass_centre, batch, 1),
+        np.array(loads.mass),
         moments.reshape(-1, 7, 3),
-    )  # fmt: skip
+    )
     moments = moments[..., :6, :]
     base = frames.axes.shape[-2] - 6
     return moments[..., [0] * base + list(range(6)), :] if base else moments
@@ -119,7 +121,7 @@ def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masse
 
 @njit(cache=True, nogil=True)
 def _first_moments(nodes, mount, mass, out):
-    """Of the masses in the nodes (n, 7, 3) beyond each node, and in the mount (n, 3), about that node."""
+    """Fill the first moments of the masses beyond each node (n, 7, 3), with the mount (n, 3), about that node."""
     for p in range(len(out)):
         for axis in range(3):
             beyond, moment = mass[-1], mass[-1] * mount[p, axis]

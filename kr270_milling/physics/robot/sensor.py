@@ -22,13 +22,16 @@ class ForceSensor(Record):
     """YAML ``sensor``: a force sensor with its own frame; the compensator subtracts offset and weight."""
 
     frame: str = parameter("", text="frame_id of the messages of a force sensor that is not tared; empty: no sensor")
-    xyz: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", size=3, low=-WIDE, high=WIDE,
-                                text="origin of its frame in tool0")  # fmt: skip
-    abc: np.ndarray = parameter([0.0, 0.0, 0.0], unit="deg", size=3, low=-360.0, high=360.0,
-                                text="A, B, C of its frame in tool0")  # fmt: skip
+    xyz: np.ndarray = parameter(
+        [0.0, 0.0, 0.0], unit="mm", size=3, low=-WIDE, high=WIDE, text="origin of its frame in tool0"
+    )
+    abc: np.ndarray = parameter(
+        [0.0, 0.0, 0.0], unit="deg", size=3, low=-360.0, high=360.0, text="A, B, C of its frame in tool0"
+    )
     mass: float = parameter(0.0, unit="kg", low=0.0, high=5000.0, text="mass of what the sensor carries")
-    mass_centre: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", size=3, low=-WIDE, high=WIDE,
-                                        text="centre of this mass in the frame of the sensor")  # fmt: skip
+    mass_centre: np.ndarray = parameter(
+        [0.0, 0.0, 0.0], unit="mm", size=3, low=-WIDE, high=WIDE, text="centre of this mass in the frame of the sensor"
+    )
 
     def check(self) -> None:
         if self.frame in TAKEN:

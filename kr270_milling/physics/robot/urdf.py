@@ -26,11 +26,8 @@ COLOURS = {
     "metal": (0.62, 0.65, 0.69),
     "tool": (0.80, 0.70, 0.30),
 }
-KR270_REACH = 2.35  #: [m], a2 + d4 of the KR 270-2, by whose look the widths are chosen
 STICK_OUT = 0.04  #: [m] of the tool from its holder
 HOLDER = 0.06  #: [m] of the holder from the spindle nose
-HOUSING = 0.36  #: [m] of the spindle
-POINT_INERTIA = 1e-10  #: [kg m^2] about every axis: simulators refuse a body without inertia, as a point mass is
 ORIGIN = NO_TURN = np.zeros(3)
 
 
@@ -39,15 +36,18 @@ class Solid:
     """A box of ``size`` (x, y, z), or a cylinder of ``size`` (radius, length) along its z axis [m]."""
 
     size: tuple[float, ...]
-    xyz: np.ndarray  #: of its middle in the frame of the link [m], (3,)
-    rpy: np.ndarray  #: of its axes there, URDF's roll, pitch, yaw [rad], (3,)
+    xyz: np.ndarray  #: middle in the frame of the link [m], (3,)
+    rpy: np.ndarray  #: rotation in the frame of the link, URDF's roll, pitch, yaw [rad], (3,)
     colour: str
 
 
 def urdf(
-    arm: Arm, mount: Mount, tool_radius: float = 0.01, workpiece: Pose | None = None,
+    arm: Arm,
+    mount: Mount,
+    tool_radius: float = 0.01,
+    workpiece: Pose | None = None,
     joint_names: Sequence[str] = JOINT_NAMES,
-) -> str:  # fmt: skip
+) -> str:
     """URDF text: base_link, link_1 to link_6, flange, tcp [m, rad, kg], and ROS-Industrial's frames base and tool0.
 
     tool_radius [m] of the cutter that is shown; workpiece: its frame on base_link, as a further fixed link;
@@ -102,7 +102,8 @@ def _inertial(link, mass: float, centre: np.ndarray, inertia: np.ndarray) -> Non
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(f"{v + 0.0:.15g}" for v in centre.tolist()), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=f"{mass:.15g}")
-    full = inertia + POINT_INERTIA * np.eye(3)
+    # simulators refuse a body without inertia, as a point mass is
+    full = inertia + 1e-10 * np.eye(3)
     moments = {f"i{'xyz'[i]}{'xyz'[k]}": f"{full[i, k] + 0.0:.15g}" for i in range(3) for k in range(i, 3)}
     ET.SubElement(inertial, "inertia", moments)
 
@@ -143,8 +144,8 @@ def _hub(at, radius: float, length: float, colour: str) -> Solid:
 
 
 def _arm_solids(arm: Arm) -> list[list[Solid]]:
-    """Of base_link and link_1 to link_6, each in the frame of its link."""
-    s = (arm.a2 + arm.d4) / KR270_REACH
+    """Return the solids of base_link and link_1 to link_6, each in the frame of its link."""
+    s = (arm.a2 + arm.d4) / 2.35  # a2 + d4 of the KR 270-2, by whose look the widths are chosen
     return [
         [
             _box((0.80 * s, 0.80 * s, 0.06 * s), (0.0, 0.0, 0.03 * s), "dark"),
@@ -192,5 +193,5 @@ def _spindle(mount: Mount, tool_radius: float) -> list[Solid]:
     if float(np.linalg.norm(mount.xyz)) > STICK_OUT + HOLDER:
         nose = -(STICK_OUT + HOLDER)
         solids.append(_cylinder((0, 0, nose), (0, 0, -STICK_OUT), max(0.025, 1.4 * tool_radius), "metal"))
-        solids.append(_cylinder((0, 0, nose - HOUSING), (0, 0, nose), 0.075, "metal"))
+        solids.append(_cylinder((0, 0, nose - 0.36), (0, 0, nose), 0.075, "metal"))  # the spindle
     return solids

@@ -11,8 +11,6 @@ from kr270_milling.base.frames import rotation_from_abc
 
 __all__ = ["Link", "Mesh", "links_of"]
 
-SIDES = 20  #: of the prism that approximates a cylinder
-
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -27,7 +25,7 @@ class Link:
 
     name: str
     parent: int
-    rotation: np.ndarray  #: of the joint's frame in that of the parent, (3, 3)
+    rotation: np.ndarray  #: rotation of the joint's frame in the frame of the parent, (3, 3)
     xyz: np.ndarray  #: its origin there [m], (3,)
     axis: np.ndarray  #: (3,)
     joint: str
@@ -79,7 +77,7 @@ def _mesh(visual) -> Mesh:
         vertex, triangle = _prism(4, np.pi / 4)
         size = _numbers(shape.get("size")) * [np.sqrt(0.5), np.sqrt(0.5), 1.0]
     else:
-        vertex, triangle = _prism(SIDES, 0.0)
+        vertex, triangle = _prism(20, 0.0)  # a prism of 20 sides approximates a cylinder
         size = np.array([float(shape.get(key)) for key in ("radius", "radius", "length")])
     return Mesh(visual.find("material").get("name"), (vertex * size) @ rotation.T + xyz, triangle)
 

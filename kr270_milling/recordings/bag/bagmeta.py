@@ -15,8 +15,7 @@ from kr270_milling.base.units import SECOND
 __all__ = ["all_latched", "bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
 
 INFINITE = 2**63 - 1  # [ns]; rosbag2's duration without limit
-DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
-#: the profile of a topic without a given one; the order is rosbag2's
+#: the default profile of a topic; the order is rosbag2's
 DEFAULT_QOS = dict(
     history="keep_last",
     depth=10,
@@ -40,14 +39,14 @@ def describe_qos(profile) -> dict:
         unknown = sorted(set(profile) - set(DEFAULT_QOS))
         if unknown:
             raise KeyError(f"{', '.join(unknown)} is not part of a QoS profile")
-        given = {**DEFAULT_QOS, **profile}
+        values = {**DEFAULT_QOS, **profile}
     else:
-        given = {key: getattr(profile, key) for key in DEFAULT_QOS}
-    return {key: _plain(key, given[key]) for key in DEFAULT_QOS}
+        values = {key: getattr(profile, key) for key in DEFAULT_QOS}
+    return {key: _plain(key, values[key]) for key in DEFAULT_QOS}
 
 
 def _plain(key: str, value):
-    if key in DURATIONS and not isinstance(value, Mapping):
+    if key in ("deadline", "lifespan", "liveliness_lease_duration") and not isinstance(value, Mapping):
         seconds, nanoseconds = divmod(int(getattr(value, "nanoseconds", value)), SECOND)
         return dict(sec=seconds, nsec=nanoseconds)
     return value.name.lower() if hasattr(value, "name") else value
@@ -65,7 +64,7 @@ def yaml_text(value) -> str:
 
 
 def all_latched(profiles: list[dict]) -> bool:
-    """Whether every profile of a topic is that of a latched publisher."""
+    """Return whether every profile of a topic is that of a latched publisher."""
     # rosbag2 writes words since Jazzy and the numbers of the middleware before
     return bool(profiles) and all(profile.get("durability") in ("transient_local", 1) for profile in profiles)
 

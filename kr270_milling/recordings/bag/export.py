@@ -27,7 +27,7 @@ from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajec
 
 __all__ = ["Exported", "export", "rows"]
 
-MAX_FILES = 100  # of one topic; a new file begins when the columns change
+MAX_FILES = 100  # most files of a topic; a new file begins when the columns change
 ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
 Row = tuple[list[str], list]  # names of the columns, cells
 POINT = [
@@ -38,9 +38,6 @@ POINT = [
     *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
     *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
 ]
-JOINTS = "sensor_msgs/msg/JointState"
-FORMULA = ("=", "+", "-", "@", "\t", "\r")  #: beginnings of a text that a spreadsheet evaluates
-TWIST = "geometry_msgs/msg/TwistStamped"
 
 
 @dataclass
@@ -52,9 +49,12 @@ class Exported:
 
 
 def export(
-    recording: Recording, directory, topics: Collection[str] | None = None, progress: Callable | None = None,
+    recording: Recording,
+    directory,
+    topics: Collection[str] | None = None,
+    progress: Callable | None = None,
     kind: str = "csv",
-) -> Exported:  # fmt: skip
+) -> Exported:
     """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
 
     The result names each topic that cannot be read; the other topics are written. Raises RecordingError for an unknown
@@ -66,15 +66,15 @@ def export(
     missing = sorted(set(topics or ()) - set(known))
     if missing:
         raise RecordingError(recording.path, f"has no topic {', '.join(missing)}")
-    result, done = Exported(), 0
+    result, exported = Exported(), 0
     try:
         Path(directory).mkdir(parents=True, exist_ok=True)
         for topic, about in known.items():
             if about.count and (topics is None or topic in topics):
                 _export_topic(recording, topic, Path(directory), kind, result)
-            done += about.count
+            exported += about.count
             if progress:
-                progress(done, recording.count)
+                progress(exported, recording.count)
     except OSError as error:
         raise RecordingError(directory, f"the tables cannot be written: {error.strerror or error}") from error
     except InputError as error:
@@ -117,7 +117,7 @@ def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
 
 def _inert(cell):
     """Return a cell that no spreadsheet takes for a formula: an apostrophe before texts such as =1+1."""
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) else cell
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
 def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
@@ -156,12 +156,14 @@ def rows(recording: Recording, topic: str) -> Iterator[Row]:
         return _series_rows(recording, topic, kind)
     if kind == TRAJECTORY:
         return _trajectory_rows(recording, topic)
-    return _any_rows(recording, topic, _joint_cells if kind == JOINTS else lambda message: _flat(plain(message)))
+    if kind == "sensor_msgs/msg/JointState":
+        return _any_rows(recording, topic, _joint_cells)
+    return _any_rows(recording, topic, lambda message: _flat(plain(message)))
 
 
 def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
     units = FIXED[kind]
-    if kind == TWIST:  # a deflection is a displacement in the fields of a velocity
+    if kind == "geometry_msgs/msg/TwistStamped":  # a deflection is a displacement in the fields of a velocity
         deflection = topic.split("/")[-1] == "deflection"
         linear, angular = ("m", "rad") if deflection else ("m_per_s", "rad_per_s")
         units = [(name, linear if name.startswith("linear") else angular) for name, _ in units]
@@ -198,7 +200,7 @@ def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dic
 
 
 def _joint_cells(state) -> dict:
-    """One column for each joint and quantity; missing values are NaN."""
+    """Return a column for each joint and quantity; missing values are NaN."""
     stamp = state.header.stamp
     cells = {"stamp_ns": stamp.sec * SECOND + stamp.nanosec, "frame_id": state.header.frame_id}
     for kind, unit in (("position", "rad"), ("velocity", "rad_per_s"), ("effort", "n_m")):
@@ -210,7 +212,7 @@ def _joint_cells(state) -> dict:
 
 
 def _flat(value: dict, prefix: str = "") -> dict:
-    """One column for each number or text; a sequence is JSON in one cell."""
+    """Return a column for each number or text; a sequence is JSON in one cell."""
     cells = {}
     for key, item in value.items():
         if isinstance(item, dict):

@@ -17,8 +17,6 @@ from kr270_milling.base.parameter_file import parse
 __all__ = ["find_recording", "is_rosbag", "open_to_read"]
 
 NAMED = 8  # recordings that an error message names
-MOST_METADATA = 16 * 1024 * 1024  # [bytes] of a metadata.yaml that is read
-FREE_DISK = 2**30  # [bytes] that unpacking leaves on the disk
 BLOCK = 1024 * 1024  # [bytes]
 
 
@@ -49,12 +47,14 @@ def _needs_rosbags(directory: Path) -> bool:
     """Return whether ``metadata.yaml`` names several files, a database or compressed messages."""
     try:
         with open_to_read(directory / "metadata.yaml") as stream:
-            text = stream.read(MOST_METADATA).decode("utf-8", "replace")
+            text = stream.read(16 * 1024 * 1024).decode("utf-8", "replace")  # 16 MB
         about = parse(text, directory / "metadata.yaml", "")["rosbag2_bagfile_information"]
         files, mode = about["relative_file_paths"], str(about.get("compression_mode")).lower()
-        return (len(files) > 1 and directory.joinpath(Path(files[0]).name).is_file()) or mode == "message" or (
-            about["storage_identifier"] == "sqlite3"
-        )  # fmt: skip
+        return (
+            (len(files) > 1 and directory.joinpath(Path(files[0]).name).is_file())
+            or mode == "message"
+            or (about["storage_identifier"] == "sqlite3")
+        )
     except (RecordingError, ConfigError, LookupError, TypeError, AttributeError):
         return False
 
@@ -78,7 +78,7 @@ def _unpacked(path: Path, packed: IO[bytes]) -> IO[bytes]:
     try:
         with packed, zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as content:
             while block := content.read(BLOCK):
-                if shutil.disk_usage(tempfile.gettempdir()).free < FREE_DISK:
+                if shutil.disk_usage(tempfile.gettempdir()).free < 2**30:  # a GB remains on the disk
                     raise RecordingError(path, f"cannot be unpacked: {tempfile.gettempdir()} has no room for it")
                 stream.write(block)
         stream.seek(0)

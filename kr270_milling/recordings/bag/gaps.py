@@ -7,10 +7,8 @@ from collections.abc import Sequence
 
 __all__ = ["SHARED", "GapCounter", "PassStarts"]
 
-LEARN = 20  # differences from which a period is learned
 #: types of topics with many publishers: their stamps are several series
 SHARED = frozenset(["diagnostic_msgs/msg/DiagnosticArray"])
-YEAR = 365 * 86_400 * 10**9  # [ns]; stamps that differ more come from different clocks
 
 
 class PassStarts:
@@ -45,7 +43,7 @@ class GapCounter:
         self._starts, self._latched = starts, latched
         self.period_ns: int | None = None  #: 0: the series has no period
         self.missing = self.gaps = self.repeated = self.backwards = 0
-        self.last: int | None = None  #: of the series
+        self.last: int | None = None  #: last stamp [ns]
         self._differences: list[int] = []  # until the period is known
 
     def add(self, stamp: int) -> None:
@@ -57,7 +55,7 @@ class GapCounter:
             self.repeated += not self._latched
         elif difference < 0:
             self.backwards += 1
-        elif difference < YEAR:
+        elif difference < 365 * 86_400 * 10**9:  # a year; larger differences come from another clock
             self.last = stamp
             self._take(difference)
 
@@ -74,7 +72,7 @@ class GapCounter:
             self._count(difference)
             return
         self._differences.append(difference)
-        if len(self._differences) == LEARN:
+        if len(self._differences) == 20:
             self._learn()
 
     def _count(self, difference: int) -> None:
@@ -99,5 +97,10 @@ class GapCounter:
 
     def as_dict(self) -> dict:
         """Return the counts; ``period_ns`` is None without a period."""
-        return dict(period_ns=self.period_ns or None, missing=self.missing, gaps=self.gaps, repeated=self.repeated,
-                    backwards=self.backwards)  # fmt: skip
+        return dict(
+            period_ns=self.period_ns or None,
+            missing=self.missing,
+            gaps=self.gaps,
+            repeated=self.repeated,
+            backwards=self.backwards,
+        )

@@ -76,8 +76,10 @@ def info_text(data: dict) -> str:
         f"{data['file']}: {data['size_bytes'] / 1e6:.2f} MB, {data['messages']} messages, {data['duration_s']:.3f} s"
     ]
     if data["cut_off"]:
-        lines.append("cut off: its writer did not finish it; the following was written before "
-                     f"(last log time {data['end_ns']} ns)")  # fmt: skip
+        lines.append(
+            "cut off: its writer did not finish it; the following was written before "
+            f"(last log time {data['end_ns']} ns)"
+        )
     lines.append(f"written by {data['library'] or 'unknown'}, profile {data['profile'] or 'none'}")
     width = max((len(name) for name in data["topics"]), default=0)
     for name, topic in data["topics"].items():

@@ -1,4 +1,4 @@
-"""One MCAP file [MCAP], read by mcap with its checksums.
+"""Content of an MCAP file [MCAP], read by mcap with its checksums.
 
 Sizes that a file claims are compared with the file and with a limit before bytes are read or unpacked.
 """
@@ -53,7 +53,7 @@ OnDamage = Callable[[Damage, int], None]  #: receives a damage and the number of
 
 
 class RawMessage(NamedTuple):
-    """One message as it was recorded."""
+    """A message as it was recorded."""
 
     topic: str
     log_time: int  #: [ns]
@@ -61,14 +61,6 @@ class RawMessage(NamedTuple):
     data: bytes
     channel: int = 0
     sequence: int = 0
-
-
-class FileRecord(NamedTuple):
-    """A record of the file, its first byte and the byte after its last one."""
-
-    record: Any
-    offset: int
-    end: int
 
 
 class Attached(NamedTuple):
@@ -117,11 +109,11 @@ class McapFile:
         self.counts: Counter[int] = Counter()  #: channel -> messages
         self.attachments: list[Attached] = []
         self.metadata: dict[str, dict[str, str]] = {}
-        self.statistics: Statistics | None = None  #: of the summary
+        self.statistics: Statistics | None = None  #: counts in the summary
         self.first: int | None = None  #: [ns], smallest and largest log time; None without a message
         self.last: int | None = None
         self._known: list[int] = []  # offsets of chunks by the summary, ascending
-        self._end = self.size  # of the data section
+        self._end = self.size  # end of the data section
         try:
             self._open(progress, on_damage)
         except BaseException:
@@ -150,13 +142,13 @@ class McapFile:
                 listed = self._read_summary(footer)
             except UNREADABLE as error:
                 _report(Damage(f"the summary {_reason(error)}", footer), 0, on_damage, error)
-        for placed in self._records(on_damage and _ignore):
-            with _reporting(placed.offset, placed.end, on_damage and _ignore):
-                self._take(placed)
+        for record, offset, end in self._records(on_damage and _ignore):
+            with _reporting(offset, end, on_damage and _ignore):
+                self._take(record, offset, end)
             if listed:
                 break  # after the header
             if progress:
-                progress(placed.end, self.size)
+                progress(end, self.size)
         if self.profile is None and not on_damage:
             raise Damage("the file ends before its header", len(MAGIC))
 
@@ -197,9 +189,8 @@ class McapFile:
         self._stream.seek(begin)
         return self._stream.read(size)
 
-    def _take(self, placed: FileRecord) -> None:
-        """Take what a record states of the content. Raises the errors in UNREADABLE."""
-        record = placed.record
+    def _take(self, record, offset: int, end: int) -> None:
+        """Take the content that a record states. Raises the errors in UNREADABLE."""
         if isinstance(record, Header):
             self.profile, self.library = record.profile, record.library
         elif isinstance(record, (Schema, Channel)):
@@ -209,18 +200,18 @@ class McapFile:
         elif isinstance(record, Statistics) and self.cut_off:  # in its summary
             self.statistics = record
         elif isinstance(record, Attachment):
-            about = Attached(record.name, record.media_type, len(record.data), placed.offset, placed.end)
+            about = Attached(record.name, record.media_type, len(record.data), offset, end)
             self.attachments.append(about)
         elif isinstance(record, Message):
             self._count(record.channel_id, record.log_time)
         elif isinstance(record, Chunk):
             data = _unpack(record)
-            for opcode, begin, end in _inside(data):
+            for opcode, begin, stop in _inside(data):
                 if opcode == Opcode.MESSAGE:
                     channel, _, log_time, _ = MESSAGE.unpack_from(data, begin)
                     self._count(channel, log_time)
                 elif opcode in DEFINITIONS:
-                    self._define(DEFINITIONS[opcode].read(_fields(data[begin:end])))
+                    self._define(DEFINITIONS[opcode].read(_fields(data[begin:stop])))
 
     def _define(self, record: Schema | Channel) -> None:
         known: dict = self.schemas if isinstance(record, Schema) else self.channels
@@ -285,8 +276,8 @@ class McapFile:
         if undefined is not None:
             raise ValueError(f"messages belong to channel {undefined}, which is not defined")
 
-    def _records(self, on_damage: OnDamage | None) -> Iterator[FileRecord]:
-        """Yield the records of the data section. Raises Damage.
+    def _records(self, on_damage: OnDamage | None) -> Iterator[tuple[Any, int, int]]:
+        """Yield the records of the data section, their first byte and the byte after their last. Raises Damage.
 
         After a damaged record, reading continues with the next record or, if the length is damaged too, with the next
         chunk that the summary lists.
@@ -300,7 +291,7 @@ class McapFile:
                 for record in reader.records:
                     if whole.at > self._limit(at):
                         raise ValueError("the length of a record leads into the next chunk")
-                    yield FileRecord(record, at, whole.at)
+                    yield record, at, whole.at
                     at = whole.at
                     if at == self._end:
                         return

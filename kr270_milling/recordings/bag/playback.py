@@ -44,7 +44,7 @@ class PlayClock:
 
 
 def is_latched(about: RecordedTopic) -> bool:
-    """Whether every publisher of a recorded topic repeats its last message for late subscribers."""
+    """Return whether every publisher of a recorded topic repeats its last message for late subscribers."""
     return all_latched(read_qos(about.metadata.get("offered_qos_profiles", "")))
 
 

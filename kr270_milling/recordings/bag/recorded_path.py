@@ -23,14 +23,13 @@ from kr270_milling.recordings.messages.trajectory import TRAJECTORY, TrajectoryR
 __all__ = ["PATH", "PathRecord", "read_path", "read_recorded"]
 
 PATH = "nav_msgs/msg/Path"
-UPRIGHT = 1e-9  #: horizontal part of the z axis below which an orientation is a mere heading
 
 
 @dataclass(frozen=True, eq=False)
 class PathRecord:
-    """One message; n poses."""
+    """A nav_msgs/Path with n poses."""
 
-    frames: tuple[str, ...]  #: of the message, then of its poses, each once
+    frames: tuple[str, ...]  #: frame of the message, then those of its poses, each once
     time: np.ndarray  #: [ns], (n,) int64, the stamps
     position: np.ndarray  #: [m], (n, 3)
     quaternion: np.ndarray  #: x y z w, (n, 4)
@@ -137,7 +136,7 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
     if not np.isfinite(quaternion).all():
         raise ValueError("an orientation is not finite")
     x, y, z, w = quaternion.T
-    if np.all(np.hypot(x, y) <= UPRIGHT):
+    if np.all(np.hypot(x, y) <= 1e-9):  # mere headings
         return np.tile(TOOL_DOWN, (len(quaternion), 1))
     length = np.linalg.norm(quaternion, axis=1)
     other = ~(np.abs(length - 1.0) < 1e-3)
@@ -145,8 +144,10 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
         raise ValueError(f"the orientation of pose {int(np.argmax(other)) + 1} does not have length 1")
     up = w**2 + z**2 - x**2 - y**2 > 0.0  # z component of the z axis
     if up.any():
-        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis of tcp, along the spindle away from "
-                         "the flange, points out of the part")  # fmt: skip
+        raise ValueError(
+            f"at pose {int(np.argmax(up)) + 1} the z axis of tcp, along the spindle away from "
+            "the flange, points out of the part"
+        )
     return quaternion / length[:, None]
 
 
@@ -176,14 +177,22 @@ def _bends(run: Trajectory, velocity: np.ndarray) -> np.ndarray:
     return np.where(sharp, 0.0, 2 * np.sin(turn / 2) / np.where(chord > 0, chord, 1.0))
 
 
-def _blocks(chosen: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
-            ) -> Toolpath:  # fmt: skip
+def _blocks(
+    chosen: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
+) -> Toolpath:
     """Return the blocks between chosen points; feed [m/s] and curvature [1/m] are those up to each point."""
     none = np.zeros(np.count_nonzero(chosen))
     return Toolpath(
-        position=position[chosen], feed=feed[chosen], rapid=none, line=none, feature=none, features=("",),
-        curvature=bend[chosen], spindle_speed=none, quaternion=quaternion[chosen],
-    )  # fmt: skip
+        position=position[chosen],
+        feed=feed[chosen],
+        rapid=none,
+        line=none,
+        feature=none,
+        features=("",),
+        curvature=bend[chosen],
+        spindle_speed=none,
+        quaternion=quaternion[chosen],
+    )
 
 
 def _expect_frame(*frames: str) -> None:

@@ -25,7 +25,7 @@ class Recovered:
     """Saved and lost content of a file; ``dropped``: one sentence for each damaged place."""
 
     source: str
-    directory: str = ""  # of the whole recording; the directory of the source if nothing had to be written
+    directory: str = ""  # directory of the whole recording; that of the source if nothing had to be written
     whole: bool = False  # the source was complete and without damage
     messages: int = 0
     topics: dict[str, int] = field(default_factory=dict)
@@ -73,9 +73,15 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return replace(
-        result, source=str(file), directory=str(target), whole=whole is not None and not losses.dropped,
-        lost_bytes=losses.bytes, lost_messages=lost_messages, dropped=losses.dropped, damage=damage,
-    )  # fmt: skip
+        result,
+        source=str(file),
+        directory=str(target),
+        whole=whole is not None and not losses.dropped,
+        lost_bytes=losses.bytes,
+        lost_messages=lost_messages,
+        dropped=losses.dropped,
+        damage=damage,
+    )
 
 
 def _examine(file: Path) -> tuple[Recovered | None, list[str]]:

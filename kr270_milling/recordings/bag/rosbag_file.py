@@ -16,10 +16,6 @@ from kr270_milling.recordings.messages.definitions import definition
 
 __all__ = ["RosbagFile"]
 
-#: of SQLite, of the decompressors and of code that meets a field of another type in a damaged file
-FAULTS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, OSError, RuntimeError,
-          EOFError, MemoryError, struct.error)  # fmt: skip
-
 
 class RosbagFile:
     """The content of a recording, with the attributes of an ``McapFile``. Raises Damage."""
@@ -76,7 +72,10 @@ def _faults() -> tuple[type[BaseException], ...]:
     import apsw
     from rosbags.rosbag2 import ReaderError, reader
 
-    return (*FAULTS, ReaderError, apsw.Error, reader.zstd.ZstdError)
+    # code that meets a field of another type in a damaged file, SQLite, the decompressors
+    code = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, struct.error)
+    system = (OSError, RuntimeError, EOFError, MemoryError)
+    return (*code, *system, ReaderError, apsw.Error, reader.zstd.ZstdError)
 
 
 def _schema(connection) -> tuple[bytes, str, str]:

@@ -16,7 +16,6 @@ from kr270_milling.recordings.messages.cdr import layout_of, unpack_alike, unpac
 
 __all__ = ["FIXED", "TopicSeries", "series", "several", "stamped"]
 
-BATCH = 1024 * 1024  # [bytes] of messages that are unpacked together
 #: type -> (column, unit) of the numbers after its header
 FIXED = {
     "geometry_msgs/msg/PoseStamped": (
@@ -41,10 +40,12 @@ def series(recording: Recording, topic: str) -> TopicSeries:
 
 
 def several(
-    recording: Recording, topics: Sequence[str],
-    others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({}), frame: str | None = None,
+    recording: Recording,
+    topics: Sequence[str],
+    others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({}),
+    frame: str | None = None,
     on_damage: OnDamage | None = None,
-) -> list[TopicSeries]:  # fmt: skip
+) -> list[TopicSeries]:
     """Read topics of the FIXED types as arrays in one pass through the file.
 
     others: topic -> a function that receives each message of a further topic. A message that is not of the type of its
@@ -73,7 +74,7 @@ class _Batch:
         self._stamps, self._values = [np.empty(0, np.int64)], [np.empty((0, self._width))]
 
     def add(self, data: bytes) -> None:
-        if (layout := layout_of(data)) != self._layout or len(self._waiting) * len(data) > BATCH:
+        if (layout := layout_of(data)) != self._layout or len(self._waiting) * len(data) > 1024 * 1024:  # a MB
             self._unpack()
             self._layout = layout
         self._waiting.append(data)

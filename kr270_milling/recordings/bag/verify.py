@@ -15,7 +15,7 @@ MOST = 20  # sentences
 
 
 def findings(recording: Recording, progress: Callable[[int, int], None] | None = None) -> list[str]:
-    """One sentence for each damage, at most 20; none for a whole recording. Damage raises no error.
+    """Return a sentence for each damage, at most 20; none for a whole recording. Damage raises no error.
 
     A recording is whole where ``mcap doctor`` accepts it, also without checksums and counts. The indexes are not
     compared: nothing here reads by them.

@@ -33,9 +33,17 @@ from kr270_milling.recordings.messages.definitions import deserialise, store_of
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
 
 __all__ = [
-    "deserialise", "from_bytes", "named", "pose_from_bytes", "serialise", "time_fields", "to_bytes",
-    "trajectory_from_bytes", "type_of", "wrench_from_bytes",
-]  # fmt: skip
+    "deserialise",
+    "from_bytes",
+    "named",
+    "pose_from_bytes",
+    "serialise",
+    "time_fields",
+    "to_bytes",
+    "trajectory_from_bytes",
+    "type_of",
+    "wrench_from_bytes",
+]
 
 
 def serialise(type_name: str, fields: Mapping) -> bytes:
@@ -124,7 +132,7 @@ def _stamped(type_name: str, record: Callable, *widths: int) -> MessageKind:
 
 
 def time_fields(ns: int) -> dict:
-    """Of a builtin_interfaces Time or Duration."""
+    """Return the fields of a builtin_interfaces Time or Duration."""
     return {"sec": int(ns) // SECOND, "nanosec": int(ns) % SECOND}
 
 
@@ -137,7 +145,7 @@ def _header(stamp: int, frame: str) -> dict:
 
 
 def named(axes: str, values) -> dict:
-    """Of a message with a number per axis, such as a Point or a Quaternion."""
+    """Return the fields of a message with a number per axis, such as a Point or a Quaternion."""
     return dict(zip(axes, map(float, values), strict=True))
 
 
@@ -183,7 +191,7 @@ def _read_map(msg) -> StockMap:
 
 
 def _trajectory(record: Trajectory) -> dict:
-    """One body, the tool; a velocity a point where the trajectory has velocities."""
+    """Return the fields of a trajectory of the body tcp; with velocities where the trajectory has them."""
     points = []
     for i, ns in enumerate(record.time_ns.tolist()):
         turn = named("xyzw", record.quaternion[i])
@@ -195,10 +203,10 @@ def _trajectory(record: Trajectory) -> dict:
 
 
 def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
-    """Of a trajectory_msgs/MultiDOFJointTrajectory of the tool; raises MessageError, TrajectoryError.
+    """Read a trajectory_msgs/MultiDOFJointTrajectory of the tool; raise MessageError, TrajectoryError.
 
-    as_sent: as its publisher had it. Its quaternions were of length 1 already, and to divide them by their length
-    once more could change a last bit.
+    as_sent: with the quaternions of the message. They have length 1 already, and to divide them by their length
+    again could change a last bit.
     """
     try:
         read = read_trajectory(bytes(data))
@@ -220,8 +228,8 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
 def _state(record: CompensatorState) -> dict:
     """A value for each field, and for each learned pass its fields behind ``learned_1.``, ``learned_2.`` ..."""
     values = {key: getattr(record, key) for key in STATE_KEYS}
-    for number, one in enumerate(record.learned, 1):
-        values |= {f"learned_{number}.{key}": value for key, value in one._asdict().items()}
+    for number, part in enumerate(record.learned, 1):
+        values |= {f"learned_{number}.{key}": value for key, value in part._asdict().items()}
     pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
     message = f"{record.method}, learned from {len(record.learned)} of {record.passes} passes"
     return {"name": record.name, "message": message, "values": pairs}
@@ -236,9 +244,7 @@ def _read_state(msg) -> CompensatorState:
             counts = int(values[begin + "poses"]), int(values[begin + "wrenches"])
             learned.append(LearnedRecording(recording, digest, *counts))
         method, passes, finished, target, reference = (values[key] for key in STATE_KEYS)
-        return CompensatorState(
-            msg.name, method, int(passes), finished == "True", target, reference, tuple(learned)
-        )  # fmt: skip
+        return CompensatorState(msg.name, method, int(passes), finished == "True", target, reference, tuple(learned))
     except KeyError as error:
         raise ValueError(f"is no state of a compensator: {error} is missing") from None
 
@@ -281,12 +287,12 @@ def from_bytes(type_name: str, data: bytes):
 
 
 def pose_from_bytes(data: bytes) -> PoseSample:
-    """Of a geometry_msgs/PoseStamped; raises MessageError."""
+    """Read a geometry_msgs/PoseStamped; raise MessageError."""
     return _received(PoseSample, data, "tool_pose")
 
 
 def wrench_from_bytes(data: bytes) -> WrenchSample:
-    """Of a geometry_msgs/WrenchStamped; raises MessageError."""
+    """Read a geometry_msgs/WrenchStamped; raise MessageError."""
     return _received(WrenchSample, data, "wrench")
 
 

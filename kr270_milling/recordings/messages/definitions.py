@@ -17,14 +17,35 @@ from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
 
-__all__ = ["DEFINITION_ERRORS", "TYPE_NAME", "definition", "deserialise", "jazzy_store", "members", "plain",
-           "read_message", "starts_with_stamp", "store_of", "type_hash"]  # fmt: skip
+__all__ = [
+    "DEFINITION_ERRORS",
+    "TYPE_NAME",
+    "definition",
+    "deserialise",
+    "jazzy_store",
+    "members",
+    "plain",
+    "read_message",
+    "starts_with_stamp",
+    "store_of",
+    "type_hash",
+]
 
 TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
 STAMPS = ("Header", "std_msgs/Header", "std_msgs/msg/Header", "builtin_interfaces/Time", "builtin_interfaces/msg/Time")
 #: errors of rosbags for a text that is not a definition; SyntaxError and NameError come from the code it generates
-DEFINITION_ERRORS = (ValueError, TypeError, KeyError, AssertionError, AttributeError, RecursionError, SyntaxError,
-                     NameError, OverflowError, MemoryError)  # fmt: skip
+DEFINITION_ERRORS = (
+    ValueError,
+    TypeError,
+    KeyError,
+    AssertionError,
+    AttributeError,
+    RecursionError,
+    SyntaxError,
+    NameError,
+    OverflowError,
+    MemoryError,
+)
 
 
 @functools.cache
@@ -89,7 +110,7 @@ def type_hash(type_name: str) -> str:
 
 
 def members(fields) -> Iterator[tuple[str, bool, str, float | None]]:
-    """Of every field: name, whether it holds messages, type of its items, and for a list its length (infinite: any)."""
+    """Yield for each field: name, whether it holds messages, type of its items, length of a list (infinite: any)."""
     from rosbags.interfaces import Nodetype
 
     for name, kind in fields[1]:
@@ -99,7 +120,7 @@ def members(fields) -> Iterator[tuple[str, bool, str, float | None]]:
 
 
 def starts_with_stamp(text: str) -> bool:
-    """Whether the bytes of a message begin with a time: a Header, or a Time as in Clock, is the first field."""
+    """Return whether the bytes of a message begin with a time: a Header, or a Time as in Clock, is the first field."""
     for line in text.splitlines():
         words = line.split("#", 1)[0].replace("<=", " ").split()
         if line.startswith("===="):

@@ -25,10 +25,10 @@ ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "traje
 
 @dataclass(frozen=True)
 class Topic:
-    """One row of the table."""
+    """A row of the table."""
 
     name: str  #: relative, except for /diagnostics; ~: the name of the node
-    type: str  #: of the message
+    type: str  #: type of the message
     record: Callable | None  #: class of the record that the message carries; None: no record
     publisher: str  #: node; empty: the user, or every node
     subscribers: tuple[str, ...] = ()  #: nodes that use the message

@@ -16,7 +16,7 @@ WIDTHS = (7, 6, 6)  # doubles of a transform, a velocity, an acceleration
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryRecord:
-    """One message; for p points with j bodies each. What a point leaves out is NaN."""
+    """A MultiDOFJointTrajectory of p points with j bodies each; quantities that a point leaves out are NaN."""
 
     stamp: int | None  #: [ns]
     frame_id: str
@@ -40,16 +40,16 @@ def read_trajectory(data: bytes) -> TrajectoryRecord:
         raise ValueError(f"its {count} points leave out most of the {len(names)} bodies")
     times = np.empty(count, np.int64)
     tables = [np.full((count, len(names), width), np.nan) for width in WIDTHS]
-    done, window = 0, 16
-    while done < count:
-        points = _alike(cursor, len(names), min(window, count - done))
-        rows = slice(done, done + len(points))
+    count_read, window = 0, 16
+    while count_read < count:
+        points = _alike(cursor, len(names), min(window, count - count_read))
+        rows = slice(count_read, count_read + len(points))
         times[rows] = points["seconds"].astype(np.int64) * 10**9 + points["nanoseconds"]
         for k, table in enumerate(tables):
             if points[f"values_{k}"].size:
                 table[rows] = points[f"values_{k}"]
         # as far ahead as it went well: a message made to change its layout all the time costs no more than its size
-        done, window = rows.stop, 4 * window if len(points) == window else 16
+        count_read, window = rows.stop, 4 * window if len(points) == window else 16
     cursor.finish()
     for table in (times, *tables):
         table.setflags(write=False)

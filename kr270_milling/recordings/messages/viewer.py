@@ -11,14 +11,22 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.codec import named, serialise, time_fields
 
 __all__ = [
-    "ARROW", "LINE_STRIP", "MARKERS", "PATH", "TRANSFORMS", "Marker", "Placed", "markers_bytes", "path_bytes",
+    "ARROW",
+    "LINE_STRIP",
+    "MARKERS",
+    "PATH",
+    "TRANSFORMS",
+    "Marker",
+    "Placed",
+    "markers_bytes",
+    "path_bytes",
     "transforms_bytes",
-]  # fmt: skip
+]
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 PATH = "nav_msgs/msg/Path"
-PATH_POINTS = 500  #: of a path, evenly in time, beside at most as many of its knots
+PATH_POINTS = 500  #: points of a path, evenly in time, beside at most as many of its knots
 ARROW, LINE_STRIP = 0, 4  #: visualization_msgs/msg/Marker.type
 
 
@@ -39,7 +47,7 @@ class Marker:
     name: str  #: its name space
     frame: str
     kind: int  #: ARROW or LINE_STRIP
-    width: float  #: of the line, or of the shaft [m]
+    width: float  #: width of the line, or of the shaft [m]
     points: np.ndarray  #: [m], (n, 3)
     colours: np.ndarray  #: red, green, blue, alpha from 0 to 1, (n, 4) or (4,) for the whole
 
@@ -47,10 +55,10 @@ class Marker:
 def transforms_bytes(stamp_ns: int, placed: Sequence[Placed]) -> bytes:
     """A TFMessage in which every frame has the same stamp."""
     rows = []
-    for one in placed:
-        header = {"stamp": time_fields(stamp_ns), "frame_id": one.parent}
-        transform = {"translation": named("xyz", one.position), "rotation": named("xyzw", one.quaternion)}
-        rows.append({"header": header, "child_frame_id": one.child, "transform": transform})
+    for frame in placed:
+        header = {"stamp": time_fields(stamp_ns), "frame_id": frame.parent}
+        transform = {"translation": named("xyz", frame.position), "rotation": named("xyzw", frame.quaternion)}
+        rows.append({"header": header, "child_frame_id": frame.child, "transform": transform})
     return serialise(TRANSFORMS, {"transforms": rows})
 
 

@@ -117,7 +117,7 @@ def test_names_follow_namespace_and_remapping_and_the_clock_does_not(world, bag)
     world.until(lambda: node.count_publishers("/left/force") == 1)
     assert node.count_publishers("/wrench") == node.count_publishers("/tool_pose") == 0
     world.request("/left/player/resume")
-    world.until(lambda: player.done)
+    world.until(lambda: player.finished)
     stamps = [deserialize_message(data, Clock).clock for data in of_topic(received, "/clock")]
     stamps = [stamp.sec * 10**9 + stamp.nanosec for stamp in stamps]
     assert (

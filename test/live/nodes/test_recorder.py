@@ -127,7 +127,7 @@ def test_full_disk_is_reported_and_the_written_part_stays_readable(world, record
     publisher = world.partner().create_publisher(String, "noise", 100)
     world.until(publisher.get_subscription_count)
     with full_disk(800_000):
-        world.until(lambda: publisher.publish(String(data=os.urandom(5000).hex())) or recorder.done)
+        world.until(lambda: publisher.publish(String(data=os.urandom(5000).hex())) or recorder.finished)
     assert "are safe" in recorder.failure
     with Recording(tmp_path / "rec") as recording:
         assert recording.topics()["/noise"].count > 0

@@ -20,9 +20,8 @@ from samples import recording_samples as made
 from samples.recording_samples import JOINTS, PATH, POSE, STORE, TWIST, WRENCH, joints, pose, raw
 
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder, store_for
 from kr270_milling.recordings.bag.export import rows
-from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.reader import RecordedTopic, Recording, make_decoder, store_for
 from kr270_milling.recordings.bag.series import series, stamped
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages import definitions

@@ -48,8 +48,6 @@ ROW = re.compile(r"[-+0-9.,EeDd \t]*\$?\s*")  #: numbers that continue a remark 
 CARD = re.compile(r".{72}\s{0,7}[A-Z]{0,5}([0-9]{1,8})\s*")  #: columns 73 to 80 of a punched card number it
 INSERTED = re.compile(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", re.I)  #: a block of an INSERT that sets or moves
 SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO")
-LARGEST_CUTTER = 0.2  #: [m]
-FASTEST = 1e6  #: [rad/s]
 NO_END = "a CIRCLE/ without the GOTO/ of its end"
 
 
@@ -78,7 +76,7 @@ class _AptReader(Machine):
         self.systems: dict[str, list] = {}  #: word -> its values
         self.units_given = False
         self.announced = False  #: a comment announced an operation by word
-        self.holes: dict[str, float] = {}  #: of the active CYCLE/: depth, clear, step and back [m]
+        self.holes: dict[str, float] = {}  #: depth, clear, step and back of the active CYCLE/ [m]
         self.feed_beside: tuple = ()  #: mode and feed of the moves that are no holes
         self.retracted = 0  #: line of a RETRCT/ that the tool has not come back from
         self.actions: dict[str, Callable[[list[str]], None]]
@@ -114,7 +112,7 @@ class _AptReader(Machine):
                 code, comment, note, continued = line, "", "", ""
             else:
                 code, comment, note = line.partition("$$")
-                code, continued, _ = code.partition("$")  # what follows the sign is a remark
+                code, continued, _ = code.partition("$")  # a remark follows the sign
             first = first if statement else number
             self.program.line = first
             if comment and not (code.strip() or continued):
@@ -248,7 +246,7 @@ class _AptReader(Machine):
         self.program.count("CUTTER")
         sizes = [value for value in values if not value[:1].isalpha()]
         diameter = _number(sizes[0]) * self.unit if sizes else 0.0
-        if 0 < diameter <= LARGEST_CUTTER:
+        if 0 < diameter <= 0.2:  # [m]
             mill = not values[0][:1].isalpha() or values[0].upper() == "MILL"
             radius = _number(sizes[1]) * self.unit if mill and len(sizes) > 1 else 0.0
             radius = radius if 0.0 < radius <= 0.501 * diameter else 0.0
@@ -440,7 +438,7 @@ class _AptReader(Machine):
                 raise StatementError(f"SPINDL/{short(value)} is not supported (ON, OFF, a number, RPM, CLW, CCLW are)")
             elif value not in SPINDLE_WORDS:
                 speeds.append(_number(value) * 2 * math.pi / 60)
-                if not 0 <= speeds[-1] <= FASTEST:
+                if not 0 <= speeds[-1] <= 1e6:  # [rad/s]
                     raise StatementError(f"the spindle speed {short(value)} is out of range")
         if len(speeds) > 1:
             raise StatementError(f"SPINDL/{short(','.join(values))} has {len(speeds)} speeds")

@@ -39,13 +39,13 @@ TEXTS = ("PARTNO", "PPRINT", "REMARK", "INSERT", "LETTER")  #: their values are 
 SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: words that set the origin of the coordinates
 CENTRE = "let the CAM output the path of the tool's centre"
 MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
-ARCS = "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"
 DATUM = "let the CAM output coordinates of one system"
 MOVES = "let the CAM output this move as GOTO"
 MACROS = "let the CAM output CL data without macros, loops and geometry statements"
 ADVICE = {
     "CYCLE": "let the CAM output drilling as GOTO moves", "THREAD": "leave threads out", "PROBE": "leave probing out",
-    **dict.fromkeys(("TLLFT", "TLRGT", "INDIRV", "GOFWD", "NURBS", "ARCMOV", "MOVARC", "HELIX"), ARCS),
+    **dict.fromkeys(("TLLFT", "TLRGT", "INDIRV", "GOFWD", "NURBS", "ARCMOV", "MOVARC", "HELIX"),
+                    "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"),
     **dict.fromkeys(("TRACUT", "TRANS", "COPY", "ROTATE", "ROTABL", "ROTHED", "PATTERN"), DATUM),
     **dict.fromkeys(("PLUNGE", "SAFETY", "POSTN"), MOVES),
     **dict.fromkeys(("LOOPST", "LOOPND", "MACRO", "CALL", "IF", "JUMPTO", "TERMAC"), MACROS),

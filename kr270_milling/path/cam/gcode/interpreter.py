@@ -30,12 +30,9 @@ from kr270_milling.path.cam.program_builder import ProgramBuilder
 
 __all__ = ["Interpreter"]
 
-SENSE = {3: 1, 13: 1, 4: -1, 14: -1}
 FURTHER = frozenset("ABCUVW")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
-OF_DATA = "LPQRXYZIJKHD"  #: letters of G10
-FEED_UNIT = "the feed {} comes before or with {}, and controls take it in either unit; write F after it"
 
 
 class Interpreter(Machine):
@@ -43,14 +40,14 @@ class Interpreter(Machine):
 
     def __init__(self, program: ProgramBuilder, feed: float, changes: bool):
         super().__init__(program, feed)
-        self.changes = changes  #: whether a tool comes with M6, else with its T
+        self.changes = changes  #: M6 changes the tool, else its T does
         self.next_tool = ""
         self.turning = 0
         self.speed = 0.0  #: [rad/s]
         self.preset = False  #: G92 gave the tool its place
 
     def run(self, words: list[tuple[str, Any]]) -> None:
-        """One block of letters and numbers, for T also a name: first what it sets, then the move, then what it ends."""
+        """Run a block of letters and numbers, for T also a name: first its settings, then the move, then its end."""
         program = self.program
         refusals, counted = program.refusals, program.words["counted"]
         axes: dict[str, float] = {}
@@ -72,8 +69,11 @@ class Interpreter(Machine):
         if "S" in axes or "spindle" in groups:
             self._turn(groups, axes)
         if "unclear" in groups:
-            words_of_both = word_of("F", self.feed_word or 0.0), word_of("G", groups["unit"])
-            self.feed, self.no_feed = None, FEED_UNIT.format(*words_of_both)
+            feed, unit = word_of("F", self.feed_word or 0.0), word_of("G", groups["unit"])
+            self.feed = None
+            self.no_feed = (
+                f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
+            )
         if axes or groups:
             self.move(axes, groups.get("motion"), groups.get("cycle"))
             for letter, value in axes.items():
@@ -243,7 +243,7 @@ class Interpreter(Machine):
                 self.preset = True
                 for axis, value in lengths.items():
                     self.position[AXES[axis]] = value * self.unit
-            self._read_over(word, axes, {"G92": "S" if limit else "XYZ", "G52": "XYZ", "G10": OF_DATA}[word])
+            self._read_over(word, axes, {"G92": "S" if limit else "XYZ", "G52": "XYZ", "G10": "LPQRXYZIJKHD"}[word])
 
     def _turn(self, groups: dict, axes: dict) -> None:
         """S counts only while the spindle turns."""
@@ -254,5 +254,5 @@ class Interpreter(Machine):
         elif speed is not None:
             self.speed = speed * 2 * math.pi / 60
         if "spindle" in groups:
-            self.turning = SENSE.get(groups["spindle"], 0)
+            self.turning = {3: 1, 13: 1, 4: -1, 14: -1}.get(groups["spindle"], 0)
         self.program.spindle_speed = self.turning * self.speed

@@ -47,12 +47,9 @@ PIECE = re.compile(
 )
 ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
-TITLE = re.compile(r"\s*[O:]\s*[0-9]+\s*", re.I)
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
 LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
 SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
-HEADER = re.compile(r"%[ \t]*(?:[O:]?[0-9]*|[A-Z_][A-Z0-9_]*)[ \t]*", re.I)  #: start or end of a program, with a name
-MOST_COMMENTS = 2000
 HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
@@ -117,7 +114,8 @@ class GcodeReader:
         if code[:1] == "%":
             self.percent += 1
             self.machine.ended = line == "%" and self.percent > 1 and len(self.program) > 1
-            if not HEADER.fullmatch(code):
+            # start or end of a program, with a name
+            if not re.fullmatch(r"%[ \t]*(?:[O:]?[0-9]*|[A-Z_][A-Z0-9_]*)[ \t]*", code, re.I):
                 self.program.refuse(code, f"{short(code)!r} is no start of a program", "write blocks in lines after %")
             return
         if skip := SKIP.match(code):
@@ -166,7 +164,7 @@ class GcodeReader:
         self.machine.absolute = {}
 
     def _assigned(self, text: str, words: list, names: list) -> None:
-        """What Sinumerik writes with a sign of equality: X=AC(1), CR=5, S1=3000, Z1=0, T="MILL 10"."""
+        """Take words of Sinumerik with a sign of equality: X=AC(1), CR=5, S1=3000, Z1=0, T="MILL 10"."""
         name, mode, number, quoted = ASSIGNED.findall(text)[0]
         letter, numbered = name[0], name[1:].isdigit()
         if not number and name == "T" and quoted.strip():
@@ -201,7 +199,7 @@ class GcodeReader:
             self.program.refuse(text, f"{short(text)!r} is no G-code word", advice)
 
     def _known(self, names: list[tuple[str, str]], further: bool) -> bool:
-        """Whether the words of several letters in a line let it be run; further: the line has other words."""
+        """Return whether the words of several letters in a line let it be run; further: the line has other words."""
         silent = []
         for name, rest in names:
             reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")
@@ -216,8 +214,8 @@ class GcodeReader:
         return known
 
     def _comments(self, code: str, comments: list[str]) -> None:
-        title = TITLE.fullmatch(code) is not None
-        if len(self.program.comments) < MOST_COMMENTS:
+        title = re.fullmatch(r"\s*[O:]\s*[0-9]+\s*", code, re.I) is not None
+        if len(self.program.comments) < 2000:
             match = re.search(r"T\s*0*([0-9]+)", code, re.I)
             tool = f"T{match.group(1)}" if match else self.machine.next_tool
             self.program.comments += [(comment, tool, match is not None) for comment in comments]

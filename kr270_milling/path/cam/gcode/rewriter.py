@@ -22,11 +22,7 @@ from kr270_milling.path.cam.program_builder import ProgramBuilder
 __all__ = ["GcodeSource", "SourceMove", "read_source"]
 
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
-PER_MINUTE = "a feed in inverse time (G93) holds for the whole block; post the program with feeds per minute (G94)"
-SIDEWAYS = "{} leaves sideways {:.4g} mm below the top of the stock; retract along Z alone first"
-UNPLACED = "the drilling cycle begins at the end of a feed move; write a rapid move to X, Y and Z before it"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
-DEEP = 1e-6  #: [m], below the top of the stock: rounding of a height
 #: words that end a block: they stay on the last of its new blocks
 ENDING = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
 
@@ -74,15 +70,19 @@ class _Watch(Interpreter):
     def home(self, axes: list[str]) -> None:
         """Refuse to leave sideways at cutting depth: the model retracts first, but a machine moves these axes."""
         depth = self.top - self.position[2]
-        if not {"X", "Y"}.isdisjoint(axes) and depth > DEEP and not self.program.away:
-            self._refuse(SIDEWAYS.format(" ".join(["the move home of", *axes]), 1e3 * depth))
+        # 1 um: rounding of a height
+        if not {"X", "Y"}.isdisjoint(axes) and depth > 1e-6 and not self.program.away:
+            where = f"{1e3 * depth:.4g} mm below the top of the stock"
+            self._refuse(f"the move home of {' '.join(axes)} leaves sideways {where}; retract along Z alone first")
         super().home(axes)
 
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
         if self.incremental:
             self._refuse(f"the move {ABSOLUTE}")
         if self.feed_mode == 93:
-            self._refuse(PER_MINUTE)
+            self._refuse(
+                "a feed in inverse time (G93) holds for the whole block; post the program with feeds per minute (G94)"
+            )
         self._note("feed", ())
         super()._feed_to(start, ends, length, curvature)
 
@@ -90,7 +90,9 @@ class _Watch(Interpreter):
         if self._relative(axes):
             self._refuse(f"the drilling cycle {ABSOLUTE}")
         if "Z" in self._corrected or not self._corrected <= axes.keys():
-            self._refuse(UNPLACED)
+            self._refuse(
+                "the drilling cycle begins at the end of a feed move; write a rapid move to X, Y and Z before it"
+            )
         super()._drill(kind, axes)
         self._note("cycle", "XYZ")
 
@@ -125,8 +127,11 @@ class GcodeSource:
     @property
     def head(self) -> int:
         """Return the number of lines before the first block: the start sign, the name of the program, blank lines."""
-        named = (k for k, line in enumerate(self.lines) if line.strip() and line.lstrip()[0] not in "%O:o" and
-                 not line.startswith(";$PATH"))  # fmt: skip
+        named = (
+            k
+            for k, line in enumerate(self.lines)
+            if line.strip() and line.lstrip()[0] not in "%O:o" and not line.startswith(";$PATH")
+        )
         return next(named, 0)
 
 
@@ -169,7 +174,7 @@ def _rewritten(line: str, move: SourceMove, places: list[str]) -> list[str]:
         skip, code = mark[0][len(number) :].lstrip(), number + " " + code[mark.end() :]
     words, ending, comments, place = _sorted_words(code, move)
     feed = move.kind == "feed"
-    blocks = [f"G1 {one}" if feed else one for one in places]
+    blocks = [f"G1 {position}" if feed else position for position in places]
     words.insert(place, blocks[0] if blocks else "G1")
     rows = [words, *([block] for block in blocks[1:])]
     rows[-1] = rows[-1] + ending

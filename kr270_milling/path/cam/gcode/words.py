@@ -28,7 +28,7 @@ __all__ = [
     "word_of",
 ]
 
-#: what a machine keeps -> the G words that set it, and to what
+#: modal state of a machine -> the G words that set it, and their values
 MODAL: dict[str, dict[float, object]] = {
     "unit": {20: INCH, 70: INCH, 700: INCH, 21: MM, 71: MM, 710: MM},
     "incremental": {90: False, 91: True},
@@ -38,8 +38,8 @@ MODAL: dict[str, dict[float, object]] = {
 }
 #: work offsets: 110 to 129 of Haas, 500 is the machine's own zero on Sinumerik
 OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *range(110, 130), *range(500, 600))}
-#: G words that change no path -> the letters that belong to them: cancelled modes, look-ahead, exact stop, the length
-#: of the tool, limits. 5, 74 and 75 change none together with some other words.
+#: G words that change no path -> the letters that belong to them: cancelled modes, look-ahead, exact stop, the
+#: tool length, limits. 5, 74 and 75 change none together with some other words.
 SILENT_G: dict[float, str] = {
     **dict.fromkeys((9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""),
     **dict.fromkeys((290, 291, 450, 451, *range(601, 604), *range(641, 647)), ""),
@@ -96,15 +96,12 @@ CENTRE = "let the CAM output the path of the tool's centre (compensation in the 
 MACROS = "post without macros and sub-programs, every move in one program"
 DATUM = "let the CAM output coordinates of one work offset, without shift, rotation, mirror or scale"
 CURVES = "let the CAM output lines and arcs"
-THREADS = "leave threads out of this program; they are bound to the spindle's angle"
 PROBING = "leave probing out of this program"
 AXES5 = "post a 3-axis program: the tool must be parallel to z of the workpiece"
-LATHE = "this is a word of lathes; post for a mill"
 POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
 UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"
 
 UNKNOWN_M = "it is not known; leave it out where it moves no axis"
-JUMPS = "a jump or a call; " + MACROS
 
 HEIDENHAIN = "a program of a Heidenhain control; post it as ISO (DIN) G-code"
 
@@ -133,8 +130,11 @@ ADVICE = {
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
     **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
     **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
-    **_each("G33 G33.1 G74 G76 G84 G84.2 G84.3 G88 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70", THREADS),
-    **_each("G96 G7 G32 G72", LATHE),
+    **_each(
+        "G33 G33.1 G74 G76 G84 G84.2 G84.3 G88 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
+        "leave threads out of this program; they are bound to the spindle's angle",
+    ),
+    **_each("G96 G7 G32 G72", "this is a word of lathes; post for a mill"),
     **_each("G87 G12 G13 G150 G34 G47", POCKETS),
     **_each(
         """MCALL CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE89 POCKET3 POCKET4 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE71
@@ -148,7 +148,7 @@ ADVICE = {
 }
 #: letters that no word of their line takes -> what to do
 LEFT = {
-    **dict.fromkeys("LPO", JUMPS),
+    **dict.fromkeys("LPO", "a jump or a call; " + MACROS),
     **dict.fromkeys("ABCUVW", AXES5),
     "E": "a word of 3-D printers; post for a milling machine",
 }
