@@ -7,47 +7,24 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from kr270_milling.base.arguments import numbers
+import numpy as np
+
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.show.commands.command import POSTURE, command, option
+from kr270_milling.cell.cell_file import read_cells
+from kr270_milling.cell.draft import draft_text, straight_text, tools_text
+from kr270_milling.cell.keys import keys_of
+from kr270_milling.decide.programs.files import kuka_frames
+from kr270_milling.path.cam.readers import read_toolpaths
+from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.show.commands.console import Answer
 
 SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
-COMMANDS = {
-    "init": command(
-        "cells.run_init", "init --gcode config/test_piece.nc --out my.yaml",
-        option("--gcode FILE", "the program: G-code or APT/CL"),
-        option("--tool T1", "of a program with several tools: a cell for this one alone", default=""),
-        option("--robot", "arm file, also a shipped one by its name", default="kr270_2"),
-        option("--out FILE.yaml", "write this file instead; it names a program below its folder by the relative path"),
-    ),
-    "keys": command(
-        "cells.run_keys", "keys tool",
-        option("section SECTION", "for example tool; default: all", default="", nargs="?"),
-        option("--markdown", "print a table for a page", bool),
-    ),
-    "stiffness": command(
-        "cells.run_stiffness", "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
-        option("arm ARM.yaml", "arm or cell file; the flange is the tool point of a bare arm"),
-        option("--joints-deg A1,...,A6", "posture", POSTURE, required=True),
-        option("--wrench FX,FY,FZ,MX,MY,MZ", "[N, N m], default: none", numbers(6), [0.0] * 6),
-        option("--frame", "of wrench and matrices", default="base", choices=("base", "tool")),
-        option("--gravity", "load the arm with its link weights too", bool),
-    ),
-}  # fmt: skip
-
 
 def run_init(args) -> Answer:
-    import numpy as np
-
-    from kr270_milling.cell.cell_file import read_cells
-    from kr270_milling.cell.draft import draft_text, straight_text, tools_text
-    from kr270_milling.decide.programs.files import kuka_frames
-    from kr270_milling.path.cam.readers import read_toolpaths
 
     robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
     find_file(robot)
@@ -84,7 +61,6 @@ def _program_of(args) -> str:
 
 
 def run_keys(args) -> Answer:
-    from kr270_milling.cell.keys import keys_of
 
     entries = keys_of(args.section)
     rows = [("key", "unit", "range", "default", "meaning")]
@@ -112,9 +88,6 @@ def _shown(default) -> str:
 
 def run_stiffness(args) -> Answer:
     """Pose, Jacobian, Cartesian stiffness (17) and natural frequencies at one posture."""
-    import numpy as np
-
-    from kr270_milling.physics.robot.analysis import analyse, read_arm
 
     arm, mount = read_arm(find_file(args.arm))
     result = analyse(arm, mount, np.radians(args.joints_deg), np.array(args.wrench), args.frame, args.gravity)

@@ -8,74 +8,43 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from kr270_milling.base.arguments import bounded
+import numpy as np
+
 from kr270_milling.base.column import CONVERGED, TextTable, columns, columns_of, fixed, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.physics.compensation.methods import BEST, METHODS
-from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, command, option
+from kr270_milling.cell.cell_file import read_cells
+from kr270_milling.cell.jobs import joint_ranges
+from kr270_milling.cell.models import cut_of, cut_text_of, path_of
+from kr270_milling.decide.compensation import compensate, limit_sentence
+from kr270_milling.decide.decision import CAUTION, NO
+from kr270_milling.decide.part import FeatureRow, write_part
+from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, write_manifest, write_tool_programs
+from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
+from kr270_milling.decide.programs.rsi_context import rsi_address
+from kr270_milling.decide.programs.written import SOFTER, softer_pass
+from kr270_milling.decide.tolerance import um_text
+from kr270_milling.decide.tools import DecisionOnTools, in_turn
+from kr270_milling.physics.compensation.revision import chord_error
+from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (
     Answer,
     Colored,
-    cells_of,
     command_line,
     joints_text,
     now,
-    plant_of,
 )
 from kr270_milling.show.commands.progress import steps, title_of
+from kr270_milling.show.commands.simulate import plant_of
+from kr270_milling.show.report import report_text, write_report_page
+from kr270_milling.show.report.tools_page import tools_page
 
-ROBOTS = 32  #: of a verdict
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 
-COMMANDS = {
-    "compensate": command(
-        "compensate.run_compensate", "compensate config/test_piece.yaml --out out",
-        *CELL,
-        *PLANT,
-        option(
-            "--method",
-            "default: the cell's compensation.method; best: compare the methods and run the best",
-            choices=(BEST, *METHODS),
-        ),
-        option("--out DIR", "where everything goes", default="out"),
-        option(
-            "--krl",
-            "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
-            "in straight lines, else the cell's program.motion)",
-            choices=MOTIONS,
-            action="append",
-        ),
-        option(
-            "--verdict N",
-            "number of simulated robots, drawn from the cell's uncertainty, that judge the compensation; 0: no verdict",
-            bounded(0, 999_999, int),
-            ROBOTS,
-        ),
-        option(
-            "--force",
-            "also write the programs after the decision no, marked NOT RELEASED in name and header",
-            bool,
-        ),
-        option(
-            "--rsi ADDRESS[:PORT]",
-            "also write the RSI context of a KR C4 and the program around it, for 'kr270_milling rsi' on that host",
-        ),
-        option("--gcode", "also write the G-code of the cell with corrected coordinates, as G1 blocks", bool),
-        option("--seed N", "of the verdict's robots", bounded(1, 999_999, int), 1),
-    ),
-}  # fmt: skip
-
 
 def run_compensate(args) -> Answer:
-    from kr270_milling.decide.compensation import compensate
-    from kr270_milling.decide.decision import CAUTION
-    from kr270_milling.decide.programs.files import OLDER, set_aside
-    from kr270_milling.decide.programs.gcode import check_gcode
-    from kr270_milling.decide.programs.rsi_context import rsi_address
-    from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
     def run(cell, whole):
         plant = plant_of(args, cell)
@@ -86,7 +55,7 @@ def run_compensate(args) -> Answer:
 
     if args.rsi:
         rsi_address(args.rsi)  # refused before the passes are run
-    source, cells = find_file(args.cell), cells_of(args)
+    source, cells = find_file(args.cell), read_cells(find_file(args.cell), args.set)
     if args.gcode:
         check_gcode(cells)
     with staged(args.out) as (draft, final), steps() as whole:
@@ -107,9 +76,6 @@ def run_compensate(args) -> Answer:
 
 def _values(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
-    from kr270_milling.cell.jobs import joint_ranges
-    from kr270_milling.cell.models import path_of
-    from kr270_milling.decide.programs.files import time_law
 
     original, revised = done.original, done.revised
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
@@ -128,11 +94,6 @@ def _values(cell, done) -> dict:
 
 def _correction(cell, revised, by) -> dict:
     """How large the correction is, and the parts that a limit removed."""
-    import numpy as np
-
-    from kr270_milling.cell.models import path_of
-    from kr270_milling.decide.compensation import limit_sentence
-    from kr270_milling.physics.compensation.revision import chord_error
 
     size = np.linalg.norm(revised.reference.position - path_of(cell).target.position, axis=1)
     limited = [
@@ -152,8 +113,6 @@ def _correction(cell, revised, by) -> dict:
 
 def _write(draft, final, jobs, decision, args, source, whole) -> dict:
     """All files of all tools, and what ``--json`` prints; jobs: of each tool its cell and its compensation."""
-    from kr270_milling.decide.decision import NO
-    from kr270_milling.decide.programs.files import write_manifest
 
     date, released = now(), decision.level != NO
     tools, texts, pages = [], [], []
@@ -184,7 +143,6 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
 
 def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dict, str]:
     """The G-code of all tools: its final path with what was read back, and the text for the manifest."""
-    from kr270_milling.decide.programs.gcode import write_gcode
 
     path, tools = write_gcode(
         draft, [(cell, done.revised.reference) for cell, done in jobs], date=date, decision=decision.lines(),
@@ -204,8 +162,6 @@ def _gcode_lines(values: dict):
 
 def _write_programs(draft, final, cell, done, lines, released, args, date: str) -> tuple[dict, str]:
     """Programs and tables of one tool: their final paths by kind, and the text for the manifest."""
-    from kr270_milling.decide.programs.files import write_tool_programs
-    from kr270_milling.decide.programs.rsi_context import rsi_address
 
     files, text = write_tool_programs(
         draft, cell, done.original.reference, done.revised.reference, method=done.revised.name, date=date,
@@ -220,7 +176,6 @@ def _write_programs(draft, final, cell, done, lines, released, args, date: str) 
 
 def _report_of_tool(cell, done, args, source, date: str, whole) -> str:
     """The report of one tool as text."""
-    from kr270_milling.show.report import report_text
 
     revised = done.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
@@ -233,8 +188,6 @@ def _report_of_tool(cell, done, args, source, date: str, whole) -> str:
 
 def _write_part(draft, cell, revised):
     """Write the predicted part as STL and return its path."""
-    from kr270_milling.cell.models import cut_of, path_of
-    from kr270_milling.decide.part import write_part
 
     stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
     write_part(stl, cut_of(cell), revised.result, path_of(cell).clock)
@@ -243,8 +196,6 @@ def _write_part(draft, cell, revised):
 
 def _write_report(draft, jobs, decision, pages):
     """One page: that of the only tool, or one with the page of each tool behind a tab."""
-    from kr270_milling.show.report import write_report_page
-    from kr270_milling.show.report.tools_page import tools_page
 
     if len(jobs) == 1:
         return write_report_page(draft, pages[0])
@@ -255,9 +206,6 @@ def _write_report(draft, jobs, decision, pages):
 
 def _joints_table(cell, revised):
     """The posture that is commanded, for the report."""
-    import numpy as np
-
-    from kr270_milling.cell.jobs import joint_ranges
 
     columns = [
         *joint_ranges(cell, revised.reference).values(),
@@ -270,9 +218,6 @@ def _joints_table(cell, revised):
 
 def _time_law_table(cell, done, whole):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
-    from kr270_milling.cell.models import path_of
-    from kr270_milling.decide.programs.files import time_law
-    from kr270_milling.decide.programs.written import SOFTER, softer_pass
 
     with whole.under(title_of(cell))("lower acceleration") as report:
         softer = softer_pass(cell, done.revised.reference, progress=report)
@@ -284,7 +229,6 @@ def _time_law_table(cell, done, whole):
 
 def _shown_tools(jobs, decision, values: dict, args):
     """The output for the terminal: the decision, then what each tool has on its own."""
-    from kr270_milling.decide.decision import NO
 
     yield Colored(decision.text, COLORS[decision.level])
     for (cell, done), one in zip(jobs, values["tools"], strict=True):
@@ -303,7 +247,6 @@ def _shown_tools(jobs, decision, values: dict, args):
 
 def _shown(cell, done, decision, values: dict, args):
     """The output for the terminal, the decision first."""
-    from kr270_milling.decide.decision import NO
 
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
@@ -322,14 +265,10 @@ def _files(values: dict):
 
 def _details(cell, done, values: dict):
     """Tables and lines of one tool after its decision."""
-    from kr270_milling.cell.models import cut_text_of
-    from kr270_milling.decide.tolerance import um_text
 
     if done.parts:
         yield _features(values["features"], values["method"])
     else:
-        from kr270_milling.physics.motion.scores import Scores
-
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
     yield (
@@ -360,7 +299,6 @@ def _identified(values: dict) -> str:
 
 def _features(features: dict, method: str) -> TextTable:
     """Before and after, side by side."""
-    from kr270_milling.decide.part import FeatureRow
 
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
     keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")

@@ -14,10 +14,16 @@ from pathlib import Path
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.show.commands.command import PLANT, command, option
-from kr270_milling.show.commands.console import Answer, command_line, now, plant_of
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.cell.models import arm_of, path_of
+from kr270_milling.show.commands.console import Answer, command_line, now
 from kr270_milling.show.commands.progress import steps
 from kr270_milling.show.commands.run import missing_text, run_passes, summary
+from kr270_milling.show.commands.simulate import plant_of
+from kr270_milling.show.report import write_report
+from kr270_milling.show.report.series import write_series
+from kr270_milling.show.report.tables import TABLE_2
 
 METHODS = ("linear", "spline", "mirror", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
@@ -26,18 +32,8 @@ WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
 WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
-COMMANDS = {
-    "demo": command(
-        "demo.run_demo", "demo --out out",
-        option("--out DIR", "where report and series go", default="out"),
-        option("--plain", "the plain loop, also where ROS is installed", bool),
-        *PLANT,
-    ),
-}  # fmt: skip
-
 
 def run_demo(args) -> Answer:
-    from kr270_milling.cell.cell_file import read_cell
 
     source = find_file("paper.yaml")
     cell = read_cell(source)
@@ -64,8 +60,6 @@ def run_demo(args) -> Answer:
 
 
 def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
-    from kr270_milling.cell.jobs import compensated, compensator, simulate
-    from kr270_milling.cell.models import path_of
 
     with whole(f"original{suffix}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
@@ -78,9 +72,6 @@ def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
-    from kr270_milling.cell.models import arm_of, path_of
-    from kr270_milling.show.report import write_report
-    from kr270_milling.show.report.series import write_series
 
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = TextTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
@@ -107,7 +98,6 @@ def _answer(passes, second, result: dict, missing: Sequence[str] = ()) -> Answer
 
 
 def _row(p) -> list[str]:
-    from kr270_milling.show.report.tables import TABLE_2
 
     ours, paper = p.scores, TABLE_2.get(p.name)
     deviations = [

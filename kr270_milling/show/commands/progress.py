@@ -8,6 +8,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+from rich.console import Console
+from rich.progress import BarColumn, SpinnerColumn, TextColumn
+from rich.progress import Progress as Bar
+
 __all__ = ["Progress", "progress", "steps", "title_of"]
 
 LINE_PERIOD = 5.0  #: [s] between two lines
@@ -107,9 +111,6 @@ def _line(whole: Progress) -> None:
 @contextlib.contextmanager
 def _bar(whole: Progress) -> Iterator[Callable[[], None]]:
     """Yield the function that updates the bar."""
-    from rich.console import Console
-    from rich.progress import BarColumn, SpinnerColumn, TextColumn
-    from rich.progress import Progress as Bar
 
     columns = SpinnerColumn(), BarColumn(bar_width=24), TextColumn("{task.description}", markup=False)
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from kr270_milling.base.arguments import UsageError
 from kr270_milling.base.column import table_of
 from kr270_milling.base.errors import one_line
-from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.exchange.replay.compensate import compensate_recording
+from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.live.nodes.play_arguments import play_options
 from kr270_milling.live.ros.environment import require_ros
-from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.show.commands.command import CELL_BESIDE, REMAP, Group, command, option
+from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.recordings.bag.remap import remapping
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
@@ -19,29 +20,6 @@ COUNTS = ("compared", "differing", "missing", "not_compared")
 COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
 PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
                    None: "not to be compared with a recorded one"}  # fmt: skip
-
-
-COMMANDS = {
-    "replay": command(
-        "replay.run_replay", "replay out/pass1 --recompute",
-        option("file FILE.mcap|DIR", "a recording"),
-        Group(None, (
-            option(
-                "--recompute",
-                "no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
-                "missing or is left over, or the recompute cannot continue",
-                bool,
-            ),
-            option("--compensate", "no playback: the revised trajectory from the recorded pass", bool),
-        )),
-        CELL_BESIDE,
-        option("--method", "with --compensate: in place of the recorded method", choices=METHODS),
-        option("--out DIR", "with --compensate: write reference_trajectory.csv there"),
-        REMAP,
-        Group("playback (names as in ros2 bag play)", PLAY),
-        option("--ros-args", "remapping and namespace; the last", default=[], nargs=argparse.REMAINDER),
-    ),
-}  # fmt: skip
 
 
 def run_replay(args) -> Answer:
@@ -65,8 +43,6 @@ def _play(args) -> Answer:
 
 
 def _recompute(args) -> Answer:
-    from kr270_milling.exchange.replay.recompute import recompute
-    from kr270_milling.recordings.bag.remap import remapping
 
     with progress("recomputing") as report:
         result = recompute(args.file, report, remapping(args.remap), args.cell)
@@ -89,8 +65,6 @@ def _shown(value) -> str:
 
 
 def _compensate(args) -> Answer:
-    from kr270_milling.exchange.replay.compensate import compensate_recording
-    from kr270_milling.recordings.bag.remap import remapping
 
     with progress("compensating") as report:
         revisions = compensate_recording(args.file, args.method, report, remapping(args.remap), args.cell)
@@ -110,7 +84,6 @@ def _compensate(args) -> Answer:
 
 
 def _write(out: str, revised) -> Path:
-    from kr270_milling.path.trajectory_csv import write_csv
 
     prefix = revised.robot.strip("/").replace("/", "_")
     path = output_directory(out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"

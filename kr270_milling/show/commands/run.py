@@ -5,39 +5,30 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from kr270_milling.base.arguments import bounded
+import numpy as np
+
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.files import fresh_directory
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import arm_model_of, cut_of, cut_text_of, path_of
+from kr270_milling.live.graph.graph import Graph
+from kr270_milling.live.graph.plan import RunRow, run_plan
 from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
-from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.show.commands.command import CELL, PLANT, command, option
-from kr270_milling.show.commands.console import Answer, cell_of, plant_of, shown_path
+from kr270_milling.live.ros.names import full_namespace
+from kr270_milling.physics.motion.milling_pass import CompliantArm
+from kr270_milling.physics.motion.scores import Scores
+from kr270_milling.show.commands.console import Answer, shown_path
 from kr270_milling.show.commands.progress import steps
-
-COMMANDS = {
-    "run": command(
-        "run.run_graph", "run config/paper.yaml --method spline --out out",
-        *CELL,
-        *PLANT,
-        option(
-            "--passes N", "passes in all, with the original one (default: as many as needed)", bounded(1, 1000, int)
-        ),
-        option("--method", "how to compensate; may be given several times", choices=METHODS, action="append"),
-        option("--out DIR", "for recordings, logs, cell.yaml", default="out"),
-        option("--processes", "one process a node; else two nodes share one, which is quicker", bool),
-        option("--namespace NAME", "ROS namespace of the four nodes", default=""),
-    ),
-}  # fmt: skip
+from kr270_milling.show.commands.simulate import plant_of
 
 
 def run_graph(args) -> Answer:
     require_ros("run")
     keep_to_this_host()
-    from kr270_milling.cell.models import cut_text_of
-    from kr270_milling.live.graph.plan import RunRow
-    from kr270_milling.physics.motion.scores import Scores
 
-    cell = cell_of(args)
+    cell = read_cell(find_file(args.cell), args.set)
     if cell.stage:
         if cell.stage.earlier:
             print(f"warning: {cell.stage}: the nodes begin with an uncut stock", file=sys.stderr)
@@ -66,11 +57,6 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     say: called with a sentence at the start of each step. Returns graph_up_s, out (the directory used) and passes, a
     list of RunRow.
     """
-    from kr270_milling.base.files import fresh_directory
-    from kr270_milling.cell.models import path_of
-    from kr270_milling.live.graph.graph import Graph
-    from kr270_milling.live.graph.plan import run_plan
-    from kr270_milling.live.ros.names import full_namespace
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""
     cuts = None if plant is None else plant.cell
@@ -91,10 +77,6 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
 
 def _compile(cell) -> None:
     """Compile once what the nodes run, so that no node of the graph waits; the disk keeps the compiled code."""
-    import numpy as np
-
-    from kr270_milling.cell.models import arm_model_of, cut_of, path_of
-    from kr270_milling.physics.motion.milling_pass import CompliantArm
 
     above = np.array([0.0, 0.0, float(cell.stock.max[2]) + 1.0])
     cut_of(cell).sweep(above, above, 0, 1)

@@ -5,36 +5,34 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
+import numpy as np
+
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
-from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, REFERENCE, command, option
-from kr270_milling.show.commands.console import Answer, cells_of, joints_text, plant_of
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell import jobs
+from kr270_milling.cell.cell_file import read_cell, read_cells
+from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, path_of
+from kr270_milling.cell.plant import Plant
+from kr270_milling.decide import check as decision
+from kr270_milling.decide.check_cut import residue_of
+from kr270_milling.decide.part import FeatureRow, assess, write_part
+from kr270_milling.decide.programs.files import kuka_frames
+from kr270_milling.decide.tolerance import judge
+from kr270_milling.decide.tools import in_turn
+from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.show.commands.console import Answer, joints_text
 from kr270_milling.show.commands.progress import steps, title_of
+from kr270_milling.show.report.series import write_series
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
 FEATURES = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
-COMMANDS = {
-    "simulate": command(
-        "simulate.run_simulate", "simulate config/paper.yaml --set path.depth_of_cut_mm=1",
-        *CELL,
-        *PLANT,
-        REFERENCE,
-        option("--out DIR", "write the series of the pass here as CSV; of a tool path also the part as STL"),
-    ),
-    "check": command(
-        "simulate.run_check", "check config/test_piece.yaml",
-        *CELL,
-        option("--reference FILE.csv", "check this trajectory, as written by compensate"),
-        option("--motion", "default: the cell's program.motion", choices=MOTIONS),
-    ),
-}  # fmt: skip
 
 
 def run_simulate(args) -> Answer:
-    from kr270_milling.decide.tools import in_turn
 
-    cells = cells_of(args)
+    cells = read_cells(find_file(args.cell), args.set)
     _refuse_reference(args, cells)
     with (
         staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final),
@@ -47,12 +45,6 @@ def run_simulate(args) -> Answer:
 
 def _simulated(cell, args, draft, final, whole):
     """The pass of one tool, what ``--json`` prints of it, and the output for the terminal."""
-    from kr270_milling.cell import jobs
-    from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, path_of
-    from kr270_milling.decide.check_cut import residue_of
-    from kr270_milling.decide.part import FeatureRow, assess, write_part
-    from kr270_milling.decide.tolerance import judge
-    from kr270_milling.show.report.series import write_series
 
     reference = None if args.reference is None else _reference(cell, args.reference)
     suffix = cell.stage.suffix if cell.stage else ""
@@ -91,9 +83,8 @@ def _simulated(cell, args, draft, final, whole):
 
 def run_check(args) -> Answer:
     """Exit code 1 if the path must not be run."""
-    from kr270_milling.decide.tools import in_turn
 
-    cells = cells_of(args)
+    cells = read_cells(find_file(args.cell), args.set)
     _refuse_reference(args, cells)
     with steps() as whole:
         done = in_turn(
@@ -116,11 +107,6 @@ def run_check(args) -> Answer:
 
 def _checked(cell, args, whole):
     """The check of one tool, what ``--json`` prints of it, and the output for the terminal."""
-    from kr270_milling.cell.models import cut_text_of
-    from kr270_milling.decide import check as decision
-    from kr270_milling.decide.programs.files import kuka_frames
-    from kr270_milling.decide.tolerance import judge
-    from kr270_milling.path.trajectory_csv import read_csv
 
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
     checked = decision.check(cell, reference, args.motion, progress=whole.under(title_of(cell)))
@@ -151,7 +137,6 @@ def _by_tool(cells, values: list[dict]) -> dict:
 
 
 def _scores(cell, summary: dict) -> list[str]:
-    from kr270_milling.cell.models import path_of
 
     x, y, z = summary["mean_force_n"]
     ringing = summary["ringing_frequency_hz"]
@@ -166,10 +151,6 @@ def _scores(cell, summary: dict) -> list[str]:
 
 
 def _reference(cell, path: str):
-    import numpy as np
-
-    from kr270_milling.cell.models import path_of
-    from kr270_milling.path.trajectory_csv import read_csv
 
     run, target = read_csv(Path(path))[0], path_of(cell).target
     if run.duration_ns != target.duration_ns:
@@ -182,7 +163,6 @@ def _reference(cell, path: str):
 
 
 def _summary(cell, ran) -> dict:
-    from kr270_milling.cell import jobs
 
     result = ran.result
     duration = float(result.time[-1])
@@ -200,3 +180,24 @@ def _summary(cell, ran) -> dict:
         "largest_pose_correction_um": float(result.correction.max()) * 1e6,
         "ringing_damping": ran.scores.ringing_damping,
     }
+
+
+def plant_of(args, cell):
+    """Return the plant of ``--plant`` and ``--noise-um``; None: the model cuts, without imperfections."""
+
+    chosen = [f"path.tool={cell.stage.tool}"] if cell.stage else []
+    cuts = read_cell(find_file(args.plant), chosen) if args.plant else cell
+    if cell.stage and not cuts.stage:
+        raise InputError(args.plant, f"is no plant for a cell with tools: it needs tools.{cell.stage.tool}, too")
+    imperfections = cuts.imperfections
+    if args.noise_um is not None:
+        imperfections = imperfections.replace(pose_noise=1e-6 * args.noise_um)
+    added = (
+        imperfections.pose_noise,
+        imperfections.repeatability,
+        imperfections.servo_frequency,
+        imperfections.servo_delay,
+        imperfections.joining,
+    )
+    perfect = not (any(added) or imperfections.backlash.any())
+    return None if perfect and not args.plant else Plant(cell, cuts, imperfections)

@@ -4,90 +4,50 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.base.arguments import bounded, grid
+import numpy as np
+
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, Group, command, option
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, path_of
+from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.trajectory import TRAJECTORY
 from kr270_milling.show.commands.console import Answer, output_directory, shown_path
 from kr270_milling.show.commands.progress import progress, steps
+from kr270_milling.show.report.placements import gain_text, write_map
+from kr270_milling.show.report.sweep import sweep_tables, write_sweep
+from kr270_milling.studies.maps import along as turning
+from kr270_milling.studies.maps.engine import Study, content, run_chunks
+from kr270_milling.studies.maps.placements import (
+    PlacementRow,
+    Placements,
+    Summary,
+    grid_axes,
+    path_places,
+    place_of,
+    places_at,
+    present_row,
+    write_cells,
+    write_placement,
+)
+from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
 STUDIES = ("pyarrow", "dask", "distributed")  #: Dask with --scheduler only
-MOST = 10_000_000
 READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
 BEST = 5  #: placements that are written as cells
 TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
 
-SCHEDULER = option("--scheduler ADDRESS", "a running Dask scheduler, tcp://host:port")
-PLACES = grid(-1e5, 1e5, 1_000_000)
-
-COMMANDS = {
-    "map": command(
-        "studies.run_map", "map config/test_piece.yaml --x 1200:1800/13 --y=-300:300/7 --tool-turn=-90:90/7",
-        *CELL,
-        option("--x LOW:HIGH/COUNT", "[mm] of the workpiece's origin on base_link", PLACES),
-        option("--y LOW:HIGH/COUNT", "[mm]", PLACES),
-        option("--z LOW:HIGH/COUNT", "[mm]", PLACES),
-        option("--turn LOW:HIGH/COUNT", "[deg] of the workpiece about z of base_link, on top of the cell's", PLACES),
-        option("--tool-turn LOW:HIGH/COUNT", "[deg] of the tool about its axis", PLACES),
-        option("--out DIR", "where rows, cells and picture go", default="map"),
-        SELF_CONTAINED,
-        SCHEDULER,
-        option("--chunk N", "placements a file", bounded(1, 100_000, int), 500),
-        Group("along a path", (
-            option(
-                "--along PATH",
-                "turn the tool about its axis along this tool path (default: that of the cell), where the "
-                "workpiece is",
-                nargs="?",
-                const="",
-            ),
-            option("--smooth UM", "how much error [um] a turn of 1 deg/s is worth", bounded(0.001, 1e6), 1.0),
-            option("--places N", "along the path", bounded(3, 5000, int), 200),
-        )),
-    ),
-    "sweep": command(
-        "studies.run_sweep", "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",
-        *CELL,
-        option(
-            "--vary KEY=LOW:HIGH:STEP",
-            "values of a key, also KEY=LOW:HIGH/COUNT or KEY=A,B,C; may be given several times",
-            action="append",
-            required=True,
-        ),
-        option("--samples N", "with --latin: that many rows", bounded(1, MOST, int)),
-        option("--latin", "a Latin hypercube between the values instead of a grid", bool),
-        option("--seed N", "of --latin", bounded(0, 2**31, int), 1),
-        option("--out DIR", "where the rows go", default="sweep"),
-        SELF_CONTAINED,
-        SCHEDULER,
-        option("--chunk N", "rows a file (default: 1 to 8)", bounded(1, 100_000, int), 0),
-    ),
-}  # fmt: skip
-
 
 def run_map(args) -> Answer:
     if args.along is None:
         require_extra("map", "studies", *STUDIES[: 3 if args.scheduler else 1])
-    import numpy as np
-
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.cell.jobs import simulate
-    from kr270_milling.cell.models import arm_of, path_of
-    from kr270_milling.show.report.placements import gain_text, write_map
-    from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.placements import (
-        PlacementRow,
-        Placements,
-        Summary,
-        grid_axes,
-        path_places,
-        present_row,
-        write_cells,
-    )
 
     if args.along is not None:
         return _along(args)
@@ -140,13 +100,6 @@ def run_map(args) -> Answer:
 
 def _along(args) -> Answer:
     """Turn the tool about its axis along a path."""
-    import numpy as np
-
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.cell.jobs import simulate
-    from kr270_milling.cell.models import arm_of, path_of
-    from kr270_milling.studies.maps import along as turning
-    from kr270_milling.studies.maps.placements import places_at
 
     if any(axis is not None for axis in (args.x, args.y, args.z, args.turn)):
         raise ParameterError("--along", args.along, "without --x, --y, --z and --turn: the workpiece stays")
@@ -199,13 +152,6 @@ def _along(args) -> Answer:
 
 def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
     """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
-    import numpy as np
-
-    from kr270_milling.path.trajectory_csv import write_csv
-    from kr270_milling.recordings.bag.writer import BagWriter
-    from kr270_milling.recordings.messages.codec import to_bytes
-    from kr270_milling.recordings.messages.trajectory import TRAJECTORY
-    from kr270_milling.studies.maps.placements import place_of, write_placement
 
     changes = {
         "path": {"file": TURNED_RECORDING},
@@ -225,10 +171,6 @@ def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
     require_extra("sweep", "studies", *STUDIES[: 3 if args.scheduler else 1])
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.show.report.sweep import sweep_tables, write_sweep
-    from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
     if args.latin != (args.samples is not None):
         raise ParameterError("--samples", args.samples, "given together with --latin")
