@@ -65,22 +65,21 @@ def run_keys(args) -> Answer:
     entries = keys_of(args.section)
     rows = [("key", "unit", "range", "default", "meaning")]
     for k in entries:
-        rows.append((k["key"], k["unit"], k["range"], "required" if k["required"] else _shown(k["default"]), k["text"]))
-    if args.markdown:
-        cells = [[f"`{row[0]}`", *(text.replace("|", "or") for text in row[1:])] for row in rows]
-        cells[0][0] = "key"
-        lines = ["| " + " | ".join(row) + " |" for row in [cells[0], ["---"] * 5, *cells[1:]]]
-    else:  # never cut off by the width of the terminal: a key is copied
-        widths = [*(max(len(row[column]) for row in rows) for column in range(4)), 0]
-        lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        rows.append(
+            (k["key"], k["unit"], k["range"], "required" if k["required"] else default_text(k["default"]), k["text"])
+        )
+    # never cut off by the width of the terminal: a key is copied
+    widths = [*(max(len(row[column]) for row in rows) for column in range(4)), 0]
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return Answer({"section": args.section, "keys": entries}, lines)
 
 
-def _shown(default) -> str:
+def default_text(default) -> str:
+    """Return a default as a cell file states it."""
     if default is None:
         return "-"
     if isinstance(default, list):
-        return "[" + ", ".join(map(_shown, default)) + "]"
+        return "[" + ", ".join(map(default_text, default)) + "]"
     if isinstance(default, float):
         return f"{default:g}"
     return str(default).lower() if isinstance(default, bool) else str(default) or '""'

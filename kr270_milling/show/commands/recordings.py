@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -22,10 +23,11 @@ def run_info(args) -> Answer:
     with progress("reading") as report, Recording(args.file, report) as recording:
         damage = findings(recording, report) if args.verify else []
         about = {"file": str(recording.path)} if damage else bag_info.info(recording, report)
-    shown = [f"{about['file']}: damaged; recover saves what can be read" if damage else bag_info.info_text(about)]
-    shown += ["  " + one_line(sentence) for sentence in damage]
-    if args.verify and not damage:
-        shown.append("whole: every checksum and count fits")
+    if damage:
+        shown = [f"{about['file']}: damaged", *("  " + one_line(sentence) for sentence in damage)]
+        shown.append(f"to save what can be read: kr270_milling recover {shlex.quote(str(args.file))}")
+    else:
+        shown = [bag_info.info_text(about), *["whole: every checksum and count fits"] * args.verify]
     return Answer(about | ({"damage": damage} if args.verify else {}), shown, code=int(bool(damage)))
 
 

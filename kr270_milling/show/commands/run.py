@@ -13,10 +13,7 @@ from kr270_milling.base.files import fresh_directory
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_model_of, cut_of, cut_text_of, path_of
-from kr270_milling.live.graph.graph import Graph
-from kr270_milling.live.graph.plan import RunRow, run_plan
 from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
-from kr270_milling.live.ros.names import full_namespace
 from kr270_milling.physics.motion.milling_pass import CompliantArm
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import Answer, shown_path
@@ -27,6 +24,7 @@ from kr270_milling.show.commands.simulate import plant_of
 def run_graph(args) -> Answer:
     require_ros("run")
     keep_to_this_host()
+    from kr270_milling.live.graph.plan import RunRow  # imports rclpy
 
     cell = read_cell(find_file(args.cell), args.set)
     if cell.stage:
@@ -57,6 +55,10 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     say: called with a sentence at the start of each step. Returns graph_up_s, out (the directory used) and passes, a
     list of RunRow.
     """
+
+    from kr270_milling.live.graph.graph import Graph  # these import rclpy
+    from kr270_milling.live.graph.plan import run_plan
+    from kr270_milling.live.ros.names import full_namespace
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""
     cuts = None if plant is None else plant.cell
