@@ -37,8 +37,21 @@ if TYPE_CHECKING:
     import pandas
     import plotly.graph_objects
 
-__all__ = ["Compensation", "Lobes", "Pass", "Verdict", "check", "compensate", "placements", "read_cell",
-           "read_recording", "simulate", "stability", "sweep", "verdict"]  # fmt: skip
+__all__ = [
+    "Compensation",
+    "Lobes",
+    "Pass",
+    "Verdict",
+    "check",
+    "compensate",
+    "placements",
+    "read_cell",
+    "read_recording",
+    "simulate",
+    "stability",
+    "sweep",
+    "verdict",
+]
 
 
 class Shown:

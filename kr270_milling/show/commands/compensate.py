@@ -41,7 +41,7 @@ from kr270_milling.show.report.tools_page import tools_page
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
-COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
+COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: color of a level of the decision
 
 
 def run_compensate(args) -> Answer:
@@ -49,9 +49,14 @@ def run_compensate(args) -> Answer:
     def run(cell, whole):
         plant = plant_of(args, cell)
         return compensate(
-            cell, args.method, plant=plant, motions=args.krl or (), robots=args.verdict, seed=args.seed,
+            cell,
+            args.method,
+            plant=plant,
+            motions=args.krl or (),
+            robots=args.verdict,
+            seed=args.seed,
             progress=whole.under(title_of(cell)),
-        )  # fmt: skip
+        )
 
     if args.rsi:
         rsi_address(args.rsi)  # refused before the passes are run
@@ -60,7 +65,9 @@ def run_compensate(args) -> Answer:
         check_gcode(cells)
     with staged(args.out) as (draft, final), steps() as whole:
         jobs = in_turn(
-            cells, lambda cell: run(cell, whole), lambda done: done.revised if done.checked.may_be_run else None
+            cells,
+            lambda cell: run(cell, whole),
+            lambda result: result.revised if result.checked.may_be_run else None,
         )
         several = len(jobs) > 1
         decision = DecisionOnTools.of(jobs) if several else jobs[0][1].decision
@@ -74,33 +81,41 @@ def run_compensate(args) -> Answer:
     return Answer(values, shown, code=decision.exit_code)
 
 
-def _values(cell, done) -> dict:
-    """What ``--json`` prints, but for the files."""
+def _values(cell, result) -> dict:
+    """Return the values for ``--json`` without the files."""
 
-    original, revised = done.original, done.revised
+    original, revised = result.original, result.revised
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     values |= {k: v for k, v in revised.row().items() if k != "name"}
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-    values["planned_max_deviation_um"] = 1e6 * done.planned.max_deviation
+    values["planned_max_deviation_um"] = 1e6 * result.planned.max_deviation
     values["time_law"] = time_law(path_of(cell))
     values["original"] = {k: v for k, v in original.row().items() if k != "name"}
-    values["passes"] = [ran.row() for ran in (original, revised)]
-    values |= _correction(cell, revised, done.by)
-    values["features"] = {part.name: part.table() for part in done.parts}
-    values["check"] = done.checked.as_dict()
-    values["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
-    return values | done.decision.as_dict()
+    values["passes"] = [scored.row() for scored in (original, revised)]
+    values |= _correction(cell, revised, result.by)
+    values["features"] = {part.name: part.table() for part in result.parts}
+    values["check"] = result.checked.as_dict()
+    values["verdict"] = result.decision.verdict and result.decision.verdict.as_dict()
+    return values | result.decision.as_dict()
 
 
 def _correction(cell, revised, by) -> dict:
-    """How large the correction is, and the parts that a limit removed."""
+    """Return the size of the correction and the parts that a limit removed."""
 
     size = np.linalg.norm(revised.reference.position - path_of(cell).target.position, axis=1)
     limited = [
-        {"kind": part.kind, "first": part.first, "last": part.last, "worst": part.worst, "time_s": part.time,
-         "wanted_um": 1e6 * part.wanted, "missing_um": 1e6 * part.missing, "sentence": limit_sentence(part, by)}
+        {
+            "kind": part.kind,
+            "first": part.first,
+            "last": part.last,
+            "worst": part.worst,
+            "time_s": part.time,
+            "wanted_um": 1e6 * part.wanted,
+            "missing_um": 1e6 * part.missing,
+            "sentence": limit_sentence(part, by),
+        }
         for part in by.limited
-    ]  # fmt: skip
+    ]
     values = {"largest_correction_um": 1e6 * float(size.max()), "limited": limited}
     if by.errors[1:]:
         values["remaining_errors_um"] = [1e6 * error for error in by.errors]
@@ -112,19 +127,19 @@ def _correction(cell, revised, by) -> dict:
 
 
 def _write(draft, final, jobs, decision, args, source, whole) -> dict:
-    """All files of all tools, and what ``--json`` prints; jobs: of each tool its cell and its compensation."""
+    """Write all files of all tools and return the values for ``--json``; jobs: cell and compensation of each tool."""
 
     date, released = now(), decision.level != NO
     tools, texts, pages = [], [], []
-    for cell, done in jobs:
+    for cell, result in jobs:
         lines = decision.lines(cell.stage.tool) if len(jobs) > 1 else decision.lines()
-        values = _values(cell, done)
-        placed, text = _write_programs(draft, final, cell, done, lines, released, args, date)
+        values = _values(cell, result)
+        placed, text = _write_programs(draft, final, cell, result, lines, released, args, date)
         tools.append(values | placed)
         texts.append(text)
-        pages.append(_report_of_tool(cell, done, args, source, date, whole))
-        if done.parts:
-            tools[-1] |= {"part": str(final(_write_part(draft, cell, done.revised)))}
+        pages.append(_report_of_tool(cell, result, args, source, date, whole))
+        if result.parts:
+            tools[-1] |= {"part": str(final(_write_part(draft, cell, result.revised)))}
     gcode: dict = {}
     if args.gcode and (released or args.force):
         gcode, text = _write_gcode(draft, final, jobs, decision, released, date)
@@ -133,8 +148,8 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
     report = {"report": str(final(_write_report(draft, jobs, decision, pages)))}
     if len(jobs) > 1:
         rows = [
-            {"tool": cell.stage.tool, "level": one.pop("decision"), **one}
-            for (cell, _), one in zip(jobs, tools, strict=True)
+            {"tool": cell.stage.tool, "level": tool.pop("decision"), **tool}
+            for (cell, _), tool in zip(jobs, tools, strict=True)
         ]
         return {**decision.as_dict(), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
     tools[0]["programs"]["manifest"] = [manifest]
@@ -142,48 +157,67 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
 
 
 def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dict, str]:
-    """The G-code of all tools: its final path with what was read back, and the text for the manifest."""
+    """Write the G-code of all tools; return its path with the figures read back, and the text for the manifest."""
 
     path, tools = write_gcode(
-        draft, [(cell, done.revised.reference) for cell, done in jobs], date=date, decision=decision.lines(),
-        method="-".join(dict.fromkeys(done.revised.name for _, done in jobs)), released=released,
-    )  # fmt: skip
-    lines = [f"{path.name}: for KUKA.CNC, another robot or a machine tool.", *(one.text for one in tools), SCORED]
-    values = {"file": str(final(path)), "tools": [one.as_dict() for one in tools]}
+        draft,
+        [(cell, result.revised.reference) for cell, result in jobs],
+        date=date,
+        decision=decision.lines(),
+        method="-".join(dict.fromkeys(result.revised.name for _, result in jobs)),
+        released=released,
+    )
+    lines = [f"{path.name}: for KUKA.CNC, another robot or a machine tool.", *(tool.text for tool in tools), SCORED]
+    values = {"file": str(final(path)), "tools": [tool.as_dict() for tool in tools]}
     return {"gcode": values}, "\n" + "\n  ".join(lines) + "\n"
 
 
 def _gcode_lines(values: dict):
     if "gcode" in values:
         yield f"gcode: {values['gcode']['file']}"
-        yield from (one["sentence"] for one in values["gcode"]["tools"])
+        yield from (tool["sentence"] for tool in values["gcode"]["tools"])
         yield SCORED
 
 
-def _write_programs(draft, final, cell, done, lines, released, args, date: str) -> tuple[dict, str]:
-    """Programs and tables of one tool: their final paths by kind, and the text for the manifest."""
+def _write_programs(draft, final, cell, result, lines, released, args, date: str) -> tuple[dict, str]:
+    """Write programs and tables of one tool; return their final paths by kind, and the text for the manifest."""
 
     files, text = write_tool_programs(
-        draft, cell, done.original.reference, done.revised.reference, method=done.revised.name, date=date,
-        motions=done.motions if released or args.force else None, source=cell.path.sha256,
-        decision=lines, findings=[*done.checked.findings_lines(), done.checked.counts],
-        released=released, rsi=args.rsi and rsi_address(args.rsi),
-    )  # fmt: skip
+        draft,
+        cell,
+        result.original.reference,
+        result.revised.reference,
+        method=result.revised.name,
+        date=date,
+        motions=result.motions if released or args.force else None,
+        source=cell.path.sha256,
+        decision=lines,
+        findings=[*result.checked.findings_lines(), result.checked.counts],
+        released=released,
+        rsi=args.rsi and rsi_address(args.rsi),
+    )
     placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
     placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
     return placed, text
 
 
-def _report_of_tool(cell, done, args, source, date: str, whole) -> str:
-    """The report of one tool as text."""
+def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
+    """Return the report of one tool as text."""
 
-    revised = done.revised
+    revised = result.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
     return report_text(
-        cell, (done.original, revised), title=f"{title}, {cell.stage}" if cell.stage else title, source=str(source),
-        command=command_line(args), date=date, parts=done.parts, decision=done.decision, checked=done.checked,
-        tables=[_joints_table(cell, revised), _time_law_table(cell, done, whole)],
-    )  # fmt: skip
+        cell,
+        (result.original, revised),
+        title=f"{title}, {cell.stage}" if cell.stage else title,
+        source=str(source),
+        command=command_line(args),
+        date=date,
+        parts=result.parts,
+        decision=result.decision,
+        checked=result.checked,
+        tables=[_joints_table(cell, revised), _time_law_table(cell, result, whole)],
+    )
 
 
 def _write_part(draft, cell, revised):
@@ -195,7 +229,7 @@ def _write_part(draft, cell, revised):
 
 
 def _write_report(draft, jobs, decision, pages):
-    """One page: that of the only tool, or one with the page of each tool behind a tab."""
+    """Write the page of the only tool, or a page with a tab for each tool."""
 
     if len(jobs) == 1:
         return write_report_page(draft, pages[0])
@@ -205,7 +239,7 @@ def _write_report(draft, jobs, decision, pages):
 
 
 def _joints_table(cell, revised):
-    """The posture that is commanded, for the report."""
+    """Return the table of commanded joints for the report."""
 
     columns = [
         *joint_ranges(cell, revised.reference).values(),
@@ -216,28 +250,28 @@ def _joints_table(cell, revised):
     return TextTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
-def _time_law_table(cell, done, whole):
+def _time_law_table(cell, result, whole):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
 
     with whole.under(title_of(cell))("lower acceleration") as report:
-        softer = softer_pass(cell, done.revised.reference, progress=report)
-    rows = [("plan", done.planned), ("written program", done.revised.scores)]
+        softer = softer_pass(cell, result.revised.reference, progress=report)
+    rows = [("plan", result.planned), ("written program", result.revised.scores)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer.scores)] if softer else []
     texts = tuple((name, f"{1e6 * scores.max_deviation:.2f}") for name, scores in rows)
     return TextTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(path_of(cell)))
 
 
 def _shown_tools(jobs, decision, values: dict, args):
-    """The output for the terminal: the decision, then what each tool has on its own."""
+    """Yield the output for the terminal: the decision, then each tool."""
 
     yield Colored(decision.text, COLORS[decision.level])
-    for (cell, done), one in zip(jobs, values["tools"], strict=True):
+    for (cell, result), tool_values in zip(jobs, values["tools"], strict=True):
         yield f"\n{cell.stage}: {cell.tool.diameter * 1e3:g} mm, {cell.tool.teeth} teeth"
-        yield f"{done.decision.level}: {done.decision.sentence}"
-        yield from done.decision.lines()[1:]
-        yield from _details(cell, done, one)
-        yield from _files(one)
-        yield from (f"{kind}: {one[kind]}" for kind in ("part",) if kind in one)
+        yield f"{result.decision.level}: {result.decision.sentence}"
+        yield from result.decision.lines()[1:]
+        yield from _details(cell, result, tool_values)
+        yield from _files(tool_values)
+        yield from (f"{kind}: {tool_values[kind]}" for kind in ("part",) if kind in tool_values)
     yield ""
     if decision.level == NO:
         yield NOT_RELEASED if args.force else NOT_WRITTEN
@@ -245,12 +279,12 @@ def _shown_tools(jobs, decision, values: dict, args):
     yield from (f"{kind}: {values[kind]}" for kind in ("manifest", "report") if kind in values)
 
 
-def _shown(cell, done, decision, values: dict, args):
-    """The output for the terminal, the decision first."""
+def _shown(cell, result, decision, values: dict, args):
+    """Yield the output for the terminal, the decision first."""
 
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
-    yield from _details(cell, done, values)
+    yield from _details(cell, result, values)
     if decision.level == NO:
         yield NOT_RELEASED if args.force else NOT_WRITTEN
     yield from _files(values)
@@ -263,10 +297,10 @@ def _files(values: dict):
         yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
 
 
-def _details(cell, done, values: dict):
-    """Tables and lines of one tool after its decision."""
+def _details(cell, result, values: dict):
+    """Yield tables and lines of one tool after its decision."""
 
-    if done.parts:
+    if result.parts:
         yield _features(values["features"], values["method"])
     else:
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
@@ -284,14 +318,14 @@ def _details(cell, done, values: dict):
     yield f"largest correction {values['largest_correction_um']:.1f} um"
     if "chord_error_um" in values:
         yield f"LIN chords deviate from the programmed path by up to {values['chord_error_um']:.2f} um"
-    yield from (*done.checked.findings_lines(), done.checked.counts)
+    yield from (*result.checked.findings_lines(), result.checked.counts)
     if values["verdict"]:
         yield from _verdict(values["verdict"])
     yield f"{values['points']} reference points: {values['trajectory']}"
 
 
 def _identified(values: dict) -> str:
-    """The arm as the passes show it, in one line."""
+    """Return a line about the arm that the passes identified."""
     modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in values["modes"])
     gain, compliance = values["gain"], values["compliance_factor"]
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"

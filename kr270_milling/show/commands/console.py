@@ -21,9 +21,16 @@ from rich.text import Text
 from kr270_milling.base.column import TextTable, fixed
 
 __all__ = [
-    "Answer", "Colored", "command_line", "joints_text", "now", "output_directory",
-    "print_json", "print_table", "shown_path",
-]  # fmt: skip
+    "Answer",
+    "Colored",
+    "command_line",
+    "joints_text",
+    "now",
+    "output_directory",
+    "print_json",
+    "print_table",
+    "shown_path",
+]
 
 WIDEST = 1000  # characters of a table
 

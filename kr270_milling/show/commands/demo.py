@@ -51,7 +51,7 @@ def run_demo(args) -> Answer:
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
     with steps() as whole:
         result = run_passes(cell, METHODS, args.out, say=whole.say)
-        passes = [ran.scored for ran in result["passes"]]
+        passes = [row.scored for row in result["passes"]]
         second = _plain(whole, moving, INERTIA_METHODS, None, WITH)
         whole.say("report")
         report = _write(result["out"], cell, passes, second, source, args)
@@ -76,9 +76,16 @@ def _write(directory, cell, passes, second, source, args):
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = TextTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     report = write_report(
-        directory, cell, passes, title="The milling pass of Klimchik et al. (2014)", source=str(source),
-        command=command_line(args), date=now(), paper=True, tables=(table,),
-    )  # fmt: skip
+        directory,
+        cell,
+        passes,
+        title="The milling pass of Klimchik et al. (2014)",
+        source=str(source),
+        command=command_line(args),
+        date=now(),
+        paper=True,
+        tables=(table,),
+    )
     write_series(directory, arm_of(cell), path_of(cell).target, passes)
     return report
 
@@ -87,14 +94,18 @@ def _answer(passes, second, result: dict, missing: Sequence[str] = ()) -> Answer
     both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
     rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
-    return Answer({**result, **both}, [
-        TextTable(AS_PRINTED, columns, [_row(p) for p in passes]),
-        TextTable(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
-        NEEDS,
-        f"ran as: {result['ran_as']}",
-        f"report: {result['report']}",
-        *missing,
-    ], code=int(bool(missing)))  # fmt: skip
+    return Answer(
+        {**result, **both},
+        [
+            TextTable(AS_PRINTED, columns, [_row(p) for p in passes]),
+            TextTable(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
+            NEEDS,
+            f"ran as: {result['ran_as']}",
+            f"report: {result['report']}",
+            *missing,
+        ],
+        code=int(bool(missing)),
+    )
 
 
 def _row(p) -> list[str]:

@@ -98,8 +98,11 @@ def _plan(args, arm, mount, pose) -> Answer:
     result = plan_as_dict(plan, designs, best, planner.names)
     if args.out:
         error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
-        notes = [f"load tests planned by kr270_milling {__version__}, {error}", *result["blind_spots"],
-                 "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
+        notes = [
+            f"load tests planned by kr270_milling {__version__}, {error}",
+            *result["blind_spots"],
+            "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes",
+        ]
         with staged(args.out) as (draft, final):
             result["files"] = [str(final(path)) for path in write_plan(draft, plan, notes)]
     return Answer(result, [*plan_tables(plan, designs), *result["blind_spots"], *result.get("files", ())])
@@ -132,9 +135,13 @@ def _tool(args):
         tree = whole.get("tool", {})
         workpiece = build(Workpiece, whole.get("workpiece", {}), file, "workpiece.")
         down = (read_cell(file).workpiece if workpiece.at_start_joints else workpiece).pose.rotation.T @ down
-    given = {"teeth": args.teeth, "diameter_mm": args.diameter_mm, "rotation": args.rotation,
-             "spindle_speed_rpm": args.spindle_speed_rpm}  # fmt: skip
-    tree = tree | {key: value for key, value in given.items() if value is not None}
+    options = {
+        "teeth": args.teeth,
+        "diameter_mm": args.diameter_mm,
+        "rotation": args.rotation,
+        "spindle_speed_rpm": args.spindle_speed_rpm,
+    }
+    tree = tree | {key: value for key, value in options.items() if value is not None}
     if not {"teeth", "diameter_mm"} <= set(tree):
         raise InputError("identify forces", "needs the tool: name --cell CELL.yaml, or --teeth and --diameter-mm")
     if "spindle_speed_rpm" not in tree:
@@ -196,11 +203,13 @@ def run_compare(args) -> Answer:
             measured, name = _series_of(args, chosen.result), chosen.name + STAMPS[recorded.stamps]
     measured = measured or _measured(args)
     with progress("milling") as report:
-        ran = simulate(cell, reference, progress=report).result
-    force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
-    feed = path_of(cell).target.sample_velocity(ran.time_ns)
+        simulated = simulate(cell, reference, progress=report).result
+    force, tool = (
+        comparison.VectorSeries(simulated.time, values) for values in (simulated.wrench[:, :3], simulated.actual)
+    )
+    feed = path_of(cell).target.sample_velocity(simulated.time_ns)
     compared = comparison.compare(
-        measured, comparison.ComparedSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
+        measured, comparison.ComparedSeries(force, tool), simulated.target, feed, 2 * np.pi / cell.tool.spindle_speed
     )
     return _answer(args, comparison_outcome(compared, name, Path(args.cell).name))
 
@@ -214,12 +223,14 @@ def _recorded_passes(args) -> list:
     return []
 
 
-def _series_of(args, ran):
+def _series_of(args, recorded):
     """Return force and place of the tool in a recorded pass, a PassResult."""
 
     sign = -1.0 if args.sensor_on == "part" else 1.0
-    force = comparison.VectorSeries(ran.time, sign * ran.wrench[:, :3] @ turn_of(args.sensor_abc).T)
-    return comparison.ComparedSeries(force if ran.wrench.any() else None, comparison.VectorSeries(ran.time, ran.actual))
+    force = comparison.VectorSeries(recorded.time, sign * recorded.wrench[:, :3] @ turn_of(args.sensor_abc).T)
+    return comparison.ComparedSeries(
+        force if recorded.wrench.any() else None, comparison.VectorSeries(recorded.time, recorded.actual)
+    )
 
 
 def _compare_wall(args, cell, reference) -> Answer:

@@ -18,8 +18,11 @@ from kr270_milling.show.commands.progress import progress
 
 COUNTS = ("compared", "differing", "missing", "not_compared")
 COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
-PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
-                   None: "not to be compared with a recorded one"}  # fmt: skip
+PUBLISHED: dict = {
+    True: "identical to what the node published",
+    False: "NOT what the node published",
+    None: "not to be compared with a recorded one",
+}
 
 
 def run_replay(args) -> Answer:

@@ -30,7 +30,7 @@ STAMPS = {
 
 
 def run_report(args) -> Answer:
-    """Of one recording, or of several passes of one path on the same scales."""
+    """Report one recording, or several passes of one path on the same scales."""
     with steps() as whole:
         return _reported(args, whole)
 
@@ -39,7 +39,7 @@ def _reported(args, whole) -> Answer:
 
     places = [Path(place) for place in args.recordings]
     recorded, copies = _read(places, args, whole)
-    cell, passes = recorded[0][1].cell, [ran for ran, _ in recorded]
+    cell, passes = recorded[0][1].cell, [scored for scored, _ in recorded]
     first = places[0]
     beside = first if first.is_dir() else first.parent
     there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
@@ -48,23 +48,32 @@ def _reported(args, whole) -> Answer:
     title += "".join(STAMPS[kind] for kind in sorted({about.stamps for _, about in recorded}))
     with whole("report"):
         page = write_report(
-            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
+            directory,
+            cell,
+            passes,
+            title=title,
+            source=first.name,
+            command=command_line(args),
+            date=now(),
             program=recorded[0][1].program,
-        )  # fmt: skip
+        )
         write_series(directory, arm_of(cell), path_of(cell).target, passes)
     rows = [
-        {**ran.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
-        for ran, about in recorded
+        {**scored.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
+        for scored, about in recorded
     ]
     reasons = {name: reason for _, facts in recorded for name, reason in facts.unused.items()}
     unused = [f"{name} is not used: {one_line(reason)}" for name, reason in reasons.items()]
     about = {"passes": rows, "copies": copies, "unused": unused, "report": str(page), "out": str(directory)}
-    return Answer(about, [
-        table_of("Path deviation, from the recordings", _columns(), rows),
-        *(f"skipped, a copy of another pass: {copy}" for copy in copies),
-        *unused,
-        f"report: {page}",
-    ])  # fmt: skip
+    return Answer(
+        about,
+        [
+            table_of("Path deviation, from the recordings", _columns(), rows),
+            *(f"skipped, a copy of another pass: {copy}" for copy in copies),
+            *unused,
+            f"report: {page}",
+        ],
+    )
 
 
 def _read(places: Sequence[Path], args, whole) -> tuple[list[tuple[ScoredPass, RecordedFacts]], list[str]]:
@@ -79,28 +88,29 @@ def _read(places: Sequence[Path], args, whole) -> tuple[list[tuple[ScoredPass, R
         read = pool.map(lambda path, name: passes_from_recording(path, name, *chosen), paths, names)
         for number, (path, passes) in enumerate(zip(paths, read, strict=True), 1):
             count(number, len(paths))
-            for ran, about in passes:
-                if any(_same(ran, other) for other, _ in recorded):
+            for scored, about in passes:
+                if any(_same(scored, other) for other, _ in recorded):
                     copies.append(str(path))
                 elif recorded and _other_path(about, recorded[0][1]):
                     reason = f"is a pass of another path than {paths[0]}: give each path a separate report"
                     raise InputError(path, reason)
                 else:
-                    recorded.append((ran, about))
+                    recorded.append((scored, about))
     return recorded, copies
 
 
-def _other_path(one: RecordedFacts, other: RecordedFacts) -> bool:
+def _other_path(about: RecordedFacts, other: RecordedFacts) -> bool:
+    """Return whether two recordings have different targets."""
 
-    same = np.array_equal(one.target.time_ns, other.target.time_ns)
-    return not same or not np.allclose(one.target.position, other.target.position)
+    same = np.array_equal(about.target.time_ns, other.target.time_ns)
+    return not same or not np.allclose(about.target.position, other.target.position)
 
 
-def _same(ran: ScoredPass, known: ScoredPass) -> bool:
-    """Whether two recordings have the same pass: start, poses and wrenches; a copy, or what was recovered of one."""
+def _same(scored: ScoredPass, known: ScoredPass) -> bool:
+    """Return whether two recordings have the same pass: start, poses and wrenches; a copy, or a recovered recording."""
 
-    alike = (np.array_equal(getattr(ran.result, k), getattr(known.result, k)) for k in ("time_ns", "tool", "wrench"))
-    return ran.reference.start_ns == known.reference.start_ns and all(alike)
+    alike = (np.array_equal(getattr(scored.result, k), getattr(known.result, k)) for k in ("time_ns", "tool", "wrench"))
+    return scored.reference.start_ns == known.reference.start_ns and all(alike)
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:
@@ -132,5 +142,10 @@ def _recordings(path: Path) -> list[Path]:
 def _columns() -> tuple:
     """Columns of the passes."""
 
-    return (("pass", "name", 0), *columns_of(Scores),
-            ("lost", "messages_lost", 0), ("complete", "complete", yes), ("stamps", "stamps", str))  # fmt: skip
+    return (
+        ("pass", "name", 0),
+        *columns_of(Scores),
+        ("lost", "messages_lost", 0),
+        ("complete", "complete", yes),
+        ("stamps", "stamps", str),
+    )

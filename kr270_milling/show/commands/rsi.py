@@ -28,9 +28,16 @@ def run_rsi(args) -> Answer:
     )
     corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
     directory = fresh_directory(args.out)
-    with open_socket(args.host, args.port) as connection, RsiRecording(
-        directory, table, {"command_line": command_line(args)}, _attached(args.cell) if args.cell else {}, time.time_ns,
-    ) as recording:  # fmt: skip
+    with (
+        open_socket(args.host, args.port) as connection,
+        RsiRecording(
+            directory,
+            table,
+            {"command_line": command_line(args)},
+            _attached(args.cell) if args.cell else {},
+            time.time_ns,
+        ) as recording,
+    ):
 
         def report(sentence: str) -> None:
             print(sentence, file=sys.stderr, flush=True)
@@ -52,19 +59,26 @@ def run_rsi(args) -> Answer:
                 report(refused)
             session.run()
     counts = session.counts
-    done = corrector.progress / corrector.length
+    share = corrector.progress / corrector.length
     result = {
-        "answered": counts.answered, "late": counts.late, "missed_cycles": counts.missed, "repeated": counts.repeated,
-        "ignored": counts.refused, "most_delay": counts.most_delay, "longest_answer_ms": 1e3 * counts.longest,
-        "mean_answer_ms": 1e3 * counts.total / max(counts.answered, 1), "limited_cycles": corrector.limited,
-        "path_share": done, "recording": str(directory),
-    }  # fmt: skip
+        "answered": counts.answered,
+        "late": counts.late,
+        "missed_cycles": counts.missed,
+        "repeated": counts.repeated,
+        "ignored": counts.refused,
+        "most_delay": counts.most_delay,
+        "longest_answer_ms": 1e3 * counts.longest,
+        "mean_answer_ms": 1e3 * counts.total / max(counts.answered, 1),
+        "limited_cycles": corrector.limited,
+        "path_share": share,
+        "recording": str(directory),
+    }
     shown = [
         f"{counts.answered} cycles answered, {counts.late} later than {args.cycle_ms} ms, {counts.missed} missed, "
         f"{counts.refused} telegrams ignored",
         f"answer after {result['mean_answer_ms']:.2f} ms in the mean, {result['longest_answer_ms']:.2f} ms at most; "
         f"largest Delay that the robot reported: {counts.most_delay}",
-        f"{100 * done:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
+        f"{100 * share:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
         f"recording: {shown_path(directory)}",
     ]
     code = int(bool(counts.late or counts.missed or session.recording_failed))

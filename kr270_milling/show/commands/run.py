@@ -34,18 +34,18 @@ def run_graph(args) -> Answer:
     methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
     with steps() as whole:
-        ran = run_passes(cell, methods, args.out, *options, say=whole.say)
-    up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
-    result = summary(ran)
+        outcome = run_passes(cell, methods, args.out, *options, say=whole.say)
+    up = f"graph up in {outcome['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(outcome['out'])}"
+    result = summary(outcome)
     columns = (("pass", "name", 2), *columns_of(Scores), *columns_of(RunRow), ("recording", "recording", shown_path))
     table = table_of("Path deviation, four nodes and a recorder", columns, result["passes"])
-    missing = missing_text(ran)
+    missing = missing_text(outcome)
     return Answer(result, [table, cut_text_of(cell), up, *missing], code=int(bool(missing)))
 
 
-def missing_text(ran: dict) -> list[str]:
+def missing_text(outcome: dict) -> list[str]:
     """Return a sentence where messages are missing in the recordings of ``run_passes``."""
-    lost = sum(one.messages_lost for row in ran["passes"] for one in (row, *row.learning))
+    lost = sum(run.messages_lost for row in outcome["passes"] for run in (row, *row.learning))
     return [f"{lost} messages are missing in the recordings"] if lost else []
 
 
@@ -73,8 +73,8 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     _compile(cell)
     say("starting the nodes")
     with Graph(cell, directory, namespace, composed, cuts) as graph:
-        ran = run_plan(graph, methods, passes, say)
-    return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+        rows = run_plan(graph, methods, passes, say)
+    return {"graph_up_s": graph.up_s, "out": directory, "passes": rows}
 
 
 def _compile(cell) -> None:
@@ -85,6 +85,6 @@ def _compile(cell) -> None:
     CompliantArm(arm_model_of(cell, path_of(cell).target)).predict()
 
 
-def summary(ran: dict) -> dict:
+def summary(outcome: dict) -> dict:
     """Return the result for JSON."""
-    return {**ran, "out": str(ran["out"]), "passes": [one.row() for one in ran["passes"]]}
+    return {**outcome, "out": str(outcome["out"]), "passes": [row.row() for row in outcome["passes"]]}

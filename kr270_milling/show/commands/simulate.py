@@ -38,47 +38,51 @@ def run_simulate(args) -> Answer:
         staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final),
         steps() as whole,
     ):
-        done = in_turn(cells, lambda cell: _simulated(cell, args, draft, final, whole), lambda one: one[0])
-    shown = [line for cell, (_, _, lines) in done for line in _headed(cell, cells, lines)]
-    return Answer(_by_tool(cells, [summary for _, (_, summary, _) in done]), shown)
+        results = in_turn(cells, lambda cell: _simulated(cell, args, draft, final, whole), lambda result: result[0])
+    shown = [line for cell, (_, _, lines) in results for line in _headed(cell, cells, lines)]
+    return Answer(_by_tool(cells, [summary for _, (_, summary, _) in results]), shown)
 
 
 def _simulated(cell, args, draft, final, whole):
-    """The pass of one tool, what ``--json`` prints of it, and the output for the terminal."""
+    """Return the pass of one tool, its values for ``--json``, and the output for the terminal."""
 
     reference = None if args.reference is None else _reference(cell, args.reference)
     suffix = cell.stage.suffix if cell.stage else ""
     name = f"original{suffix}" if reference is None else Path(args.reference).stem
     with whole.under(title_of(cell))("milling") as report:
-        ran = jobs.simulate(cell, reference, name, report, plant_of(args, cell))
-    summary = _summary(cell, ran)
-    residue = residue_of(cell, ran.result)
+        scored = jobs.simulate(cell, reference, name, report, plant_of(args, cell))
+    summary = _summary(cell, scored)
+    residue = residue_of(cell, scored.result)
     summary["simulated_pass"] = residue.as_dict()
-    part = None if path_of(cell).straight else assess(cell, ran)
-    tolerance = judge(cell, ran, part)
+    part = None if path_of(cell).straight else assess(cell, scored)
+    tolerance = judge(cell, scored, part)
     summary["tolerance"] = tolerance.as_dict()
     if part:
         summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
     if draft and final:
-        files = write_series(draft, arm_of(cell), path_of(cell).target, [ran])
+        files = write_series(draft, arm_of(cell), path_of(cell).target, [scored])
         if not path_of(cell).straight:
             files.append(draft / f"part{suffix}.stl")
-            write_part(files[-1], cut_of(cell), ran.result, path_of(cell).clock)
+            write_part(files[-1], cut_of(cell), scored.result, path_of(cell).clock)
         summary["files"] = [str(final(path)) for path in files]
     columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
     scores: list = _scores(cell, summary)
     if part:
         scores = [table_of(FEATURES, columns, (*summary["features"], summary["whole_part"]))]
-    return ran, summary, [
+    speed = (
+        f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time"
+    )
+    shown = [
         *scores,
         f"tolerance: {tolerance.words}",
         residue.text,
         cut_text_of(cell),
         joints_text(summary["commanded_joints_deg"]),
         f"removed area        {summary['removed_area_mm2']:10.3f} mm2",
-        f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time",
+        speed,
         *summary.get("files", []),
-    ]  # fmt: skip
+    ]
+    return scored, summary, shown
 
 
 def run_check(args) -> Answer:
@@ -87,26 +91,30 @@ def run_check(args) -> Answer:
     cells = read_cells(find_file(args.cell), args.set)
     _refuse_reference(args, cells)
     with steps() as whole:
-        done = in_turn(
-            cells, lambda cell: _checked(cell, args, whole), lambda one: one[0].ran if one[0].may_be_run else None
+        results = in_turn(
+            cells,
+            lambda cell: _checked(cell, args, whole),
+            lambda result: result[0].ran if result[0].may_be_run else None,
         )
-    all_checked = [checked for _, (checked, _, _) in done]
+    all_checked = [checked for _, (checked, _, _) in results]
     may_be_run = all(checked.may_be_run for checked in all_checked)
     result = {"cell": args.cell, "reference": args.reference}
     if len(cells) == 1:
-        return Answer(result | done[0][1][1], done[0][1][2], code=int(not may_be_run))
-    counts = {f"{severity}s": sum(one.count(severity) for one in all_checked) for severity in ("stop", "warning")}
+        return Answer(result | results[0][1][1], results[0][1][2], code=int(not may_be_run))
+    counts = {
+        f"{severity}s": sum(checked.count(severity) for checked in all_checked) for severity in ("stop", "warning")
+    }
     result |= {"may_be_run": may_be_run, **counts}
-    shown = [line for cell, (_, _, lines) in done for line in _headed(cell, cells, lines)]
-    stopped = [cell.path.tool for cell, (checked, _, _) in done if not checked.may_be_run]
+    shown = [line for cell, (_, _, lines) in results for line in _headed(cell, cells, lines)]
+    stopped = [cell.path.tool for cell, (checked, _, _) in results if not checked.may_be_run]
     verdict = f"must not be run: stops of {', '.join(stopped)}" if stopped else "may be run, after a test in T1 mode"
     words = f"{len(cells)} tools, {counts['stops']} stops, {counts['warnings']} warnings: the program {verdict}"
-    answer = result | _by_tool(cells, [values for _, (_, values, _) in done])
+    answer = result | _by_tool(cells, [values for _, (_, values, _) in results])
     return Answer(answer, [*shown, "", words], code=int(not may_be_run))
 
 
 def _checked(cell, args, whole):
-    """The check of one tool, what ``--json`` prints of it, and the output for the terminal."""
+    """Return the check of one tool, its values for ``--json``, and the output for the terminal."""
 
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
     checked = decision.check(cell, reference, args.motion, progress=whole.under(title_of(cell)))
@@ -123,17 +131,19 @@ def _refuse_reference(args, cells) -> None:
 
 
 def _headed(cell, cells, lines) -> list:
-    """The output of a tool, under its name where there are several."""
+    """Return the output of a tool, below its name if there are several."""
     if len(cells) == 1:
         return list(lines)
     return [f"\n{cell.stage}: {cell.tool.diameter * 1e3:g} mm, {cell.tool.teeth} teeth", *lines]
 
 
 def _by_tool(cells, values: list[dict]) -> dict:
-    """What ``--json`` prints: the values of the only tool, or a list with those of each."""
+    """Return the values for ``--json``: those of the only tool, or a list with those of each."""
     if len(cells) == 1:
         return values[0]
-    return {"tools": [{"tool": cell.stage.tool, **one} for cell, one in zip(cells, values, strict=True)]}
+    return {
+        "tools": [{"tool": cell.stage.tool, **tool_values} for cell, tool_values in zip(cells, values, strict=True)]
+    }
 
 
 def _scores(cell, summary: dict) -> list[str]:
@@ -141,10 +151,10 @@ def _scores(cell, summary: dict) -> list[str]:
     x, y, z = summary["mean_force_n"]
     ringing = summary["ringing_frequency_hz"]
     engaged = round(1e9 * path_of(cell).full_engagement) <= path_of(cell).target.duration_ns
-    scored = "once fully engaged" if engaged else "at the end of the path, before the tool is fully engaged"
+    place = "once fully engaged" if engaged else "at the end of the path, before the tool is fully engaged"
     return [
         f"static deviation    {summary['static_deviation_um']:10.3f} um   mean over the last quarter",
-        f"max deviation       {summary['max_deviation_um']:10.3f} um   {scored}",
+        f"max deviation       {summary['max_deviation_um']:10.3f} um   {place}",
         f"low frequency       {summary['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz",
         f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes",
     ]
@@ -162,13 +172,13 @@ def _reference(cell, path: str):
     return run
 
 
-def _summary(cell, ran) -> dict:
+def _summary(cell, scored) -> dict:
 
-    result = ran.result
+    result = scored.result
     duration = float(result.time[-1])
     return {
-        **ran.row(),
-        "commanded_joints_deg": jobs.joint_ranges(cell, ran.reference),
+        **scored.row(),
+        "commanded_joints_deg": jobs.joint_ranges(cell, scored.reference),
         "cut": cell.cutting.detail,
         "steps": result.micro_steps,
         "duration_s": duration,
@@ -178,7 +188,7 @@ def _summary(cell, ran) -> dict:
         "removed_area_mm2": result.removed_area * 1e6,
         "removed_volume_mm3": result.removed_volume * 1e9,
         "largest_pose_correction_um": float(result.correction.max()) * 1e6,
-        "ringing_damping": ran.scores.ringing_damping,
+        "ringing_damping": scored.scores.ringing_damping,
     }
 
 

@@ -26,7 +26,7 @@ OTHERS = (
 
 
 def _rigid(cell) -> str:
-    """What a limit without ``tool.modes`` leaves out."""
+    """Return the words about a limit without ``tool.modes``."""
     return "" if cell.tool.modes.frequency.size else ", with tool and spindle taken as rigid (no tool.modes)"
 
 
@@ -35,7 +35,7 @@ def run_stability(args) -> Answer:
     cell = read_cell(find_file(args.cell), args.set)
     about = {"cell": args.cell, "arm": not args.no_arm}
     if args.along:
-        rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
+        rows = [limit.as_dict() for limit in feature_limits(cell, not args.no_arm)]
         rpm = cell.tool.spindle_speed * 30.0 / math.pi
         title = f"Limit depth along the path, as in check, at {rpm:.0f} rpm{_rigid(cell)}"
         columns = ("feature", "feature", 1), *columns_of(FeatureLimit), *columns_of(Lobe)[1:], ("stable", "stable", yes)
@@ -62,6 +62,7 @@ def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
         table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
-        page = write_lobes(draft, cell, Path(args.cell).name, rows, summary, arm=not args.no_arm,
-                           self_contained=args.self_contained)  # fmt: skip
+        page = write_lobes(
+            draft, cell, Path(args.cell).name, rows, summary, arm=not args.no_arm, self_contained=args.self_contained
+        )
         return [str(final(table)), str(final(page))]

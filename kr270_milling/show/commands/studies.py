@@ -53,14 +53,14 @@ def run_map(args) -> Answer:
         return _along(args)
     source = find_file(args.cell).resolve()
     cell = read_cell(source, args.set)
-    given = [args.x, args.y, args.z, args.turn, args.tool_turn]
-    axes = grid_axes(cell.workpiece, [None if axis is None else np.linspace(*axis) for axis in given])
+    ranges = [args.x, args.y, args.z, args.turn, args.tool_turn]
+    axes = grid_axes(cell.workpiece, [None if axis is None else np.linspace(*axis) for axis in ranges])
     path = path_of(cell)
     plan = {
         "study": "map",
         "cell": content(source, path.path.sha256),
         "set": args.set,
-        "axes": given,
+        "axes": ranges,
         "chunk": args.chunk,
     }
     study = Study(output_directory(args.out), plan)
@@ -69,14 +69,14 @@ def run_map(args) -> Answer:
             places = path_places(path, simulate(cell, progress=report).result)
             left = cell.uncertainty.left
             placements = Placements(arm_of(cell), left, places, axes, args.chunk)
-        made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
+        share = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
         with whole("map") as report:
             seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
     summary = Summary(axes[0], axes[1], BEST)
     for table in study.tables(placements.chunks):
         summary.add(table)
     cells = write_cells(args.out, source, args.set, placements, summary.best, cell.posture_key)
-    rate = made * summary.rows / seconds if seconds else None
+    rate = share * summary.rows / seconds if seconds else None
     present = present_row(placements, path.target)
     page = write_map(args.out, cell.arm, path, source.name, summary, present, self_contained=args.self_contained)
     result = {
@@ -89,13 +89,12 @@ def run_map(args) -> Answer:
         "picture": str(page),
         "out": args.out,
     }
-    return Answer(result, [
+    shown = [
         table_of("Best placements: largest static error across the feed", columns_of(PlacementRow), result["best"]),
         gain_text(summary, present),
         f"{result['rows']} rows, {result['feasible']} feasible: {result['out']}",
-        *(row["cell"] for row in result["best"]),
-        result["picture"],
-    ])  # fmt: skip
+    ]
+    return Answer(result, [*shown, *(row["cell"] for row in result["best"]), result["picture"]])
 
 
 def _along(args) -> Answer:
@@ -107,17 +106,19 @@ def _along(args) -> Answer:
     settings = [*args.set, *([f"path.file={Path(args.along).resolve()}"] if args.along else [])]
     cell = read_cell(source, settings)
     with progress("milling") as report:
-        ran = simulate(cell, progress=report).result
-    chosen = np.linspace(0, len(ran.time) - 1, min(args.places, len(ran.time))).astype(int)
-    step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
-    turns = turning.Turns(arm_of(cell), places_at(path_of(cell), ran, chosen), step, np.degrees(1e-6 * args.smooth))
+        simulated = simulate(cell, progress=report).result
+    chosen = np.linspace(0, len(simulated.time) - 1, min(args.places, len(simulated.time))).astype(int)
+    step = float(simulated.time[-1] - simulated.time[0]) / (len(chosen) - 1)
+    turns = turning.Turns(
+        arm_of(cell), places_at(path_of(cell), simulated, chosen), step, np.degrees(1e-6 * args.smooth)
+    )
     grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
     path, same, own = (
         turning.best_turns(turns, grid),
         turning.constant_turn(turns, grid),
         turning.constant_turn(turns, np.zeros(1)),
     )
-    run, q = turning.turned(arm_of(cell), path_of(cell).target, ran.time_ns[chosen], path)
+    run, q = turning.turned(arm_of(cell), path_of(cell).target, simulated.time_ns[chosen], path)
     files = _write(Path(args.out), source, args.set, cell, run, q, path)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
     result = {
@@ -140,14 +141,12 @@ def _along(args) -> Answer:
     shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * path.value:.2f} um"]
     for name, other in (("the best turn that stays the same", same), ("not turned", own)):
         shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
-    share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
-    return Answer(result, [
-        *shown,
+    shown += [
         "(root mean square of the static error across the feed and of what turning is worth by --smooth; what corners",
         "and teeth shake is not in it: compare `simulate` of both cells)",
-        f"{share}, the path takes {result['slower']:.3f} times",
-        *files,
-    ])  # fmt: skip
+        f"joints run at up to {100 * speed.max():.0f} % of their speeds, the path takes {result['slower']:.3f} times",
+    ]
+    return Answer(result, [*shown, *files])
 
 
 def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
@@ -179,8 +178,15 @@ def run_sweep(args) -> Answer:
     hashed = content(cell, read_cell(cell, args.set).path.sha256)
     axes = tuple(parse_axis(text) for text in args.vary)
     rows = Sweep(str(cell), tuple(args.set), axes, args.samples, args.seed, args.chunk)
-    plan = {"study": "sweep", "cell": hashed, "set": args.set, "vary": args.vary, "samples": args.samples,
-            "seed": args.seed, "chunk": args.chunk}  # fmt: skip
+    plan = {
+        "study": "sweep",
+        "cell": hashed,
+        "set": args.set,
+        "vary": args.vary,
+        "samples": args.samples,
+        "seed": args.seed,
+        "chunk": args.chunk,
+    }
     study = Study(output_directory(args.out), plan)
     with progress("sweep") as report:
         seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
@@ -189,6 +195,13 @@ def run_sweep(args) -> Answer:
         summary.add(table)
     sentence = f"{len(rows)} rows, {summary.failed} failed (column error), in {seconds:.1f} s: {args.out}"
     picture = shown_path(write_sweep(args.out, summary, [sentence, READ.format(args.out)], args.self_contained))
-    result = {"rows": len(rows), "failed": summary.failed, "best": summary.best, "worst": summary.worst,
-              "picture": picture, "out": args.out, "wall_s": seconds}  # fmt: skip
+    result = {
+        "rows": len(rows),
+        "failed": summary.failed,
+        "best": summary.best,
+        "worst": summary.worst,
+        "picture": picture,
+        "out": args.out,
+        "wall_s": seconds,
+    }
     return Answer(result, [*sweep_tables(summary), sentence, READ.format(args.out), picture])

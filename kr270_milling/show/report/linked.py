@@ -45,7 +45,7 @@ class Linked:
     """k stations of the target in the order of time, and every pass there."""
 
     time: np.ndarray  #: [s], (k,)
-    way: np.ndarray  #: along the path [mm], (k,)
+    distance: np.ndarray  #: along the path [mm], (k,)
     x: np.ndarray  #: position of the target, workpiece frame [mm], (k,)
     y: np.ndarray
     z: np.ndarray
@@ -82,7 +82,7 @@ def linked(
     line = programmed.line_at(time_ns)
     return Linked(
         time=time_ns[chosen] * 1e-9,
-        way=path.distance[chosen] * 1e3,
+        distance=path.distance[chosen] * 1e3,
         x=target[chosen, 0] * 1e3,
         y=target[chosen, 1] * 1e3,
         z=target[chosen, 2] * 1e3,

@@ -73,9 +73,13 @@ def force_law(cutting: Cutting, feed_per_tooth: float, depth_of_cut: float) -> C
     caption = f"{caption} {law.caption}".rstrip()
     top = 1.08 * float(np.max(tangential)) * depth_of_cut
     panel = Panel(
-        "uncut chip thickness h [µm]", "force of one tooth [N]", curves, x_range=(0.0, float(micrometres[-1])),
-        y_range=(0.0, top), uprights=uprights,
-    )  # fmt: skip
+        "uncut chip thickness h [µm]",
+        "force of one tooth [N]",
+        curves,
+        x_range=(0.0, float(micrometres[-1])),
+        y_range=(0.0, top),
+        uprights=uprights,
+    )
     return Chart("force_law", "Cutting force of one tooth", "Fig. 3", caption, [panel])
 
 

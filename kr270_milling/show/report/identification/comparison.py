@@ -24,8 +24,10 @@ UNITS = {"m": (1e6, "um", "um"), "N": (1.0, "n", "N")}  #: unit of a channel -> 
 def comparison_outcome(comparison: Comparison, recording: str, cell: str) -> Outcome:
     """Return the result of ``compare``; recording, cell: names of the files."""
     sentences = advice(comparison)
-    lags = [f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
-            for name, lag in comparison.lags.items()]  # fmt: skip
+    lags = [
+        f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
+        for name, lag in comparison.lags.items()
+    ]
     result = {
         "channels": [_as_dict(channel) for channel in comparison.channels],
         "lag_s": comparison.lags,

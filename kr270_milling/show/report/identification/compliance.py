@@ -46,9 +46,16 @@ def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outc
     result = _as_dict(fit, None if refused else pose) | {"doubts": doubted, "usable": not refused}
     texts = [residual, *doubted, *sentences(fit, None if refused else pose, bool(doubts))]
     return Outcome(
-        "compliance", title, result, [TextTable(title, COLUMNS, rows)], texts, lambda: _figures(fit), _sections(fit),
-        "name this file in `includes` after the file of the arm", refused,
-    )  # fmt: skip
+        "compliance",
+        title,
+        result,
+        [TextTable(title, COLUMNS, rows)],
+        texts,
+        lambda: _figures(fit),
+        _sections(fit),
+        "name this file in `includes` after the file of the arm",
+        refused,
+    )
 
 
 def reason(fit: Fit, number: int) -> str:
@@ -161,8 +168,9 @@ def _figures(fit: Fit) -> list:
     bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
     bars.add_bar(name="arm file", x=joints, y=(1e6 * fit.problem.arm.joint_compliance).tolist())
     heat = figure_of("Correlation of the fitted numbers", "", "")
-    heat.add_heatmap(x=names, y=names, z=fit.correlation.tolist(), zmin=-1, zmax=1, colorscale=DIVERGING,
-                     texttemplate="%{z:.2f}")  # fmt: skip
+    heat.add_heatmap(
+        x=names, y=names, z=fit.correlation.tolist(), zmin=-1, zmax=1, colorscale=DIVERGING, texttemplate="%{z:.2f}"
+    )
     heat.update_layout(yaxis_autorange="reversed", height=480)
     residuals = 1e6 * fit.residuals[:, :3]
     tests = np.arange(1, len(residuals) + 1)
@@ -173,11 +181,24 @@ def _figures(fit: Fit) -> list:
     axes = list(enumerate("xyz"))
     return [
         bars,
-        points("Measured against modelled displacement", "modelled [um]", "measured [um]",
-               {a: (modelled[:, i], measured[:, i]) for i, a in axes}),
-        points("Residuals of each load test", "test", "measured less modelled [um]",
-               {a: (tests, residuals[:, i]) for i, a in axes}),
-        points("Residuals against the normal distribution", "normal quantile", "residual [standard deviations]",
-               {"residuals": (normal, scaled), "normal": (normal, normal)}, ("normal",)),
+        points(
+            "Measured against modelled displacement",
+            "modelled [um]",
+            "measured [um]",
+            {a: (modelled[:, i], measured[:, i]) for i, a in axes},
+        ),
+        points(
+            "Residuals of each load test",
+            "test",
+            "measured less modelled [um]",
+            {a: (tests, residuals[:, i]) for i, a in axes},
+        ),
+        points(
+            "Residuals against the normal distribution",
+            "normal quantile",
+            "residual [standard deviations]",
+            {"residuals": (normal, scaled), "normal": (normal, normal)},
+            ("normal",),
+        ),
         heat,
-    ]  # fmt: skip
+    ]

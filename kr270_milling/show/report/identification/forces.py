@@ -72,8 +72,10 @@ def material_outcome(rows: list[Material], name: str | None, row: Material | Non
 
 def _table(fit: LawFit) -> TextTable:
     values = fit.as_dict()
-    rows = [[key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((values[key], 5), (width, 3)))]
-            for key, width in values["ci95"].items()]  # fmt: skip
+    rows = [
+        [key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((values[key], 5), (width, 3)))]
+        for key, width in values["ci95"].items()
+    ]
     title = f"{fit.law.replace('_', '-').capitalize()} law, residual {fit.residual_rms:.3g} N RMS"
     return TextTable(title, ["coefficient", "value", "95 % +-"], rows)
 
@@ -107,8 +109,11 @@ def _figures(fits: list[LawFit]) -> list:
     forces = {"measured": cuts.force} | {law: fit.modelled for law, fit in zip(names, fits, strict=True)}
 
     def by_component(rows_of_laws: dict) -> dict:
-        return {f"F_{axis} {law}": (feed, column) for law, rows in rows_of_laws.items()
-                for axis, column in zip("xyz", rows.T, strict=True)}  # fmt: skip
+        return {
+            f"F_{axis} {law}": (feed, column)
+            for law, rows in rows_of_laws.items()
+            for axis, column in zip("xyz", rows.T, strict=True)
+        }
 
     mean = by_component({law: rows * per_depth for law, rows in forces.items()})
     residuals = by_component({law: fit.residuals for law, fit in zip(names, fits, strict=True)})

@@ -20,9 +20,13 @@ MOST_POINTS = 4000  #: points of a signal in the figure
 
 
 def mode_outcome(
-    modes: list[Mode], faint: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str,
+    modes: list[Mode],
+    faint: list[Mode],
+    signals: Signals,
+    shapes: np.ndarray | None,
+    title: str,
     doubts: Sequence[Doubt] = (),
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Return the result of ``identify damping``; shapes: mass-normalised shapes, (n, 6); None: not scaled.
 
     faint: modes that may be noise; they are listed and not used; doubts: about the signals and the units.

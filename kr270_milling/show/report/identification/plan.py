@@ -28,17 +28,28 @@ def plan_as_dict(plan: Candidates, designs: Mapping[str, Design], chosen: Design
     return {
         "blind_spots": blind_spots(chosen.relative, names),
         "sought": list(names),
-        "designs": [{"name": name, "error_um": 1e6 * d.pose_error, "relative": d.relative.tolist(),
-                     "determinant": d.determinant} for name, d in designs.items()],
-        "tests": [{"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
-                  for i, (q, w) in enumerate(zip(plan.tests.q, plan.tests.wrench, strict=True))],
-    }  # fmt: skip
+        "designs": [
+            {
+                "name": name,
+                "error_um": 1e6 * d.pose_error,
+                "relative": d.relative.tolist(),
+                "determinant": d.determinant,
+            }
+            for name, d in designs.items()
+        ],
+        "tests": [
+            {"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
+            for i, (q, w) in enumerate(zip(plan.tests.q, plan.tests.wrench, strict=True))
+        ],
+    }
 
 
 def plan_tables(plan: Candidates, designs: Mapping[str, Design]) -> list[TextTable]:
     """Return the comparison of the designs and of the tests."""
-    rows = [[name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
-            for name, d in designs.items()]  # fmt: skip
+    rows = [
+        [name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
+        for name, d in designs.items()
+    ]
     title = f"{len(plan.tests)} load tests: standard deviation of the displacement by 100 N at the cell's posture"
     tests = [[load_text(plan, i), " ".join(f"{a:7.2f}" for a in np.degrees(q))] for i, q in enumerate(plan.tests.q)]
     return [

@@ -20,24 +20,45 @@ MOST_PLACES = 60  #: rows of the table
 def wall_outcome(compared: WallComparison, name: str, cell: str) -> Outcome:
     """Return the result of ``compare`` with a table of places; name, cell: names of the files."""
     measured, line = compared.measured, compared.line
-    columns = zip(1e3 * measured.place, *(1e6 * column for column in (
-        measured.error, compared.predicted, compared.low, compared.high)), compared.inside, strict=True)  # fmt: skip
+    columns = zip(
+        1e3 * measured.place,
+        *(1e6 * column for column in (measured.error, compared.predicted, compared.low, compared.high)),
+        compared.inside,
+        strict=True,
+    )
     places = [
-        {"x_mm": place[0], "y_mm": place[1], "measured_um": error, "predicted_um": predicted, "low_um": low,
-         "high_um": high, "inside": bool(inside)}
+        {
+            "x_mm": place[0],
+            "y_mm": place[1],
+            "measured_um": error,
+            "predicted_um": predicted,
+            "low_um": low,
+            "high_um": high,
+            "inside": bool(inside),
+        }
         for place, error, predicted, low, high, inside in columns
-    ]  # fmt: skip
+    ]
     sentences = wall_advice(compared)
     result = {
-        "places": places, "plants": compared.plants, "inside": int(compared.inside.sum()), "gain": line.gain,
-        "gain_ci95": 1.96 * line.gain_sigma, "offset_um": 1e6 * line.offset, "residual_rms_um": 1e6 * line.residual,
+        "places": places,
+        "plants": compared.plants,
+        "inside": int(compared.inside.sum()),
+        "gain": line.gain,
+        "gain_ci95": 1.96 * line.gain_sigma,
+        "offset_um": 1e6 * line.offset,
+        "residual_rms_um": 1e6 * line.residual,
         "advice": sentences,
-    }  # fmt: skip
+    }
     rows = [
-        [f"{p['x_mm']:.2f}, {p['y_mm']:.2f}", f"{p['measured_um']:.1f}", f"{p['predicted_um']:.1f}",
-         f"{p['low_um']:.1f} to {p['high_um']:.1f}", "yes" if p["inside"] else "no"]
+        [
+            f"{p['x_mm']:.2f}, {p['y_mm']:.2f}",
+            f"{p['measured_um']:.1f}",
+            f"{p['predicted_um']:.1f}",
+            f"{p['low_um']:.1f} to {p['high_um']:.1f}",
+            "yes" if p["inside"] else "no",
+        ]
         for p in places[:MOST_PLACES]
-    ]  # fmt: skip
+    ]
     title = f"Measured against predicted wall: {name} and {cell}"
     table = TextTable("Error of the wall, positive: material is left standing", COLUMNS, rows)
     return Outcome("compare_wall", title, result, [table], sentences, lambda: _figures(compared))
