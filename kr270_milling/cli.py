@@ -17,8 +17,6 @@ from kr270_milling.show.commands.options import make_parser, run
 
 __all__ = ["main"]
 
-EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
-
 
 def main(argv: list[str] | None = None) -> int:
     """Return exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C).
@@ -42,7 +40,7 @@ def _main(argv: list[str], own_process: bool = False) -> int:
         return _run(argv)
     except BrokenPipeError:  # the reader of the output, head for example, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_OK
+        return 0
     except MillingError as error:
         return _refuse(argv, str(error), listing=getattr(error, "listing", ()))
     except OSError as error:
@@ -52,14 +50,14 @@ def _main(argv: list[str], own_process: bool = False) -> int:
         advice = "a larger stock.grid_step_um or a shorter path needs less"
         return _refuse(argv, f"there is not enough memory for this; {advice}")
     except KeyboardInterrupt:
-        return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
+        return _refuse(argv, "interrupted", 130)
     except SystemError as error:  # compiled code that received Ctrl-C or SIGTERM
         end = _end_behind(error)
         if end is None:
             raise
         if isinstance(end, SystemExit):
             raise end from None
-        return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
+        return _refuse(argv, "interrupted", 130)
 
 
 def _end_behind(error: BaseException | None) -> BaseException | None:
@@ -69,7 +67,7 @@ def _end_behind(error: BaseException | None) -> BaseException | None:
     return error
 
 
-def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tuple[str, ...] = ()) -> int:
+def _refuse(argv: list[str], sentence: str, code: int = 2, listing: tuple[str, ...] = ()) -> int:
     """Print the sentence on standard error, or with ``--json`` as an object on standard output; return the code.
 
     listing: the parts of the sentence, each for a separate line.
@@ -141,7 +139,7 @@ def _run(argv: list[str]) -> int:
     parser = make_parser()
     if not argv:
         parser.print_help()
-        return EXIT_OK
+        return 0
     args = parser.parse_args(argv)
     args.argv = argv
     if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed

@@ -21,8 +21,6 @@ from kr270_milling.path.cam.readers import read_toolpaths
 from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.show.commands.console import Answer
 
-SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
-
 
 def run_init(args) -> Answer:
 
@@ -32,14 +30,16 @@ def run_init(args) -> Answer:
         text, program, warnings = straight_text(robot), None, []
     else:
         paths = read_toolpaths(args.gcode, args.tool)
-        file, program = _program_of(args), paths[0].program
+        program, file, folder = paths[0].program, Path(args.gcode).resolve(), Path(args.out or ".").resolve().parent
+        if args.out and file.is_relative_to(folder):  # the cell names a program below its folder by the relative path
+            file = file.relative_to(folder)
         sideways = [path for path in paths if np.any(~path.rapid & (path.plane_length > 0.0))]  # the rest drills
         tools = [path.program.current for path in sideways if path.program.current]
         advice = "is not modelled: check stops its program unless tool.type of the cell is flat"
         warnings = [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}" for tool in tools if tool.shape]
         for warning in () if args.json else warnings:
             print(f"warning: {args.gcode}, {warning}", file=sys.stderr)
-        text = draft_text(file, paths[0], robot) if len(paths) == 1 else tools_text(file, paths, robot)
+        text = draft_text(str(file), paths[0], robot) if len(paths) == 1 else tools_text(str(file), paths, robot)
     result = {"cell": text, "program": program and asdict(program), "warnings": warnings, "file": args.out}
     if args.out is None:
         return Answer(result, [text.removesuffix("\n")])
@@ -51,13 +51,6 @@ def run_init(args) -> Answer:
     with contextlib.suppress(MillingError):  # the error of a cell is that of its first use
         lines += kuka_frames(read_cells(args.out)[0])
     return Answer(result, lines)
-
-
-def _program_of(args) -> str:
-    """The path of the program as the cell file names it."""
-    program = Path(args.gcode).resolve()
-    folder = Path(args.out).resolve().parent if args.out else None
-    return str(program.relative_to(folder)) if folder and program.is_relative_to(folder) else str(program)
 
 
 def run_keys(args) -> Answer:
@@ -96,7 +89,7 @@ def run_stiffness(args) -> Answer:
     columns = (np.diag(result["compliance"]), np.diag(result["stiffness"]), deflection)
     rows = [
         [axis, *(f"{value:.4e}" if value else "0" for value in values)]
-        for axis, *values in zip(SIX_AXES, *columns, strict=True)
+        for axis, *values in zip(("x", "y", "z", "rx", "ry", "rz"), *columns, strict=True)
     ]
     title = "Diagonals and deflection under the wrench [m, rad, N]"
     shown = [

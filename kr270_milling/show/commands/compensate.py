@@ -139,13 +139,19 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
         texts.append(text)
         pages.append(_report_of_tool(cell, result, args, source, date, whole))
         if result.parts:
-            tools[-1] |= {"part": str(final(_write_part(draft, cell, result.revised)))}
+            stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
+            write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock)
+            tools[-1]["part"] = str(final(stl))
     gcode: dict = {}
     if args.gcode and (released or args.force):
         gcode, text = _write_gcode(draft, final, jobs, decision, released, date)
         texts.append(text)
     manifest = str(final(write_manifest(draft, texts, decision.lines(), released)))
-    report = {"report": str(final(_write_report(draft, jobs, decision, pages)))}
+    page = pages[0]
+    if len(jobs) > 1:
+        title = f"{jobs[0][0].path.file_name}: {len(jobs)} tools, before and after compensation"
+        page = tools_page(title, decision, [cell.stage.tool for cell, _ in jobs], pages)
+    report = {"report": str(final(write_report_page(draft, page)))}
     if len(jobs) > 1:
         rows = [
             {"tool": cell.stage.tool, "level": tool.pop("decision"), **tool}
@@ -218,24 +224,6 @@ def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
         checked=result.checked,
         tables=[_joints_table(cell, revised), _time_law_table(cell, result, whole)],
     )
-
-
-def _write_part(draft, cell, revised):
-    """Write the predicted part as STL and return its path."""
-
-    stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
-    write_part(stl, cut_of(cell), revised.result, path_of(cell).clock)
-    return stl
-
-
-def _write_report(draft, jobs, decision, pages):
-    """Write the page of the only tool, or a page with a tab for each tool."""
-
-    if len(jobs) == 1:
-        return write_report_page(draft, pages[0])
-    names = [cell.stage.tool for cell, _ in jobs]
-    title = f"{jobs[0][0].path.file_name}: {len(jobs)} tools, before and after compensation"
-    return write_report_page(draft, tools_page(title, decision, names, pages))
 
 
 def _joints_table(cell, revised):
@@ -311,24 +299,24 @@ def _details(cell, result, values: dict):
     )
     if values["note"]:
         yield values["note"]
-    if values["identified"]:
-        yield _identified(values["identified"])
+    if identified := values["identified"]:
+        modes = ", ".join(
+            f"{mode['frequency_hz']:.2f} Hz ({100 * mode['damping_ratio']:.1f} %)" for mode in identified["modes"]
+        )
+        gain, compliance = identified["gain"], identified["compliance_factor"]
+        yield f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
     yield cut_text_of(cell)
     yield joints_text(values["commanded_joints_deg"])
     yield f"largest correction {values['largest_correction_um']:.1f} um"
     if "chord_error_um" in values:
         yield f"LIN chords deviate from the programmed path by up to {values['chord_error_um']:.2f} um"
     yield from (*result.checked.findings_lines(), result.checked.counts)
-    if values["verdict"]:
-        yield from _verdict(values["verdict"])
+    if verdict := values["verdict"]:
+        rows = [[name, *(fixed(v, 1, 1e6 * CONVERGED) for v in band)] for name, band in verdict["methods_um"].items()]
+        title = f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]"
+        yield TextTable(title, ["", "5 %", "50 %", "95 %"], rows)
+        yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
     yield f"{values['points']} reference points: {values['trajectory']}"
-
-
-def _identified(values: dict) -> str:
-    """Return a line about the arm that the passes identified."""
-    modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in values["modes"])
-    gain, compliance = values["gain"], values["compliance_factor"]
-    return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 
 def _features(features: dict, method: str) -> TextTable:
@@ -344,12 +332,3 @@ def _features(features: dict, method: str) -> TextTable:
     heads = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
     title = f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain"
     return TextTable(title, heads, rows)
-
-
-def _verdict(verdict: dict):
-    columns = ["", "5 %", "50 %", "95 %"]
-    rows = [[name, *(fixed(v, 1, 1e6 * CONVERGED) for v in band)] for name, band in verdict["methods_um"].items()]
-    yield TextTable(
-        f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
-    )
-    yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"

@@ -27,7 +27,6 @@ from kr270_milling.show.report.tables import TABLE_2
 
 METHODS = ("linear", "spline", "mirror", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
-AS_PRINTED = "Path deviation [um], eq. (1) as printed, Table 2"
 WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
 WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
@@ -97,7 +96,7 @@ def _answer(passes, second, result: dict, missing: Sequence[str] = ()) -> Answer
     return Answer(
         {**result, **both},
         [
-            TextTable(AS_PRINTED, columns, [_row(p) for p in passes]),
+            TextTable("Path deviation [um], eq. (1) as printed, Table 2", columns, [_row(p) for p in passes]),
             TextTable(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
             NEEDS,
             f"ran as: {result['ran_as']}",

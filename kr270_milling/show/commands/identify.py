@@ -190,7 +190,10 @@ def run_compare(args) -> Answer:
     cell = read_cell(find_file(args.cell), args.set)
     reference = read_csv(Path(args.reference))[0] if args.reference else None
     if Path(args.recording).suffix.lower() == ".csv":
-        return _compare_wall(args, cell, reference)
+        measured_wall = read_wall(find_file(args.recording))
+        with progress("plants") as report:
+            wall = compare_wall(cell, measured_wall, reference, args.plants, progress=report)
+        return _answer(args, wall_outcome(wall, Path(args.recording).name, Path(args.cell).name))
     passes = _recorded_passes(args)
     measured, name = None, Path(args.recording).name
     if passes:
@@ -231,15 +234,6 @@ def _series_of(args, recorded):
     return comparison.ComparedSeries(
         force if recorded.wrench.any() else None, comparison.VectorSeries(recorded.time, recorded.actual)
     )
-
-
-def _compare_wall(args, cell, reference) -> Answer:
-    """Compare a measured wall with the wall that model and plants predict."""
-
-    measured = read_wall(find_file(args.recording))
-    with progress("plants") as report:
-        compared = compare_wall(cell, measured, reference, args.plants, progress=report)
-    return _answer(args, wall_outcome(compared, Path(args.recording).name, Path(args.cell).name))
 
 
 def _measured(args):

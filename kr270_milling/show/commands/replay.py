@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from kr270_milling.base.arguments import UsageError
 from kr270_milling.base.column import table_of
 from kr270_milling.base.errors import one_line
@@ -16,8 +14,6 @@ from kr270_milling.recordings.bag.remap import remapping
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
-COUNTS = ("compared", "differing", "missing", "not_compared")
-COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
 PUBLISHED: dict = {
     True: "identical to what the node published",
     False: "NOT what the node published",
@@ -51,7 +47,9 @@ def _recompute(args) -> Answer:
         result = recompute(args.file, report, remapping(args.remap), args.cell)
     about = result.as_dict()
     rows = ({"topic": _shown(topic), **vars(count)} for topic, count in sorted(result.channels.items()))
-    shown: list = [table_of(result.file, COLUMNS, rows)]
+    counts = ("compared", "differing", "missing", "not_compared")
+    columns = [("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in counts)]
+    shown: list = [table_of(result.file, columns, rows)]
     if result.cut_off:
         shown.append("The recording was cut off; the recorded part was compared.")
     shown += [*map(_shown, result.sentences), *("damage: " + _shown(sentence) for sentence in result.damage)]
@@ -71,10 +69,14 @@ def _compensate(args) -> Answer:
 
     with progress("compensating") as report:
         revisions = compensate_recording(args.file, args.method, report, remapping(args.remap), args.cell)
-    files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
-    robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
-    shown = []
-    for revised, file in zip(revisions, files, strict=True):
+    robots, shown = [], []
+    for revised in revisions:
+        file = None
+        if args.out:
+            prefix = revised.robot.strip("/").replace("/", "_")
+            file = output_directory(args.out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"
+            write_csv(file, revised.reference, revised.joints)
+        robots.append(revised.as_dict() | {"csv": file})
         shown += [
             f"{_shown(revised.robot or '/')}: {revised.method}, {len(revised.reference)} points; the recorded pass was "
             f"off by up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
@@ -84,11 +86,3 @@ def _compensate(args) -> Answer:
         ]
     differs = any(revised.published is False for revised in revisions)
     return Answer({"file": args.file, "robots": robots}, shown, code=int(differs))
-
-
-def _write(out: str, revised) -> Path:
-
-    prefix = revised.robot.strip("/").replace("/", "_")
-    path = output_directory(out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"
-    write_csv(path, revised.reference, revised.joints)
-    return path

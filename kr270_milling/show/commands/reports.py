@@ -31,49 +31,39 @@ STAMPS = {
 
 def run_report(args) -> Answer:
     """Report one recording, or several passes of one path on the same scales."""
+    first = Path(args.recordings[0])
     with steps() as whole:
-        return _reported(args, whole)
-
-
-def _reported(args, whole) -> Answer:
-
-    places = [Path(place) for place in args.recordings]
-    recorded, copies = _read(places, args, whole)
-    cell, passes = recorded[0][1].cell, [scored for scored, _ in recorded]
-    first = places[0]
-    beside = first if first.is_dir() else first.parent
-    there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
-    directory = output_directory(args.out or (beside if there else beside / "report"))
-    title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
-    title += "".join(STAMPS[kind] for kind in sorted({about.stamps for _, about in recorded}))
-    with whole("report"):
-        page = write_report(
-            directory,
-            cell,
-            passes,
-            title=title,
-            source=first.name,
-            command=command_line(args),
-            date=now(),
-            program=recorded[0][1].program,
-        )
-        write_series(directory, arm_of(cell), path_of(cell).target, passes)
+        recorded, copies = _read([Path(place) for place in args.recordings], args, whole)
+        cell, passes = recorded[0][1].cell, [scored for scored, _ in recorded]
+        beside = first if first.is_dir() else first.parent
+        there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
+        directory = output_directory(args.out or (beside if there else beside / "report"))
+        title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
+        title += "".join(STAMPS[kind] for kind in sorted({about.stamps for _, about in recorded}))
+        with whole("report"):
+            page = write_report(
+                directory,
+                cell,
+                passes,
+                title=title,
+                source=first.name,
+                command=command_line(args),
+                date=now(),
+                program=recorded[0][1].program,
+            )
+            write_series(directory, arm_of(cell), path_of(cell).target, passes)
     rows = [
         {**scored.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
         for scored, about in recorded
     ]
     reasons = {name: reason for _, facts in recorded for name, reason in facts.unused.items()}
     unused = [f"{name} is not used: {one_line(reason)}" for name, reason in reasons.items()]
+    columns = [("pass", "name", 0), *columns_of(Scores)]
+    columns += [("lost", "messages_lost", 0), ("complete", "complete", yes), ("stamps", "stamps", str)]
+    table = table_of("Path deviation, from the recordings", columns, rows)
+    skipped = [f"skipped, a copy of another pass: {copy}" for copy in copies]
     about = {"passes": rows, "copies": copies, "unused": unused, "report": str(page), "out": str(directory)}
-    return Answer(
-        about,
-        [
-            table_of("Path deviation, from the recordings", _columns(), rows),
-            *(f"skipped, a copy of another pass: {copy}" for copy in copies),
-            *unused,
-            f"report: {page}",
-        ],
-    )
+    return Answer(about, [table, *skipped, *unused, f"report: {page}"])
 
 
 def _read(places: Sequence[Path], args, whole) -> tuple[list[tuple[ScoredPass, RecordedFacts]], list[str]]:
@@ -137,15 +127,3 @@ def _recordings(path: Path) -> list[Path]:
     if not files:
         raise InputError(path, "holds no recording (.mcap)" if path.is_dir() else "is no such file or directory")
     return files
-
-
-def _columns() -> tuple:
-    """Columns of the passes."""
-
-    return (
-        ("pass", "name", 0),
-        *columns_of(Scores),
-        ("lost", "messages_lost", 0),
-        ("complete", "complete", yes),
-        ("stamps", "stamps", str),
-    )

@@ -27,6 +27,12 @@ def run_rsi(args) -> Answer:
         1e-3 * args.max_mm, math.radians(args.max_deg), 1e-3 * args.rate_mm_per_s, args.ramp_s, 1e-3 * args.reach_mm
     )
     corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
+    attached: dict[str, bytes | str] = {}
+    if args.cell:
+        cell = read_cell(find_file(args.cell))
+        attached = {"cell.yaml": cell_text(cell)} | {
+            Path(file).name: Path(file).read_bytes() for file in cell.path.files
+        }
     directory = fresh_directory(args.out)
     with (
         open_socket(args.host, args.port) as connection,
@@ -34,7 +40,7 @@ def run_rsi(args) -> Answer:
             directory,
             table,
             {"command_line": command_line(args)},
-            _attached(args.cell) if args.cell else {},
+            attached,
             time.time_ns,
         ) as recording,
     ):
@@ -83,13 +89,6 @@ def run_rsi(args) -> Answer:
     ]
     code = int(bool(counts.late or counts.missed or session.recording_failed))
     return Answer(result, shown, code=128 + ended[0] if ended and ended[0] != signal.SIGINT else code)
-
-
-def _attached(name: str) -> dict[str, bytes | str]:
-    """Return the cell and the files of its path as attachments."""
-
-    cell = read_cell(find_file(name))
-    return {"cell.yaml": cell_text(cell)} | {Path(file).name: Path(file).read_bytes() for file in cell.path.files}
 
 
 def _table(name: str) -> Path:

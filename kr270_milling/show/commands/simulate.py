@@ -26,9 +26,6 @@ from kr270_milling.show.commands.console import Answer, joints_text
 from kr270_milling.show.commands.progress import steps, title_of
 from kr270_milling.show.report.series import write_series
 
-FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
-FEATURES = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
-
 
 def run_simulate(args) -> Answer:
 
@@ -68,7 +65,13 @@ def _simulated(cell, args, draft, final, whole):
     columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
     scores: list = _scores(cell, summary)
     if part:
-        scores = [table_of(FEATURES, columns, (*summary["features"], summary["whole_part"]))]
+        scores = [
+            table_of(
+                "Deviation to the side of the path while cutting, and largest errors of what remains [um]",
+                columns,
+                (*summary["features"], summary["whole_part"]),
+            )
+        ]
     speed = (
         f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time"
     )
@@ -167,7 +170,8 @@ def _reference(cell, path: str):
         both = f"{run.duration_ns * 1e-9:.9g} s, but the path of this cell {target.duration_ns * 1e-9:.9g} s"
         raise InputError(path, f"is no reference for this cell: it lasts {both}")
     far = float(np.max(np.linalg.norm(run.position - target.sample(run.time_ns), axis=1)))
-    if not far <= FARTHEST:
+    # [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
+    if not far <= 0.05:
         raise InputError(path, f"is no reference for this cell: it goes {far:.3g} m away from its path")
     return run
 

@@ -27,7 +27,6 @@ from kr270_milling.show.report.series import deviation_of
 __all__ = ["charts_of", "force_law", "machined_profile", "micro_step_forces"]
 
 SAMPLES = 1000  #: samples of a reference trajectory
-MOST_MICRO_STEPS = 500_000  #: a longer pass is not swept a second time for its micro-step forces
 ZERO = ((0.0, ""),)  #: a level
 
 
@@ -138,7 +137,7 @@ def _of_pass(cell: Cell, scored: ScoredPass, shade) -> list[Chart]:
         curves.append(curve(f"{name} of a period", result.time, wrench[:, k], k + 1, "thin", legend=False))
         curves.append(curve(name, result.time, moving_mean(wrench[:, k], window), k + 1))
     panels = [Panel("time [s]", "force [N]", curves, "the whole pass", shade=shade)]
-    if result.micro_steps <= MOST_MICRO_STEPS:
+    if result.micro_steps <= 500_000:  # a longer pass is not swept a second time for its micro-step forces
         fine = micro_step_forces(cut_of(cell), result.tool, clock.micro_steps)
         count = min(len(fine), round(revolution / micro_step))
         time = (end - micro_step * np.arange(count)[::-1]) * 1e3

@@ -17,9 +17,6 @@ from kr270_milling.studies.identification.problem import Cause, Exclusion
 
 __all__ = ["BASE_Z", "compliance_outcome", "reason", "sentences"]
 
-HARDLY_NORMAL = 0.05  #: p-value of the normality test below which a sentence warns
-OUTLIER = 0.25  #: weight of a load test below which a sentence names the test
-WIDENED = 1.5  #: reduced chi^2 above which a sentence warns
 COLUMNS = ("number", "arm file", "identified", "95 % +-", "identified by the data")
 BASE_Z = "not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance"
 CAUSES = {
@@ -80,12 +77,12 @@ def sentences(fit: Fit, pose: Measurements | None = None, doubted: bool = False)
     measured = fit.problem.measured.displacement[:, :3]
     if np.nansum(measured * (measured - fit.residuals[:, :3])) < 0.0:
         texts.append("the arm moved against its loads: look at the signs of forces and displacements")
-    outliers = np.flatnonzero(fit.weights < OUTLIER) + 1
+    outliers = np.flatnonzero(fit.weights < 0.25) + 1  # weight of a load test below which a sentence names the test
     if outliers.size:
         texts.append("tests that contradict the others: " + ", ".join(map(str, outliers.tolist())))
-    if fit.normality < HARDLY_NORMAL:
+    if fit.normality < 0.05:  # p-value of the normality test below which a sentence warns
         texts.append(f"the residuals are hardly normal (p = {fit.normality:.2g}): look for outliers, or a wrong load")
-    if fit.problem.measured.sigma_known and fit.chi2_reduced > WIDENED:
+    if fit.problem.measured.sigma_known and fit.chi2_reduced > 1.5:  # reduced chi^2 above which a sentence warns
         factor = np.sqrt(fit.chi2_reduced)
         texts.append(f"the residuals are {factor:.1f} times what sigma_um states; the intervals are widened by that")
     if pose is not None:

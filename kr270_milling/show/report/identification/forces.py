@@ -16,9 +16,6 @@ from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PAR
 
 __all__ = ["force_outcome", "material_outcome"]
 
-COMPONENTS = {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[3]}
-MEASURED = "circle-open"  #: marker
-BETTER = 0.9  #: share of the residual of the linear-edge law below which another law is recommended
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 
 
@@ -95,7 +92,8 @@ def _sentences(edge: LawFit, *others: LawFit) -> list[str]:
             sentences.append(f"{name} is negative: look at the signs and at the sense of rotation")
     if others:
         best = min(others, key=lambda other: other.lateral_rms)
-        better = best if best.lateral_rms < BETTER * edge.lateral_rms else edge
+        # share of the residual of the linear-edge law below which another law is recommended
+        better = best if best.lateral_rms < 0.9 * edge.lateral_rms else edge
         residuals = ", ".join(f"{fit.lateral_rms:.3g} N ({fit.law.replace('_', ' ')})" for fit in (edge, *others))
         sentences.append(f"residual of F_x and F_y {residuals}: use the {better.law.replace('_', '-')} law")
     return sentences
@@ -117,8 +115,12 @@ def _figures(fits: list[LawFit]) -> list:
 
     mean = by_component({law: rows * per_depth for law, rows in forces.items()})
     residuals = by_component({law: fit.residuals for law, fit in zip(names, fits, strict=True)})
-    symbols = {"measured": MEASURED} | {law: LAWS[fit.law].symbol for law, fit in zip(names, fits, strict=True)}
-    style = {f"F_{axis} {law}": (colour, symbols[law]) for law in forces for axis, colour in COMPONENTS.items()}
+    symbols = {"measured": "circle-open"} | {law: LAWS[fit.law].symbol for law, fit in zip(names, fits, strict=True)}
+    style = {
+        f"F_{axis} {law}": (colour, symbols[law])
+        for law in forces
+        for axis, colour in {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[3]}.items()
+    }
     return [
         points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", mean, (), style),
         points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),

@@ -16,7 +16,6 @@ from kr270_milling.studies.identification.plan import Candidates, Design
 __all__ = ["blind_spots", "load_text", "plan_as_dict", "plan_tables", "write_plan"]
 
 LOADS = ("hang", "pull outward", "pull sideways", "pull between both")  #: kind of a candidate -> text
-BLIND = 0.5  #: relative standard deviation from which a compliance is practically unknown
 MODULE = "LOADTEST"
 JOINTS = 6  #: further sought numbers are those of the base
 SPEED = 10  #: [%] of the axis speeds
@@ -63,7 +62,8 @@ def blind_spots(relative: np.ndarray, names: Sequence[str]) -> list[str]:
 
     relative: standard deviations of the factors, (p,); names: of the sought numbers, (p,).
     """
-    unseen = [name for name, deviation in zip(names, relative, strict=True) if deviation > BLIND]
+    # relative standard deviation from which a compliance is practically unknown
+    unseen = [name for name, deviation in zip(names, relative, strict=True) if deviation > 0.5]
     cure = "a horizontal pull turns joint 1, a --point off axis 6 turns joint 6, more tests help joints of small effect"
     texts = [f"{', '.join(unseen)}: these tests hardly identify the compliance; {cure}"] if unseen else []
     return texts + [BASE_Z] * (len(names) > JOINTS)
