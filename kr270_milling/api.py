@@ -21,6 +21,7 @@ from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance
 from kr270_milling.decide import decision as decisions
 from kr270_milling.decide import verdict as verdicts
+from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.motion.scores import Scores
@@ -37,8 +38,21 @@ if TYPE_CHECKING:
     import pandas
     import plotly.graph_objects
 
-__all__ = ["Compensation", "Lobes", "Pass", "Verdict", "check", "compensate", "placements", "read_cell",
-           "read_recording", "simulate", "stability", "sweep", "verdict"]  # fmt: skip
+__all__ = [
+    "Compensation",
+    "Lobes",
+    "Pass",
+    "Verdict",
+    "check",
+    "compensate",
+    "placements",
+    "read_cell",
+    "read_recording",
+    "simulate",
+    "stability",
+    "sweep",
+    "verdict",
+]
 
 
 class Shown:
@@ -64,7 +78,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Pass(Shown, jobs.ScoredPass):
-    """One pass of a cell, simulated or recorded: its name, reference, result (series) and scores."""
+    """Pass of a cell, simulated or recorded: name, reference, result (series) and scores."""
 
     cell: Cell
 
@@ -88,14 +102,14 @@ class Pass(Shown, jobs.ScoredPass):
 
     @property
     def tolerance(self) -> tolerance.Judgement:
-        """What the pass leaves on the part against ``part.tolerance_um``."""
+        """Remaining error of the part against ``part.tolerance_um``."""
         return tolerance.judge(self.cell, self)
 
     def tables(self) -> list[TextTable]:
         return [_scores_table([self])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """Every series as a pandas frame, units in the column names; raises MissingExtra without pandas."""
+        """Return every series as a pandas frame, units in the column names; raises MissingExtra without pandas."""
         rows = series_rows(self.result, path_of(self.cell).target)
         return _pandas().DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
 
@@ -115,7 +129,7 @@ class Pass(Shown, jobs.ScoredPass):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compensation(Shown):
-    """A pass as programmed, the compensated one, what the check says of it, and the decision."""
+    """Passes as programmed and compensated, the check and the decision."""
 
     original: Pass
     compensated: Pass
@@ -132,8 +146,8 @@ class Compensation(Shown):
         return [_scores_table([self.original, self.compensated])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """The series of both passes below each other, the name in the column ``pass``; raises MissingExtra."""
-        frames = {one.name: one.to_frame() for one in (self.original, self.compensated)}
+        """Return the series of both passes, their names in the column ``pass``; raises MissingExtra without pandas."""
+        frames = {run.name: run.to_frame() for run in (self.original, self.compensated)}
         return _pandas().concat(frames, names=["pass"]).reset_index(level=0)
 
     def plot(self) -> plotly.graph_objects.Figure:
@@ -149,7 +163,7 @@ class Compensation(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verdict(Shown, verdicts.Verdict):
-    """What simulated robots do with a corrected trajectory: ``original_um`` and ``compensated_um``, one row a robot."""
+    """Errors of simulated robots: ``original_um`` as programmed, ``compensated_um`` with the correction."""
 
     @property
     def original_um(self) -> np.ndarray:
@@ -165,7 +179,7 @@ class Verdict(Shown, verdicts.Verdict):
         return [repr(self)[1:-1], self.reason]
 
     def to_frame(self) -> pandas.DataFrame:
-        """The errors of each simulated robot [um], as programmed and compensated; NaN where a robot fails."""
+        """Return the errors of each simulated robot [um], as programmed and compensated; NaN where a robot fails."""
         return _pandas().DataFrame({"original_um": self.original_um, "compensated_um": self.compensated_um})
 
     def tables(self) -> list[TextTable]:
@@ -175,7 +189,7 @@ class Verdict(Shown, verdicts.Verdict):
         return [TextTable(f"{self.quantity} [um]", ("", "5 %", "50 %", "95 %"), rows)]
 
     def plot(self) -> plotly.graph_objects.Figure:
-        """The distribution of the errors [um] before and after."""
+        """Return a figure of the errors [um] before and after."""
         figure = figure_of(self.word, "", f"{self.quantity} [um]")
         for which in ("original", "compensated"):
             figure.add_box(y=1e6 * getattr(self, which), name=which, boxpoints="all")
@@ -199,7 +213,7 @@ class Lobes(Shown):
         return [table_of("Stability lobes", columns_of(Lobe), map(as_dict, self.rows))]
 
     def to_frame(self) -> pandas.DataFrame:
-        """One row a spindle speed: ``spindle_speed_rpm``, ``depth_limit_mm``, ``chatter_hz``."""
+        """Return one row a spindle speed: ``spindle_speed_rpm``, ``depth_limit_mm``, ``chatter_hz``."""
         return _pandas().DataFrame(map(as_dict, self.rows))
 
     def plot(self) -> plotly.graph_objects.Figure:
@@ -212,18 +226,44 @@ class Lobes(Shown):
 
 
 def read_cell(path, *assignments: str) -> Cell:
-    """The cell of a parameter file, also a shipped one by its name; raises ConfigError.
+    """Return the cell of a parameter file.
 
-    assignments: texts in the unit of their keys, as behind ``--set``; ``kr270_milling keys`` lists the keys.
+    Parameters
+    ----------
+    path : str or Path
+        Parameter file, also a shipped one by its name.
+    *assignments : str
+        ``key=value`` in the unit of the key, as behind ``--set``; ``kr270_milling keys`` lists the keys.
 
+    Raises
+    ------
+    ConfigError
+        A key, a value or a file that is not allowed.
+
+    Examples
+    --------
     >>> cell = read_cell("paper.yaml", "path.length_mm=30", "tool.teeth=2")
     """
     return cell_file.read_cell(find_file(str(path)), assignments)
 
 
 def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
-    """One pass on a fresh workpiece, along the programmed path or along a reference (positions in m).
+    """Simulate one pass on a fresh workpiece.
 
+    Parameters
+    ----------
+    cell : Cell
+        Arm, tool, material and path.
+    reference : Trajectory, optional
+        Commanded trajectory, positions [m], (n, 3); default: the programmed path.
+
+    Returns
+    -------
+    Pass
+        Series and scores of the pass.
+
+    Examples
+    --------
     >>> simulate(read_cell("paper.yaml"))
     <Pass original: static 58.10 um, max 62.79 um>
     """
@@ -231,19 +271,53 @@ def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
 
 
 def compensate(cell: Cell, method: str | Method | None = None) -> Compensation:
-    """Revise the trajectory by a method (default: that of the cell), simulate the revision, check it and decide.
+    """Revise the trajectory, simulate the revision, check it and decide.
 
-    method: a name, or an object of a class of your own, see the extension guide. Raises ParameterError, PassError.
+    Parameters
+    ----------
+    cell : Cell
+        Arm, tool, material and path.
+    method : str or Method, optional
+        Name of a method, or an object of a separate class, see the extension guide; default: that of the cell.
 
+    Returns
+    -------
+    Compensation
+        Both passes, the check and the decision.
+
+    Raises
+    ------
+    ParameterError
+        An unknown method.
+    PassError
+        A pass that cannot be simulated.
+
+    Examples
+    --------
     >>> compensate(read_cell("paper.yaml"), "spline").plot().show()
     """
-    done = compensation.compensate(cell, method)
-    return Compensation(Pass.of(cell, done.original), Pass.of(cell, done.revised), done.checked, done.decision)
+    result = compensation.compensate(cell, method)
+    original, revised = Pass.of(cell, result.original), Pass.of(cell, result.revised)
+    return Compensation(original, revised, result.checked, result.decision)
 
 
 def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
-    """Whether the path of the cell, or a corrected one, may be run: findings, stability, reach, limits.
+    """Check whether the path of the cell, or a corrected path, may be run.
 
+    Parameters
+    ----------
+    cell : Cell
+        Arm, tool, material and path.
+    reference : Trajectory, optional
+        Corrected trajectory, positions [m], (n, 3); default: the programmed path.
+
+    Returns
+    -------
+    Checked
+        Findings, stability, reach and limits.
+
+    Examples
+    --------
     >>> check(read_cell("test_piece.yaml")).may_be_run
     True
     """
@@ -251,34 +325,86 @@ def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
 
 
 def verdict(cell: Cell, reference: Trajectory, samples: int = verdicts.SAMPLES, seed: int = 1) -> Verdict:
-    """Whether a corrected trajectory helps when the models are as uncertain as the cell says.
+    """Judge a corrected trajectory by robots as uncertain as the cell states.
 
-    samples: number of simulated robots, drawn from the section ``uncertainty`` of the cell.
+    Parameters
+    ----------
+    cell : Cell
+        Arm, tool, material and path; its section ``uncertainty`` states the spread of the robots.
+    reference : Trajectory
+        Corrected trajectory, positions [m], (n, 3).
+    samples : int
+        Number of simulated robots.
+    seed : int
+        Seed of the random robots.
 
-    >>> verdict(cell, done.compensated.reference, samples=16)
+    Returns
+    -------
+    Verdict
+        Errors of each robot without and with the correction.
+
+    Examples
+    --------
+    >>> verdict(cell, compensate(cell).compensated.reference, samples=16)
     <Verdict: helps (16 plants: 12.3 um, 5 to 95 % 4.1 to 25.6)>
     """
     return Verdict(**vars(verdicts.monte_carlo(cell, reference, samples, seed)))
 
 
 def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobes:
-    """Limit depth of cut at each spindle speed, with the modes of the arm (``arm``) and of ``tool.modes``.
+    """Return the limit depth of cut at each spindle speed.
 
+    Parameters
+    ----------
+    cell : Cell
+        Arm, tool with ``tool.modes``, material and path.
+    speeds_rpm : sequence of float
+        Spindle speeds [rpm], (n,).
+    arm : bool
+        Include the modes of the arm.
+
+    Returns
+    -------
+    Lobes
+        Limit depth and chatter frequency, one row a speed.
+
+    Examples
+    --------
     >>> stability(cell, range(6000, 10001, 500)).plot()
     """
     return Lobes(tuple(lobes(cell, [float(speed) * np.pi / 30.0 for speed in speeds_rpm], arm)))
 
 
 def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) -> pandas.DataFrame:
-    """Full passes of the cell of a parameter file with other values of any keys, every combination; one row a pass.
+    """Simulate full passes with every combination of values of any keys.
 
-    assignments: as of ``read_cell``; vary: values by key. Columns as of the command ``sweep``, units in their names;
-    ``error`` states why a row failed. Raises ConfigError, ParameterError, and MissingExtra without pandas.
+    Parameters
+    ----------
+    path : str or Path
+        Parameter file, as of ``read_cell``.
+    *assignments : str
+        ``key=value``, as of ``read_cell``.
+    vary : mapping of str to sequence
+        Values by key, in the unit of the key.
 
+    Returns
+    -------
+    pandas.DataFrame
+        One row a pass, columns as of the command ``sweep``; ``error`` states why a row failed.
+
+    Raises
+    ------
+    ConfigError, ParameterError
+        A key or a value that is not allowed.
+    MissingExtra
+        pandas is not installed.
+
+    Examples
+    --------
     >>> sweep("paper.yaml", vary={"path.depth_of_cut_mm": [0.2, 0.5, 1.0]})["max_deviation_um"].tolist()
     """
     frames = _pandas()
-    read_cell(path, *assignments)  # what no row could run is refused before the passes
+    read_cell(path, *assignments)  # refuse a wrong cell before the passes
     axes = [Axis(key, tuple(v if isinstance(v, str) else float(v) for v in values)) for key, values in vary.items()]
     rows = Sweep(str(find_file(str(path)).resolve()), assignments, tuple(axes))
     with ThreadPoolExecutor(verdicts.cores()) as pool:
@@ -286,12 +412,33 @@ def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) ->
 
 
 def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, tool_turn_deg=None) -> pandas.DataFrame:
-    """Reach, limits and predicted error of the workpiece elsewhere: the rows of the command ``map``, 8 a placement.
+    """Return reach, limits and predicted error of the workpiece at other places.
 
-    x_mm, y_mm, z_mm: values of the workpiece's origin on base_link; turn_deg: of the workpiece; tool_turn_deg: of the
-    tool about its axis; default: where the workpiece is. One row for each branch of the arm. Raises ParameterError,
-    and MissingExtra without pandas.
+    Parameters
+    ----------
+    cell : Cell
+        Arm, tool, material and path.
+    x_mm, y_mm, z_mm : sequence of float, optional
+        Origin of the workpiece on base_link [mm]; default: the present value.
+    turn_deg : sequence of float, optional
+        Turn of the workpiece about z of base_link [deg].
+    tool_turn_deg : sequence of float, optional
+        Turn of the tool about its axis [deg].
 
+    Returns
+    -------
+    pandas.DataFrame
+        Rows of the command ``map``: 8 for each placement, one for each branch of the arm.
+
+    Raises
+    ------
+    ParameterError
+        No placement, or too many.
+    MissingExtra
+        pandas is not installed.
+
+    Examples
+    --------
     >>> placements(cell, x_mm=range(1200, 1801, 100)).query("feasible").nsmallest(5, "error_max_um")
     """
     frames = _pandas()
@@ -302,16 +449,33 @@ def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, to
 
 
 def read_recording(path, namespace: str | None = None) -> Pass:
-    """The pass of a recording (.mcap or its directory); raises RecordingError.
+    """Return the pass of a recording.
 
+    Parameters
+    ----------
+    path : str or Path
+        File ``.mcap``, or its directory.
+    namespace : str, optional
+        Namespace of the robot, if the recording has several.
+
+    Returns
+    -------
+    Pass
+        Series and scores of the recorded pass.
+
+    Raises
+    ------
+    RecordingError
+        A file that cannot be read, or that has no pass.
+
+    Examples
+    --------
     >>> read_recording("out/linear.mcap").to_frame()
     """
-    from kr270_milling.exchange.replay.recorded import pass_from_recording
-
     place = Path(path)
     files: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
-    ran, recorded = pass_from_recording(files[0] if files else place, place.stem, namespace)
-    return Pass.of(recorded.cell, ran)
+    scored, recorded = pass_from_recording(files[0] if files else place, place.stem, namespace)
+    return Pass.of(recorded.cell, scored)
 
 
 def _pandas():
@@ -323,25 +487,25 @@ def _pandas():
 
 def _scores_table(passes: Sequence[Pass]) -> TextTable:
     columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
-    return table_of("Path deviation [um]", columns, [one.row() for one in passes])
+    return table_of("Path deviation [um]", columns, [run.row() for run in passes])
 
 
 def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
     from plotly.subplots import make_subplots
 
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True)
-    for one in passes:
-        which = f" {one.name}" if len(passes) > 1 else ""
-        series = dict(zip(COLUMNS[1:], series_rows(one.result, path_of(one.cell).target).T, strict=True))
+    for run in passes:
+        which = f" {run.name}" if len(passes) > 1 else ""
+        series = dict(zip(COLUMNS[1:], series_rows(run.result, path_of(run.cell).target).T, strict=True))
         deviation = series["path_deviation_um"]
-        figure.add_scatter(x=one.result.time, y=deviation, name=f"deviation{which}", row=1, col=1)
+        figure.add_scatter(x=run.result.time, y=deviation, name=f"deviation{which}", row=1, col=1)
         for axis in "xyz":
             force = series[f"force_{axis}_n"]
-            figure.add_scatter(x=one.result.time, y=force, name=f"force {axis}{which}", row=2, col=1)
+            figure.add_scatter(x=run.result.time, y=force, name=f"force {axis}{which}", row=2, col=1)
     figure.update_yaxes(title="deviation [um]", row=1, col=1)
     figure.update_yaxes(title="force [N]", row=2, col=1)
     figure.update_xaxes(title="time [s]", row=2, col=1)
-    return figure.update_layout(title=", ".join(repr(one)[1:-1] for one in passes))
+    return figure.update_layout(title=", ".join(repr(run)[1:-1] for run in passes))
 
 
 def _write_report(path, cell: Cell, passes: Sequence[Pass], title: str, **more) -> Path:

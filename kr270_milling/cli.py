@@ -1,62 +1,21 @@
-"""The command ``kr270_milling``: names, one line of help each, and the import of the command that was chosen."""
+"""The command ``kr270_milling``: exit codes, signals, and errors in one sentence."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import importlib
 import json
 import os
 import re
-import shlex
 import signal
 import sys
 import warnings
-from typing import NamedTuple
 
-from kr270_milling.base.arguments import Parser, UsageError
+from kr270_milling.base.arguments import UsageError
 from kr270_milling.base.errors import MillingError, one_line
-from kr270_milling.base.version import __version__
+from kr270_milling.base.process import end_process, exit_code
+from kr270_milling.show.commands.options import make_parser, run
 
-__all__ = ["COMMANDS", "Entry", "main"]
-
-EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
-
-
-class Entry(NamedTuple):
-    """A command that is not imported yet."""
-
-    module: str  #: of ``commands``, with its options
-    text: str  #: line of help
-
-    def load(self, name: str):
-        """Import the module and return the command."""
-        return importlib.import_module(f"kr270_milling.show.commands.{self.module}").COMMANDS[name]
-
-
-COMMANDS = {
-    "demo": Entry("demo", "run the paper's case: original pass and compensations, tables and report"),
-    "init": Entry("cells", "print a first cell file for a program"),
-    "keys": Entry("cells", "list the keys of a cell file with unit, range, default and meaning"),
-    "run": Entry("run", "run the passes of a cell as ROS 2 nodes, each recorded to MCAP"),
-    "simulate": Entry("simulate", "simulate one pass of a cell"),
-    "compensate": Entry("compensate", "revise the trajectory of a cell; tables, report and robot programs"),
-    "check": Entry("simulate", "say whether a path, or its corrected trajectory, may be run"),
-    "stiffness": Entry("cells", "pose, stiffness and natural frequencies of an arm at one posture"),
-    "stability": Entry("stability", "limit depth of cut and chatter frequency over spindle speed"),
-    "map": Entry(
-        "studies", "where to clamp the part and how to turn the tool: reach, limits and predicted error over placements"
-    ),
-    "sweep": Entry("studies", "full passes with other values of any keys, on as many cores as there are"),
-    "identify": Entry("identify", "find compliances, force coefficients and modes from measurements of the own cell"),
-    "compare": Entry("identify", "set a measured pass beside the simulated one"),
-    "rsi": Entry("rsi", "correct a running robot program over KUKA RobotSensorInterface"),
-    "info": Entry("recordings", "show what a recording holds"),
-    "replay": Entry("replay", "play a recording back onto topics, recompute it bit for bit, or compensate from it"),
-    "export": Entry("recordings", "write the topics of a recording as tables"),
-    "report": Entry("recordings", "make the report of one or several recordings"),
-    "recover": Entry("recordings", "make a whole recording of one that was cut off or damaged"),
-}
+__all__ = ["main"]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -66,8 +25,6 @@ def main(argv: list[str] | None = None) -> int:
     """
     if argv is not None:
         return _main(argv)
-    from kr270_milling.base.process import end_process, exit_code
-
     if not sys.warnoptions:  # a warning of Python is no sentence for the user; the tests make every one an error
         warnings.simplefilter("ignore")
     try:
@@ -83,7 +40,7 @@ def _main(argv: list[str], own_process: bool = False) -> int:
         return _run(argv)
     except BrokenPipeError:  # the reader of the output, head for example, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_OK
+        return 0
     except MillingError as error:
         return _refuse(argv, str(error), listing=getattr(error, "listing", ()))
     except OSError as error:
@@ -93,14 +50,14 @@ def _main(argv: list[str], own_process: bool = False) -> int:
         advice = "a larger stock.grid_step_um or a shorter path needs less"
         return _refuse(argv, f"there is not enough memory for this; {advice}")
     except KeyboardInterrupt:
-        return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
+        return _refuse(argv, "interrupted", 130)
     except SystemError as error:  # compiled code that received Ctrl-C or SIGTERM
         end = _end_behind(error)
         if end is None:
             raise
         if isinstance(end, SystemExit):
             raise end from None
-        return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
+        return _refuse(argv, "interrupted", 130)
 
 
 def _end_behind(error: BaseException | None) -> BaseException | None:
@@ -110,7 +67,7 @@ def _end_behind(error: BaseException | None) -> BaseException | None:
     return error
 
 
-def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tuple[str, ...] = ()) -> int:
+def _refuse(argv: list[str], sentence: str, code: int = 2, listing: tuple[str, ...] = ()) -> int:
     """Print the sentence on standard error, or with ``--json`` as an object on standard output; return the code.
 
     listing: the parts of the sentence, each for a separate line.
@@ -161,12 +118,11 @@ def _complete() -> None:
     with contextlib.suppress(ImportError, ValueError):  # not installed; a quote that is still open
         import argcomplete
 
-        words = shlex.split(os.environ.get("COMP_LINE", ""))[1:]
-        argcomplete.autocomplete(_parser(words))
+        argcomplete.autocomplete(make_parser())
 
 
 def _cannot_end(frame) -> bool:
-    """Whether an import or a finalizer runs. Python prints an exception in a finalizer and continues."""
+    """Return whether an import or a finalizer runs: Python prints an exception in a finalizer and continues."""
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>" or frame.f_code.co_name == "__del__":
             return True
@@ -180,15 +136,15 @@ def _run(argv: list[str]) -> int:
     argv = _join_negative(argv)
     if any("\0" in word for word in argv):  # a caller of main can pass one, a shell cannot
         raise UsageError("an argument contains a zero byte")
-    parser = _parser(argv)
+    parser = make_parser()
     if not argv:
         parser.print_help()
-        return EXIT_OK
+        return 0
     args = parser.parse_args(argv)
     args.argv = argv
     if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed
         sys.stdout.reconfigure(errors="backslashreplace")
-    answer = args.run(args)
+    answer = run(args)
     return answer if isinstance(answer, int) else answer.print(args.json)
 
 
@@ -201,28 +157,6 @@ def _join_negative(argv: list[str]) -> list[str]:
         else:
             joined.append(word)
     return joined
-
-
-def _parser(argv: list[str]) -> argparse.ArgumentParser:
-    width = max(map(len, COMMANDS)) + 2
-    listing = "\n".join(f"  {name:{width}}{entry.text}" for name, entry in COMMANDS.items())
-    parser = Parser(
-        prog="kr270_milling",
-        description="Predict and compensate the compliance errors of robotic milling.",
-        epilog=f"commands:\n{listing}\n\nexample: kr270_milling demo --out out",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("-V", "--version", action="version", version=f"kr270_milling {__version__}")
-    sub = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    chosen = next((a for a in argv if not a.startswith("-")), None)
-    for name, entry in COMMANDS.items():
-        if name == chosen:
-            from kr270_milling.show.commands.command import add_command
-
-            add_command(sub, name, entry.text, entry.load(name))
-        else:
-            sub.add_parser(name)
-    return parser
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import pytest
 
-from kr270_milling.cli import _parser, main
+from kr270_milling.cli import main
+from kr270_milling.show.commands.options import make_parser, run
 
 POSTURE = "--joints-deg=90,-50,120,180,25,180"
 #: a pass of 120 exchanges
@@ -52,8 +53,7 @@ def answered(*words: str, code: int = 0) -> dict:
 
 def printed(capsys, *words: str) -> tuple[int, str, dict, str]:
     """Run a command once; return its exit code, what it prints for a reader, its JSON, and its warnings."""
-    args = _parser([words[0]]).parse_args(words)
-    answer = args.run(args)
+    answer = run(make_parser().parse_args(words))
     code = answer.print(as_json=True)
     text, warnings = capsys.readouterr()
     assert answer.print(as_json=False) == code

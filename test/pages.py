@@ -12,7 +12,8 @@ of their last digit.
 
 The script runs the pages with the programs in the folder of this interpreter, prints the shown lines that were not
 printed, and ends with 1 if there are any. With ``--update`` it writes the printed lines into the pages instead, for
-each shown line the one that resembles it most, and names the lines that no printed line resembles.
+each shown line the one that resembles it most, and names the lines that no printed line resembles. The table of keys
+between ``<!-- keys -->`` and ``<!-- end -->`` is written from the records that check a cell.
 """
 
 from __future__ import annotations
@@ -180,6 +181,19 @@ def directory_of(page: Path, place: Path) -> Path:
     return directory
 
 
+def key_table() -> str:
+    """Return the table of all keys of a cell file."""
+    from kr270_milling.cell.keys import keys_of
+    from kr270_milling.show.commands.cells import default_text
+
+    lines = ["| key | unit | range | default | meaning |", "| --- | --- | --- | --- | --- |"]
+    for key in keys_of():
+        default = "required" if key["required"] else default_text(key["default"])
+        texts = (text.replace("|", "or") for text in (key["unit"], key["range"], default, key["text"]))
+        lines.append(" | ".join([f"| `{key['key']}`", *texts]) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def main(words: list[str]) -> int:
     update = "--update" in words
     pages = [Path(word).resolve() for word in words if not word.startswith("-")] or list(PAGES)
@@ -203,6 +217,8 @@ def main(words: list[str]) -> int:
                 failed += 1
             os.chdir(home)
             if update:
+                before, mark, after = text.partition("<!-- keys -->\n")
+                text = before + mark + (key_table() + after[after.index("<!-- end -->") :] if mark else "")
                 page.write_text(text, encoding="utf-8")
     print(f"{failed} differences" if failed else "the pages show what is printed")
     return 1 if failed else 0

@@ -7,47 +7,22 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from kr270_milling.base.arguments import numbers
+import numpy as np
+
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.show.commands.command import POSTURE, command, option
+from kr270_milling.cell.cell_file import read_cells
+from kr270_milling.cell.draft import draft_text, straight_text, tools_text
+from kr270_milling.cell.keys import keys_of
+from kr270_milling.decide.programs.files import kuka_frames
+from kr270_milling.path.cam.readers import read_toolpaths
+from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.show.commands.console import Answer
-
-SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
-
-COMMANDS = {
-    "init": command(
-        "cells.run_init", "init --gcode config/test_piece.nc --out my.yaml",
-        option("--gcode FILE", "the program: G-code or APT/CL"),
-        option("--tool T1", "of a program with several tools: a cell for this one alone", default=""),
-        option("--robot", "arm file, also a shipped one by its name", default="kr270_2"),
-        option("--out FILE.yaml", "write this file instead; it names a program below its folder by the relative path"),
-    ),
-    "keys": command(
-        "cells.run_keys", "keys tool",
-        option("section SECTION", "for example tool; default: all", default="", nargs="?"),
-        option("--markdown", "print a table for a page", bool),
-    ),
-    "stiffness": command(
-        "cells.run_stiffness", "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
-        option("arm ARM.yaml", "arm or cell file; the flange is the tool point of a bare arm"),
-        option("--joints-deg A1,...,A6", "posture", POSTURE, required=True),
-        option("--wrench FX,FY,FZ,MX,MY,MZ", "[N, N m], default: none", numbers(6), [0.0] * 6),
-        option("--frame", "of wrench and matrices", default="base", choices=("base", "tool")),
-        option("--gravity", "load the arm with its link weights too", bool),
-    ),
-}  # fmt: skip
 
 
 def run_init(args) -> Answer:
-    import numpy as np
-
-    from kr270_milling.cell.cell_file import read_cells
-    from kr270_milling.cell.draft import draft_text, straight_text, tools_text
-    from kr270_milling.decide.programs.files import kuka_frames
-    from kr270_milling.path.cam.readers import read_toolpaths
 
     robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
     find_file(robot)
@@ -55,14 +30,16 @@ def run_init(args) -> Answer:
         text, program, warnings = straight_text(robot), None, []
     else:
         paths = read_toolpaths(args.gcode, args.tool)
-        file, program = _program_of(args), paths[0].program
+        program, file, folder = paths[0].program, Path(args.gcode).resolve(), Path(args.out or ".").resolve().parent
+        if args.out and file.is_relative_to(folder):  # the cell names a program below its folder by the relative path
+            file = file.relative_to(folder)
         sideways = [path for path in paths if np.any(~path.rapid & (path.plane_length > 0.0))]  # the rest drills
         tools = [path.program.current for path in sideways if path.program.current]
         advice = "is not modelled: check stops its program unless tool.type of the cell is flat"
         warnings = [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}" for tool in tools if tool.shape]
         for warning in () if args.json else warnings:
             print(f"warning: {args.gcode}, {warning}", file=sys.stderr)
-        text = draft_text(file, paths[0], robot) if len(paths) == 1 else tools_text(file, paths, robot)
+        text = draft_text(str(file), paths[0], robot) if len(paths) == 1 else tools_text(str(file), paths, robot)
     result = {"cell": text, "program": program and asdict(program), "warnings": warnings, "file": args.out}
     if args.out is None:
         return Answer(result, [text.removesuffix("\n")])
@@ -76,35 +53,26 @@ def run_init(args) -> Answer:
     return Answer(result, lines)
 
 
-def _program_of(args) -> str:
-    """The path of the program as the cell file names it."""
-    program = Path(args.gcode).resolve()
-    folder = Path(args.out).resolve().parent if args.out else None
-    return str(program.relative_to(folder)) if folder and program.is_relative_to(folder) else str(program)
-
-
 def run_keys(args) -> Answer:
-    from kr270_milling.cell.keys import keys_of
 
     entries = keys_of(args.section)
     rows = [("key", "unit", "range", "default", "meaning")]
     for k in entries:
-        rows.append((k["key"], k["unit"], k["range"], "required" if k["required"] else _shown(k["default"]), k["text"]))
-    if args.markdown:
-        cells = [[f"`{row[0]}`", *(text.replace("|", "or") for text in row[1:])] for row in rows]
-        cells[0][0] = "key"
-        lines = ["| " + " | ".join(row) + " |" for row in [cells[0], ["---"] * 5, *cells[1:]]]
-    else:  # never cut off by the width of the terminal: a key is copied
-        widths = [*(max(len(row[column]) for row in rows) for column in range(4)), 0]
-        lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        rows.append(
+            (k["key"], k["unit"], k["range"], "required" if k["required"] else default_text(k["default"]), k["text"])
+        )
+    # never cut off by the width of the terminal: a key is copied
+    widths = [*(max(len(row[column]) for row in rows) for column in range(4)), 0]
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return Answer({"section": args.section, "keys": entries}, lines)
 
 
-def _shown(default) -> str:
+def default_text(default) -> str:
+    """Return a default as a cell file states it."""
     if default is None:
         return "-"
     if isinstance(default, list):
-        return "[" + ", ".join(map(_shown, default)) + "]"
+        return "[" + ", ".join(map(default_text, default)) + "]"
     if isinstance(default, float):
         return f"{default:g}"
     return str(default).lower() if isinstance(default, bool) else str(default) or '""'
@@ -112,9 +80,6 @@ def _shown(default) -> str:
 
 def run_stiffness(args) -> Answer:
     """Pose, Jacobian, Cartesian stiffness (17) and natural frequencies at one posture."""
-    import numpy as np
-
-    from kr270_milling.physics.robot.analysis import analyse, read_arm
 
     arm, mount = read_arm(find_file(args.arm))
     result = analyse(arm, mount, np.radians(args.joints_deg), np.array(args.wrench), args.frame, args.gravity)
@@ -124,7 +89,7 @@ def run_stiffness(args) -> Answer:
     columns = (np.diag(result["compliance"]), np.diag(result["stiffness"]), deflection)
     rows = [
         [axis, *(f"{value:.4e}" if value else "0" for value in values)]
-        for axis, *values in zip(SIX_AXES, *columns, strict=True)
+        for axis, *values in zip(("x", "y", "z", "rx", "ry", "rz"), *columns, strict=True)
     ]
     title = "Diagonals and deflection under the wrench [m, rad, N]"
     shown = [

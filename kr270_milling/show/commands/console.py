@@ -1,4 +1,4 @@
-"""Functions that commands share: the cell of a command line, and the result as JSON or as text and tables."""
+"""Functions that commands share: the result as JSON or as text and tables."""
 
 from __future__ import annotations
 
@@ -12,14 +12,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from rich import box
+from rich.console import Console
+from rich.measure import measure_renderables
+from rich.table import Table as RichTable
+from rich.text import Text
+
 from kr270_milling.base.column import TextTable, fixed
-from kr270_milling.base.errors import InputError
-from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
-    "Answer", "Colored", "cell_of", "cells_of", "command_line", "joints_text", "now", "output_directory", "plant_of",
-    "print_json", "print_table", "shown_path",
-]  # fmt: skip
+    "Answer",
+    "Colored",
+    "command_line",
+    "joints_text",
+    "now",
+    "output_directory",
+    "print_json",
+    "print_table",
+    "shown_path",
+]
 
 WIDEST = 1000  # characters of a table
 
@@ -31,8 +42,6 @@ class Colored(NamedTuple):
     color: str
 
     def print(self) -> None:
-        from rich.console import Console
-        from rich.text import Text
 
         Console(soft_wrap=True).print(Text(self.text, style=f"bold {self.color}"))
 
@@ -57,43 +66,6 @@ class Answer:
             else:
                 print(part)
         return self.code
-
-
-def cell_of(args):
-    """The cell of a command line with ``cell`` and ``--set``."""
-    from kr270_milling.cell.cell_file import read_cell
-
-    return read_cell(find_file(args.cell), args.set)
-
-
-def cells_of(args):
-    """The cells of a command line with ``cell`` and ``--set``, one for each tool of its program."""
-    from kr270_milling.cell.cell_file import read_cells
-
-    return read_cells(find_file(args.cell), args.set)
-
-
-def plant_of(args, cell):
-    """Return the plant of ``--plant`` and ``--noise-um``; None: the model cuts, without imperfections."""
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.cell.plant import Plant
-
-    chosen = [f"path.tool={cell.stage.tool}"] if cell.stage else []
-    cuts = read_cell(find_file(args.plant), chosen) if args.plant else cell
-    if cell.stage and not cuts.stage:
-        raise InputError(args.plant, f"is no plant for a cell with tools: it needs tools.{cell.stage.tool}, too")
-    imperfections = cuts.imperfections
-    if args.noise_um is not None:
-        imperfections = imperfections.replace(pose_noise=1e-6 * args.noise_um)
-    added = (
-        imperfections.pose_noise,
-        imperfections.repeatability,
-        imperfections.servo_frequency,
-        imperfections.servo_delay,
-        imperfections.joining,
-    )
-    perfect = not (any(added) or imperfections.backlash.any())
-    return None if perfect and not args.plant else Plant(cell, cuts, imperfections)
 
 
 def joints_text(joints: dict) -> str:
@@ -156,11 +128,6 @@ def print_table(shown: TextTable) -> None:
 
     A table that is too wide for the terminal has no borders. It is never wrapped or cut off.
     """
-    from rich import box
-    from rich.console import Console
-    from rich.measure import measure_renderables
-    from rich.table import Table as RichTable
-    from rich.text import Text
 
     table = RichTable(title=Text(shown.title), title_justify="left")
     for i, name in enumerate(shown.columns):

@@ -14,30 +14,25 @@ from pathlib import Path
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.show.commands.command import PLANT, command, option
-from kr270_milling.show.commands.console import Answer, command_line, now, plant_of
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.cell.models import arm_of, path_of
+from kr270_milling.show.commands.console import Answer, command_line, now
 from kr270_milling.show.commands.progress import steps
 from kr270_milling.show.commands.run import missing_text, run_passes, summary
+from kr270_milling.show.commands.simulate import plant_of
+from kr270_milling.show.report import write_report
+from kr270_milling.show.report.series import write_series
+from kr270_milling.show.report.tables import TABLE_2
 
 METHODS = ("linear", "spline", "mirror", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
-AS_PRINTED = "Path deviation [um], eq. (1) as printed, Table 2"
 WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
 WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
-COMMANDS = {
-    "demo": command(
-        "demo.run_demo", "demo --out out",
-        option("--out DIR", "where report and series go", default="out"),
-        option("--plain", "the plain loop, also where ROS is installed", bool),
-        *PLANT,
-    ),
-}  # fmt: skip
-
 
 def run_demo(args) -> Answer:
-    from kr270_milling.cell.cell_file import read_cell
 
     source = find_file("paper.yaml")
     cell = read_cell(source)
@@ -55,7 +50,7 @@ def run_demo(args) -> Answer:
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
     with steps() as whole:
         result = run_passes(cell, METHODS, args.out, say=whole.say)
-        passes = [ran.scored for ran in result["passes"]]
+        passes = [row.scored for row in result["passes"]]
         second = _plain(whole, moving, INERTIA_METHODS, None, WITH)
         whole.say("report")
         report = _write(result["out"], cell, passes, second, source, args)
@@ -64,8 +59,6 @@ def run_demo(args) -> Answer:
 
 
 def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
-    from kr270_milling.cell.jobs import compensated, compensator, simulate
-    from kr270_milling.cell.models import path_of
 
     with whole(f"original{suffix}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
@@ -78,16 +71,20 @@ def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
-    from kr270_milling.cell.models import arm_of, path_of
-    from kr270_milling.show.report import write_report
-    from kr270_milling.show.report.series import write_series
 
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = TextTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     report = write_report(
-        directory, cell, passes, title="The milling pass of Klimchik et al. (2014)", source=str(source),
-        command=command_line(args), date=now(), paper=True, tables=(table,),
-    )  # fmt: skip
+        directory,
+        cell,
+        passes,
+        title="The milling pass of Klimchik et al. (2014)",
+        source=str(source),
+        command=command_line(args),
+        date=now(),
+        paper=True,
+        tables=(table,),
+    )
     write_series(directory, arm_of(cell), path_of(cell).target, passes)
     return report
 
@@ -96,18 +93,21 @@ def _answer(passes, second, result: dict, missing: Sequence[str] = ()) -> Answer
     both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
     rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
-    return Answer({**result, **both}, [
-        TextTable(AS_PRINTED, columns, [_row(p) for p in passes]),
-        TextTable(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
-        NEEDS,
-        f"ran as: {result['ran_as']}",
-        f"report: {result['report']}",
-        *missing,
-    ], code=int(bool(missing)))  # fmt: skip
+    return Answer(
+        {**result, **both},
+        [
+            TextTable("Path deviation [um], eq. (1) as printed, Table 2", columns, [_row(p) for p in passes]),
+            TextTable(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
+            NEEDS,
+            f"ran as: {result['ran_as']}",
+            f"report: {result['report']}",
+            *missing,
+        ],
+        code=int(bool(missing)),
+    )
 
 
 def _row(p) -> list[str]:
-    from kr270_milling.show.report.tables import TABLE_2
 
     ours, paper = p.scores, TABLE_2.get(p.name)
     deviations = [

@@ -5,118 +5,47 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from kr270_milling.base.arguments import bounded, numbers, stretch
-from kr270_milling.base.errors import InputError
+import numpy as np
+
+from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file, read_tree
+from kr270_milling.base.record import build
 from kr270_milling.base.version import __version__
-from kr270_milling.show.commands.command import (
-    CELL,
-    POSTURE,
-    REMAP,
-    SELF_CONTAINED,
-    Group,
-    command,
-    option,
-)
-from kr270_milling.show.commands.console import Answer, cell_of
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, modal_model_of, path_of
+from kr270_milling.cell.sections import Workpiece
+from kr270_milling.exchange.replay.recorded import passes_from_recording
+from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.physics.cutting import LAWS
+from kr270_milling.physics.cutting.materials import find_material, materials
+from kr270_milling.physics.cutting.tool import Tool
+from kr270_milling.physics.robot.analysis import read_arm
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.remap import remapping
+from kr270_milling.show.commands.console import Answer
 from kr270_milling.show.commands.progress import progress
-from kr270_milling.show.commands.recordings import STAMPS
+from kr270_milling.show.commands.reports import STAMPS
+from kr270_milling.show.report.identification.comparison import comparison_outcome
+from kr270_milling.show.report.identification.compliance import compliance_outcome
+from kr270_milling.show.report.identification.forces import force_outcome, material_outcome
+from kr270_milling.show.report.identification.modes import mode_outcome
+from kr270_milling.show.report.identification.plan import plan_as_dict, plan_tables, write_plan
+from kr270_milling.show.report.identification.wall import wall_outcome
+from kr270_milling.studies.identification import comparison, modes
+from kr270_milling.studies.identification import forces as laws
+from kr270_milling.studies.identification import plan as load_tests
+from kr270_milling.studies.identification.compliance import fit_compliance
+from kr270_milling.studies.identification.cuts import Sensor, force_series, read_cuts, turn_of
+from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts, refuse_units
+from kr270_milling.studies.identification.measurements import read_measurements
+from kr270_milling.studies.identification.problem import Problem
+from kr270_milling.studies.identification.signals import pose_series, read_signals
+from kr270_milling.studies.identification.wall import compare_wall, read_wall
 
-SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
-QUANTITIES = ("displacement", "velocity", "acceleration")
 DESIGNS = ("planned for the test pose", "A-optimal", "D-optimal")  #: names of ``load_tests.CRITERIA``
 BLIND_DESIGNS = 201  #: random designs, of which the median is shown
-SENSOR_ABC = numbers(3, most=720.0)
-SENSOR_ON = option("--sensor-on", "a plate under the part: part", default="tool", choices=("tool", "part"))
-INCLUDE = option("--out DIR", "write YAML to include and report")
-COMMANDS = {
-    "identify": command(
-        "", "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",
-        parts={
-            "compliance": ("joint compliances from load tests, or the load tests to make", command(
-                "identify.identify_compliance",
-                "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml --cell config/test_piece.yaml "
-                "--out identified",
-                option("measurements MEASUREMENTS.csv", "one load test a row", nargs="?"),
-                option("--arm ARM.yaml", "arm or cell file to start from", required=True),
-                option("--cell CELL.yaml", "where the arm is to mill (default: --arm, if it is a cell file)"),
-                option("--at A1,...,A6", "posture there [deg]", POSTURE),
-                option("--no-gravity", "leave the link weights out", bool),
-                option("--robust", "take the weight from tests that contradict the others", bool),
-                option("--base", "also fit or plan arm.base_compliance about x and y", bool),
-                option("--compensator NAMES", "also fit these of arm.compensator, as stiffness,preload", default=""),
-                Group("plan", (
-                    option("--plan N", "choose the best N load tests for the cell", bounded(1, 1000, int)),
-                    option("--point X,Y,Z", "of load and reflector, flange frame [mm]", numbers(3, most=5e3)),
-                    option("--mass-kg", "to hang; 0: none", bounded(0, 5000), 100.0),
-                    option("--pull-n", "of a horizontal rope; 0: none", bounded(0, 50_000), 800.0),
-                    option("--noise-um", "of a measured coordinate, 1 sigma", bounded(0.001, 1e5), 20.0),
-                    option("--postures", "candidates to choose from", bounded(1, 50_000, int), 2000),
-                    option("--seed", "of the candidates", bounded(0, 2**31, int), 1),
-                )),
-                option("--out DIR", "write YAML to include and report, or table and KRL of the plan"),
-                SELF_CONTAINED,
-            )),
-            "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", command(
-                "identify.identify_forces", "identify forces CUTS.csv --cell config/test_piece.yaml --out identified",
-                option("cuts CUTS.csv", "one cut a row, with its forces or a recording of them"),
-                option("--cell CELL.yaml", "its tool made the cuts"),
-                option("--teeth", "of the tool, instead of the cell's", bounded(1, 100, int)),
-                option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
-                option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
-                option("--law NAME", "for the YAML file, one of cutting.law", default="linear_edge"),
-                option("--robust", "leave out cuts that contradict the others", bool),
-                Group("recordings of a sensor", (
-                    option("--topic", "of type geometry_msgs/WrenchStamped", default="wrench"),
-                    option("--spindle-speed-rpm", "instead of the cell's", bounded(0, 1e6)),
-                    option("--tare START:STOP", "seconds of an idle stretch", stretch(0, 1e6)),
-                    option("--sensor-abc A,B,C", "sensor in the workpiece [deg]", SENSOR_ABC),
-                    SENSOR_ON,
-                    option("--sensor-mass-kg", "that hangs on it, where there is no tare", bounded(0, 5000), 0.0),
-                )),
-                INCLUDE,
-                SELF_CONTAINED,
-            )),
-            "damping": ("frequency and damping of the modes from a ring-down or an impact", command(
-                "identify.identify_damping", "identify damping RECORDING --topic deflection --out identified",
-                option("recording RECORDING", "recording, UFF file, or CSV with time_s, x y z rx ry rz, force_n"),
-                option("--topic", "of a recording", default="deflection"),
-                option("--from S", "seconds after the first sample", bounded(0, 1e6), dest="start"),
-                option("--to S", "seconds after the first sample", bounded(0, 1e6), dest="stop"),
-                option("--band LOW:HIGH", "[Hz] (default: 2:100)", stretch(0.01, 1e5), (2.0, 100.0)),
-                option("--modes N", "at most", bounded(1, 20, int), 6),
-                option(
-                    "--quantity", "of the channels (default: that of a UFF file, else displacement)",
-                    choices=QUANTITIES,
-                ),
-                option("--hammer", "direction of force_n: scales the shapes by the masses", choices=SIX_AXES),
-                option("--cell CELL.yaml", "scales the shapes by its compliance, or checks those of a hammer"),
-                INCLUDE,
-                SELF_CONTAINED,
-            )),
-            "material": ("published force coefficients of a material", command(
-                "identify.identify_material", "identify material Al7075-T6",
-                option("name NAME", "of a material; without it all are listed", nargs="?"),
-                option("--row", "which, where a material has several", bounded(1, 1000, int), 1),
-                option("--out DIR", "write YAML to include"),
-            )),
-        },
-    ),
-    "compare": command(
-        "identify.run_compare", "compare out/original config/paper.yaml",
-        option("recording RECORDING", "of a force sensor, a tracker, or both; or WALL.csv: measured error of a wall"),
-        *CELL,
-        option("--reference FILE.csv", "the pass ran along this, as written by compensate (default: as recorded)"),
-        option("--pass N", "of a recording with several passes (default: the last)", bounded(1, 1000, int)),
-        REMAP,
-        option("--sensor-abc A,B,C", "force sensor in the workpiece [deg]", SENSOR_ABC),
-        SENSOR_ON,
-        option("--plants N", "of the band of a wall, drawn from uncertainty", bounded(2, 1000, int), 16),
-        option("--out DIR", "write a report"),
-        SELF_CONTAINED,
-    ),
-}  # fmt: skip
 
 
 def _answer(args, outcome) -> Answer:
@@ -129,15 +58,6 @@ def _answer(args, outcome) -> Answer:
 
 def identify_compliance(args) -> Answer:
     """Identify compliances from load tests, or plan load tests for a cell."""
-    import numpy as np
-
-    from kr270_milling.physics.robot.analysis import read_arm
-    from kr270_milling.show.report.identification.compliance import compliance_outcome
-    from kr270_milling.studies.identification import plan as load_tests
-    from kr270_milling.studies.identification.compliance import fit_compliance
-    from kr270_milling.studies.identification.doubts import refuse_units
-    from kr270_milling.studies.identification.measurements import read_measurements
-    from kr270_milling.studies.identification.problem import Problem
 
     arm, mount = read_arm(find_file(args.arm))
     where = find_file(args.cell or args.arm)
@@ -158,10 +78,6 @@ def identify_compliance(args) -> Answer:
 
 def _plan(args, arm, mount, pose) -> Answer:
     """Plan load tests; write their table and program."""
-    import numpy as np
-
-    from kr270_milling.show.report.identification.plan import plan_as_dict, plan_tables, write_plan
-    from kr270_milling.studies.identification import plan as load_tests
 
     if pose is None:
         raise InputError(
@@ -182,8 +98,11 @@ def _plan(args, arm, mount, pose) -> Answer:
     result = plan_as_dict(plan, designs, best, planner.names)
     if args.out:
         error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
-        notes = [f"load tests planned by kr270_milling {__version__}, {error}", *result["blind_spots"],
-                 "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
+        notes = [
+            f"load tests planned by kr270_milling {__version__}, {error}",
+            *result["blind_spots"],
+            "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes",
+        ]
         with staged(args.out) as (draft, final):
             result["files"] = [str(final(path)) for path in write_plan(draft, plan, notes)]
     return Answer(result, [*plan_tables(plan, designs), *result["blind_spots"], *result.get("files", ())])
@@ -191,12 +110,6 @@ def _plan(args, arm, mount, pose) -> Answer:
 
 def identify_forces(args) -> Answer:
     """Identify force coefficients from mean forces of cuts."""
-    import numpy as np
-
-    from kr270_milling.physics.cutting import LAWS
-    from kr270_milling.show.report.identification.forces import force_outcome
-    from kr270_milling.studies.identification import forces as laws
-    from kr270_milling.studies.identification.cuts import Sensor, read_cuts, turn_of
 
     tool, down = _tool(args)
     turn = turn_of(args.sensor_abc)
@@ -213,12 +126,6 @@ def identify_forces(args) -> Answer:
 
 def _tool(args):
     """Return the tool, and the direction of gravity in workpiece axes."""
-    import numpy as np
-
-    from kr270_milling.base.record import build
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.cell.sections import Workpiece
-    from kr270_milling.physics.cutting.tool import Tool
 
     tree: dict = {}
     down = np.array([0.0, 0.0, -1.0])
@@ -228,9 +135,13 @@ def _tool(args):
         tree = whole.get("tool", {})
         workpiece = build(Workpiece, whole.get("workpiece", {}), file, "workpiece.")
         down = (read_cell(file).workpiece if workpiece.at_start_joints else workpiece).pose.rotation.T @ down
-    given = {"teeth": args.teeth, "diameter_mm": args.diameter_mm, "rotation": args.rotation,
-             "spindle_speed_rpm": args.spindle_speed_rpm}  # fmt: skip
-    tree = tree | {key: value for key, value in given.items() if value is not None}
+    options = {
+        "teeth": args.teeth,
+        "diameter_mm": args.diameter_mm,
+        "rotation": args.rotation,
+        "spindle_speed_rpm": args.spindle_speed_rpm,
+    }
+    tree = tree | {key: value for key, value in options.items() if value is not None}
     if not {"teeth", "diameter_mm"} <= set(tree):
         raise InputError("identify forces", "needs the tool: name --cell CELL.yaml, or --teeth and --diameter-mm")
     if "spindle_speed_rpm" not in tree:
@@ -240,14 +151,6 @@ def _tool(args):
 
 def identify_damping(args) -> Answer:
     """Identify frequency and damping of the modes from a ring-down or an impact."""
-    import numpy as np
-
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.cell.models import arm_of, modal_model_of, path_of
-    from kr270_milling.show.report.identification.modes import mode_outcome
-    from kr270_milling.studies.identification import modes
-    from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts
-    from kr270_milling.studies.identification.signals import read_signals
 
     source = find_file(args.recording) if args.recording.lower().endswith(".csv") else args.recording
     low, high = args.band
@@ -258,7 +161,7 @@ def identify_damping(args) -> Answer:
     (identified, faint), shapes = modes.split_modes(signals, low, high, args.modes), None
     known = (arm_of(cell), path_of(cell).target) if cell else None
     if args.hammer:
-        quantity = args.quantity or signals.quantity or QUANTITIES[0]
+        quantity = args.quantity or signals.quantity or "displacement"
         note = modes.check_hammer(identified, signals, args.hammer, quantity)
         shapes = modes.by_hammer(identified, signals, args.hammer, quantity)
         expected: tuple = (None,)
@@ -274,8 +177,6 @@ def identify_damping(args) -> Answer:
 
 def identify_material(args) -> Answer:
     """Print published force coefficients, or write a file to include."""
-    from kr270_milling.physics.cutting.materials import find_material, materials
-    from kr270_milling.show.report.identification.forces import material_outcome
 
     rows = find_material(args.name) if args.name else materials()
     if args.out and (not args.name or not 1 <= args.row <= len(rows)):
@@ -285,18 +186,14 @@ def identify_material(args) -> Answer:
 
 def run_compare(args) -> Answer:
     """Compare a measured pass with the simulated pass."""
-    import numpy as np
 
-    from kr270_milling.cell.jobs import simulate
-    from kr270_milling.cell.models import path_of
-    from kr270_milling.path.trajectory_csv import read_csv
-    from kr270_milling.show.report.identification.comparison import comparison_outcome
-    from kr270_milling.studies.identification import comparison
-
-    cell = cell_of(args)
+    cell = read_cell(find_file(args.cell), args.set)
     reference = read_csv(Path(args.reference))[0] if args.reference else None
     if Path(args.recording).suffix.lower() == ".csv":
-        return _compare_wall(args, cell, reference)
+        measured_wall = read_wall(find_file(args.recording))
+        with progress("plants") as report:
+            wall = compare_wall(cell, measured_wall, reference, args.plants, progress=report)
+        return _answer(args, wall_outcome(wall, Path(args.recording).name, Path(args.cell).name))
     passes = _recorded_passes(args)
     measured, name = None, Path(args.recording).name
     if passes:
@@ -309,20 +206,19 @@ def run_compare(args) -> Answer:
             measured, name = _series_of(args, chosen.result), chosen.name + STAMPS[recorded.stamps]
     measured = measured or _measured(args)
     with progress("milling") as report:
-        ran = simulate(cell, reference, progress=report).result
-    force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
-    feed = path_of(cell).target.sample_velocity(ran.time_ns)
+        simulated = simulate(cell, reference, progress=report).result
+    force, tool = (
+        comparison.VectorSeries(simulated.time, values) for values in (simulated.wrench[:, :3], simulated.actual)
+    )
+    feed = path_of(cell).target.sample_velocity(simulated.time_ns)
     compared = comparison.compare(
-        measured, comparison.ComparedSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
+        measured, comparison.ComparedSeries(force, tool), simulated.target, feed, 2 * np.pi / cell.tool.spindle_speed
     )
     return _answer(args, comparison_outcome(compared, name, Path(args.cell).name))
 
 
 def _recorded_passes(args) -> list:
     """Return the passes of a recording of the nodes or of RSI; none of a recording of a sensor or a tracker alone."""
-    from kr270_milling.base.errors import RecordingError
-    from kr270_milling.exchange.replay.recorded import passes_from_recording
-    from kr270_milling.recordings.bag.remap import remapping
 
     remap = remapping(args.remap)
     with contextlib.suppress(RecordingError):
@@ -330,34 +226,18 @@ def _recorded_passes(args) -> list:
     return []
 
 
-def _series_of(args, ran):
+def _series_of(args, recorded):
     """Return force and place of the tool in a recorded pass, a PassResult."""
-    from kr270_milling.studies.identification import comparison
-    from kr270_milling.studies.identification.cuts import turn_of
 
     sign = -1.0 if args.sensor_on == "part" else 1.0
-    force = comparison.VectorSeries(ran.time, sign * ran.wrench[:, :3] @ turn_of(args.sensor_abc).T)
-    return comparison.ComparedSeries(force if ran.wrench.any() else None, comparison.VectorSeries(ran.time, ran.actual))
-
-
-def _compare_wall(args, cell, reference) -> Answer:
-    """Compare a measured wall with the wall that model and plants predict."""
-    from kr270_milling.show.report.identification.wall import wall_outcome
-    from kr270_milling.studies.identification.wall import compare_wall, read_wall
-
-    measured = read_wall(find_file(args.recording))
-    with progress("plants") as report:
-        compared = compare_wall(cell, measured, reference, args.plants, progress=report)
-    return _answer(args, wall_outcome(compared, Path(args.recording).name, Path(args.cell).name))
+    force = comparison.VectorSeries(recorded.time, sign * recorded.wrench[:, :3] @ turn_of(args.sensor_abc).T)
+    return comparison.ComparedSeries(
+        force if recorded.wrench.any() else None, comparison.VectorSeries(recorded.time, recorded.actual)
+    )
 
 
 def _measured(args):
     """Read force and pose of the recording; None for a topic that it does not have."""
-    from kr270_milling.recordings.bag.reader import Recording
-    from kr270_milling.recordings.bag.remap import remapping
-    from kr270_milling.studies.identification import comparison
-    from kr270_milling.studies.identification.cuts import Sensor, force_series, turn_of
-    from kr270_milling.studies.identification.signals import pose_series
 
     with Recording(args.recording) as recording:
         names = {topic.rpartition("/")[2] for topic in recording.topics()}

@@ -8,6 +8,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+from rich.console import Console
+from rich.progress import BarColumn, SpinnerColumn, TextColumn
+from rich.progress import Progress as Bar
+
 __all__ = ["Progress", "progress", "steps", "title_of"]
 
 LINE_PERIOD = 5.0  #: [s] between two lines
@@ -33,7 +37,7 @@ class Progress:
     def say(self, text: str) -> None:
         """Begin a step without a count."""
         self.label = text
-        self.done = self.total = 0
+        self.completed = self.total = 0
         self._before, self._number, self._passes = 0, 1, 1
         self.start = self._first = time.monotonic()
 
@@ -41,18 +45,18 @@ class Progress:
         """Return the steps of one tool, whose names begin with ``title``."""
         return lambda name, passes=None, text="": self(name, passes, title + (text or name))
 
-    def count(self, done: int, total: int) -> None:
-        """Note the work of this step: ``done`` of ``total``. The work of the first call was done before the step."""
-        if not self.total or done < self.done:
+    def count(self, completed: int, total: int) -> None:
+        """Note the work of this step: ``completed`` of ``total``. The first call states the work before the step."""
+        if not self.total or completed < self.completed:
             self._number += bool(self.total)
-            self._before, self._first = done, time.monotonic()
-        self.done, self.total = done, total
+            self._before, self._first = completed, time.monotonic()
+        self.completed, self.total = completed, total
 
     @property
     def left(self) -> float | None:
         """Time left of this count [s]; None as long as its pace is not known."""
-        made = self.done - self._before
-        return (time.monotonic() - self._first) * (self.total - self.done) / made if made > 0 else None
+        since = self.completed - self._before
+        return (time.monotonic() - self._first) * (self.total - self.completed) / since if since > 0 else None
 
     @property
     def text(self) -> str:
@@ -63,7 +67,7 @@ class Progress:
         left = self.left
         if left is None:
             return f"{step}: {time.monotonic() - self.start:.0f} s so far"
-        return f"{step}: {100 * self.done / self.total:.0f} %, {left:.0f} s left"
+        return f"{step}: {100 * self.completed / self.total:.0f} %, {left:.0f} s left"
 
 
 def title_of(cell) -> str:
@@ -107,11 +111,8 @@ def _line(whole: Progress) -> None:
 @contextlib.contextmanager
 def _bar(whole: Progress) -> Iterator[Callable[[], None]]:
     """Yield the function that updates the bar."""
-    from rich.console import Console
-    from rich.progress import BarColumn, SpinnerColumn, TextColumn
-    from rich.progress import Progress as Bar
 
     columns = SpinnerColumn(), BarColumn(bar_width=24), TextColumn("{task.description}", markup=False)
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(whole.label, total=None)
-        yield lambda: bar.update(task, completed=whole.done, total=whole.total or None, description=whole.text)
+        yield lambda: bar.update(task, completed=whole.completed, total=whole.total or None, description=whole.text)

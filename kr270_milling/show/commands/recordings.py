@@ -1,88 +1,38 @@
-"""The commands about recordings: ``info``, ``export``, ``recover`` and ``report``."""
+"""The commands about recordings: ``info``, ``export`` and ``recover``."""
 
 from __future__ import annotations
 
+import shlex
 import sys
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from kr270_milling.base.column import columns_of, table_of, yes
 from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.units import seconds
-from kr270_milling.show.commands.command import CELL_BESIDE, RECORDING, REMAP, command, option
-from kr270_milling.show.commands.console import Answer, command_line, now, output_directory
-from kr270_milling.show.commands.progress import progress, steps
-
-if TYPE_CHECKING:
-    from kr270_milling.cell.jobs import ScoredPass
-    from kr270_milling.exchange.replay.recorded import RecordedFacts
-
-
-#: what the title of the report adds for the stamps of the poses
-STAMPS = {
-    "exchange": "",
-    "driver's": "; poses at the driver's stamps",
-    "place": "; RSI: poses by their place, without the deflection",
-}
-COMMANDS = {
-    "info": command(
-        "recordings.run_info", "info out/pass1",
-        RECORDING,
-        option("--verify", "check every byte; exit code 1 on damage", bool),
-    ),
-    "export": command(
-        "recordings.run_export", "export out/pass1 --csv tables",
-        RECORDING,
-        option("--csv DIR", "write one CSV file per topic into this directory"),
-        option("--parquet DIR", "the same as Parquet"),
-        option("--topics TOPIC", "only these", nargs="+"),
-    ),
-    "report": command(
-        "recordings.run_report", "report out",
-        option(
-            "recordings FILE-or-DIR",
-            "recordings, or directories that hold some; passes of one path are compared on the same scales",
-            nargs="+",
-        ),
-        option("--namespace NAME", "of the robot, where a recording holds several"),
-        REMAP,
-        CELL_BESIDE,
-        option(
-            "--out DIR",
-            "where the report goes (default: in place of the report.html of the first DIR, else DIR/report; DIR of "
-            "a first FILE: that of the file)",
-        ),
-    ),
-    "recover": command(
-        "recordings.run_recover", "recover out/pass1",
-        option("file FILE.mcap|DIR", "the damaged recording; it is not touched"),
-        option("--out DIR", "the new recording (default: beside it, with _recovered; none of a whole one)"),
-    ),
-}  # fmt: skip
+from kr270_milling.recordings.bag import info as bag_info
+from kr270_milling.recordings.bag.export import export as export_files
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.recover import recover as recover_file
+from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.show.commands.console import Answer
+from kr270_milling.show.commands.progress import progress
 
 
 def run_info(args) -> Answer:
-    from kr270_milling.recordings.bag import info as bag_info
-    from kr270_milling.recordings.bag.reader import Recording
-    from kr270_milling.recordings.bag.verify import findings
 
     with progress("reading") as report, Recording(args.file, report) as recording:
         damage = findings(recording, report) if args.verify else []
         about = {"file": str(recording.path)} if damage else bag_info.info(recording, report)
-    shown = [f"{about['file']}: damaged; recover saves what can be read" if damage else bag_info.info_text(about)]
-    shown += ["  " + one_line(sentence) for sentence in damage]
-    if args.verify and not damage:
-        shown.append("whole: every checksum and count fits")
+    if damage:
+        shown = [f"{about['file']}: damaged", *("  " + one_line(sentence) for sentence in damage)]
+        shown.append(f"to save what can be read: kr270_milling recover {shlex.quote(str(args.file))}")
+    else:
+        shown = [bag_info.info_text(about), *["whole: every checksum and count fits"] * args.verify]
     return Answer(about | ({"damage": damage} if args.verify else {}), shown, code=int(bool(damage)))
 
 
 def run_export(args) -> Answer:
     """Exit code 1 where a topic cannot be exported."""
-    from kr270_milling.recordings.bag.export import export as export_files
-    from kr270_milling.recordings.bag.reader import Recording
 
     if not args.csv and not args.parquet:
         raise InputError("export", "give --csv DIR or --parquet DIR")
@@ -105,7 +55,6 @@ def run_export(args) -> Answer:
 
 
 def run_recover(args) -> Answer:
-    from kr270_milling.recordings.bag.recover import recover as recover_file
 
     with progress("recovering") as report:
         recovered = recover_file(args.file, args.out, report)
@@ -118,120 +67,3 @@ def run_recover(args) -> Answer:
     if recovered.lost_messages:
         shown.append(f"  {recovered.lost_messages} messages are lost")
     return Answer(recovered.as_dict(), [*shown, f"{recovered.messages} messages in {recovered.directory}"])
-
-
-def run_report(args) -> Answer:
-    """Of one recording, or of several passes of one path on the same scales."""
-    with steps() as whole:
-        return _reported(args, whole)
-
-
-def _reported(args, whole) -> Answer:
-    from kr270_milling.cell.models import arm_of, path_of
-    from kr270_milling.show.report import write_report
-    from kr270_milling.show.report.series import write_series
-
-    places = [Path(place) for place in args.recordings]
-    recorded, copies = _read(places, args, whole)
-    cell, passes = recorded[0][1].cell, [ran for ran, _ in recorded]
-    first = places[0]
-    beside = first if first.is_dir() else first.parent
-    there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
-    directory = output_directory(args.out or (beside if there else beside / "report"))
-    title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
-    title += "".join(STAMPS[kind] for kind in sorted({about.stamps for _, about in recorded}))
-    with whole("report"):
-        page = write_report(
-            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
-            program=recorded[0][1].program,
-        )  # fmt: skip
-        write_series(directory, arm_of(cell), path_of(cell).target, passes)
-    rows = [
-        {**ran.row(), "messages_lost": about.messages_lost, "complete": about.complete, "stamps": about.stamps}
-        for ran, about in recorded
-    ]
-    reasons = {name: reason for _, facts in recorded for name, reason in facts.unused.items()}
-    unused = [f"{name} is not used: {one_line(reason)}" for name, reason in reasons.items()]
-    about = {"passes": rows, "copies": copies, "unused": unused, "report": str(page), "out": str(directory)}
-    return Answer(about, [
-        table_of("Path deviation, from the recordings", _columns(), rows),
-        *(f"skipped, a copy of another pass: {copy}" for copy in copies),
-        *unused,
-        f"report: {page}",
-    ])  # fmt: skip
-
-
-def _read(places: Sequence[Path], args, whole) -> tuple[list[tuple[ScoredPass, RecordedFacts]], list[str]]:
-    """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
-
-    from kr270_milling.exchange.replay.recorded import passes_from_recording
-    from kr270_milling.recordings.bag.remap import remapping
-
-    chosen = args.namespace, remapping(args.remap), args.cell
-    paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
-    names = unique_names(paths)
-    recorded: list[tuple[ScoredPass, RecordedFacts]] = []
-    copies: list[str] = []
-    with whole("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
-        read = pool.map(lambda path, name: passes_from_recording(path, name, *chosen), paths, names)
-        for number, (path, passes) in enumerate(zip(paths, read, strict=True), 1):
-            count(number, len(paths))
-            for ran, about in passes:
-                if any(_same(ran, other) for other, _ in recorded):
-                    copies.append(str(path))
-                elif recorded and _other_path(about, recorded[0][1]):
-                    reason = f"is a pass of another path than {paths[0]}: give each path a separate report"
-                    raise InputError(path, reason)
-                else:
-                    recorded.append((ran, about))
-    return recorded, copies
-
-
-def _other_path(one: RecordedFacts, other: RecordedFacts) -> bool:
-    import numpy as np
-
-    same = np.array_equal(one.target.time_ns, other.target.time_ns)
-    return not same or not np.allclose(one.target.position, other.target.position)
-
-
-def _same(ran: ScoredPass, known: ScoredPass) -> bool:
-    """Whether two recordings have the same pass: start, poses and wrenches; a copy, or what was recovered of one."""
-    import numpy as np
-
-    alike = (np.array_equal(getattr(ran.result, k), getattr(known.result, k)) for k in ("time_ns", "tool", "wrench"))
-    return ran.reference.start_ns == known.reference.start_ns and all(alike)
-
-
-def unique_names(paths: Sequence[Path]) -> list[str]:
-    """The stem of each file, with its directories in front where stems are alike."""
-    names = [path.stem for path in paths]
-    for depth in range(1, 8):
-        if len(set(names)) == len(names):
-            break
-        names = [
-            "/".join((*path.parent.parts[-depth:], path.stem)) if names.count(name) > 1 else name
-            for path, name in zip(paths, names, strict=True)
-        ]
-    return names
-
-
-def _recordings(path: Path) -> list[Path]:
-    """The .mcap files of a file, a recording's directory or a directory of such, in the order of their writing."""
-    from kr270_milling.recordings.bag.files import find_recording
-
-    if path.is_file():
-        return [path]
-    if (path / "metadata.yaml").is_file():
-        return [find_recording(path)]
-    files = sorted([*path.glob("*.mcap"), *path.glob("*/*.mcap")], key=lambda p: (p.stat().st_mtime_ns, p))
-    if not files:
-        raise InputError(path, "holds no recording (.mcap)" if path.is_dir() else "is no such file or directory")
-    return files
-
-
-def _columns() -> tuple:
-    """Columns of the passes."""
-    from kr270_milling.physics.motion.scores import Scores
-
-    return (("pass", "name", 0), *columns_of(Scores),
-            ("lost", "messages_lost", 0), ("complete", "complete", yes), ("stamps", "stamps", str))  # fmt: skip

@@ -2,46 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 from kr270_milling.base.arguments import UsageError
 from kr270_milling.base.column import table_of
 from kr270_milling.base.errors import one_line
-from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.exchange.replay.compensate import compensate_recording
+from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.live.nodes.play_arguments import play_options
 from kr270_milling.live.ros.environment import require_ros
-from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.show.commands.command import CELL_BESIDE, REMAP, Group, command, option
+from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.recordings.bag.remap import remapping
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
-COUNTS = ("compared", "differing", "missing", "not_compared")
-COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
-PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
-                   None: "not to be compared with a recorded one"}  # fmt: skip
-
-
-COMMANDS = {
-    "replay": command(
-        "replay.run_replay", "replay out/pass1 --recompute",
-        option("file FILE.mcap|DIR", "a recording"),
-        Group(None, (
-            option(
-                "--recompute",
-                "no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
-                "missing or is left over, or the recompute cannot continue",
-                bool,
-            ),
-            option("--compensate", "no playback: the revised trajectory from the recorded pass", bool),
-        )),
-        CELL_BESIDE,
-        option("--method", "with --compensate: in place of the recorded method", choices=METHODS),
-        option("--out DIR", "with --compensate: write reference_trajectory.csv there"),
-        REMAP,
-        Group("playback (names as in ros2 bag play)", PLAY),
-        option("--ros-args", "remapping and namespace; the last", default=[], nargs=argparse.REMAINDER),
-    ),
-}  # fmt: skip
+PUBLISHED: dict = {
+    True: "identical to what the node published",
+    False: "NOT what the node published",
+    None: "not to be compared with a recorded one",
+}
 
 
 def run_replay(args) -> Answer:
@@ -65,14 +42,14 @@ def _play(args) -> Answer:
 
 
 def _recompute(args) -> Answer:
-    from kr270_milling.exchange.replay.recompute import recompute
-    from kr270_milling.recordings.bag.remap import remapping
 
     with progress("recomputing") as report:
         result = recompute(args.file, report, remapping(args.remap), args.cell)
     about = result.as_dict()
     rows = ({"topic": _shown(topic), **vars(count)} for topic, count in sorted(result.channels.items()))
-    shown: list = [table_of(result.file, COLUMNS, rows)]
+    counts = ("compared", "differing", "missing", "not_compared")
+    columns = [("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in counts)]
+    shown: list = [table_of(result.file, columns, rows)]
     if result.cut_off:
         shown.append("The recording was cut off; the recorded part was compared.")
     shown += [*map(_shown, result.sentences), *("damage: " + _shown(sentence) for sentence in result.damage)]
@@ -89,15 +66,17 @@ def _shown(value) -> str:
 
 
 def _compensate(args) -> Answer:
-    from kr270_milling.exchange.replay.compensate import compensate_recording
-    from kr270_milling.recordings.bag.remap import remapping
 
     with progress("compensating") as report:
         revisions = compensate_recording(args.file, args.method, report, remapping(args.remap), args.cell)
-    files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
-    robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
-    shown = []
-    for revised, file in zip(revisions, files, strict=True):
+    robots, shown = [], []
+    for revised in revisions:
+        file = None
+        if args.out:
+            prefix = revised.robot.strip("/").replace("/", "_")
+            file = output_directory(args.out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"
+            write_csv(file, revised.reference, revised.joints)
+        robots.append(revised.as_dict() | {"csv": file})
         shown += [
             f"{_shown(revised.robot or '/')}: {revised.method}, {len(revised.reference)} points; the recorded pass was "
             f"off by up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
@@ -107,12 +86,3 @@ def _compensate(args) -> Answer:
         ]
     differs = any(revised.published is False for revised in revisions)
     return Answer({"file": args.file, "robots": robots}, shown, code=int(differs))
-
-
-def _write(out: str, revised) -> Path:
-    from kr270_milling.path.trajectory_csv import write_csv
-
-    prefix = revised.robot.strip("/").replace("/", "_")
-    path = output_directory(out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"
-    write_csv(path, revised.reference, revised.joints)
-    return path

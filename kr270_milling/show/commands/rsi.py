@@ -9,47 +9,41 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import fresh_directory
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.process import STOPS
-from kr270_milling.live.nodes.play_arguments import bounded
-from kr270_milling.show.commands.command import command, option
+from kr270_milling.cell.cell_file import cell_text, read_cell
+from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
+from kr270_milling.live.rsi.recording import RsiRecording
+from kr270_milling.live.rsi.session import RsiSession, open_socket, real_time
 from kr270_milling.show.commands.console import Answer, command_line, shown_path
-
-COMMANDS = {
-    "rsi": command(
-        "rsi.run_rsi", "rsi out --port 49152",
-        option("file DIR|FILE.csv", "directory of compensate, or its table rsi_offsets_*.csv"),
-        option("--port", "UDP port of the object ETHERNET", bounded(1, 65535, int), 49152),
-        option("--host", "address of this host (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
-        option("--cycle-ms", "cycle of the controller", bounded(4, 12, int), 4),
-        option("--max-mm", "largest displacement", bounded(0.0, 5.0, above=True), 1.0),
-        option("--max-deg", "largest rotation", bounded(0.0, 2.0, above=True), 0.5),
-        option("--rate-mm-per-s", "fastest change of the displacement", bounded(0.0, 200.0, above=True), 20.0),
-        option("--ramp-s", "from no correction to the full one", bounded(0.0, 10.0, above=True), 0.2),
-        option("--reach-mm", "no correction farther from the path", bounded(0.0, 50.0, above=True), 1.0),
-        option("--progress", "pose from which the place on the path is taken: RSol, or RIst minus the correction",
-               choices=("rsol", "rist"), default="rsol"),
-        option("--cell CELL.yaml", "cell of the path, attached to the recording; report needs it"),
-        option("--out DIR", "directory of the recording", default="rsi"),
-        note="It ends when the robot is silent for 1 s. This host is not a real-time system: see live/rsi/README.md.",
-    ),
-}  # fmt: skip
 
 
 def run_rsi(args) -> Answer:
-    from kr270_milling.base.files import fresh_directory
-    from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
-    from kr270_milling.live.rsi.recording import RsiRecording
-    from kr270_milling.live.rsi.session import RsiSession, open_socket, real_time
 
     table = read_corrections(_table(args.file))
     limits = CorrectionLimits(
         1e-3 * args.max_mm, math.radians(args.max_deg), 1e-3 * args.rate_mm_per_s, args.ramp_s, 1e-3 * args.reach_mm
     )
     corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
+    attached: dict[str, bytes | str] = {}
+    if args.cell:
+        cell = read_cell(find_file(args.cell))
+        attached = {"cell.yaml": cell_text(cell)} | {
+            Path(file).name: Path(file).read_bytes() for file in cell.path.files
+        }
     directory = fresh_directory(args.out)
-    with open_socket(args.host, args.port) as connection, RsiRecording(
-        directory, table, {"command_line": command_line(args)}, _attached(args.cell) if args.cell else {}, time.time_ns,
-    ) as recording:  # fmt: skip
+    with (
+        open_socket(args.host, args.port) as connection,
+        RsiRecording(
+            directory,
+            table,
+            {"command_line": command_line(args)},
+            attached,
+            time.time_ns,
+        ) as recording,
+    ):
 
         def report(sentence: str) -> None:
             print(sentence, file=sys.stderr, flush=True)
@@ -71,37 +65,34 @@ def run_rsi(args) -> Answer:
                 report(refused)
             session.run()
     counts = session.counts
-    done = corrector.progress / corrector.length
+    share = corrector.progress / corrector.length
     result = {
-        "answered": counts.answered, "late": counts.late, "missed_cycles": counts.missed, "repeated": counts.repeated,
-        "ignored": counts.refused, "most_delay": counts.most_delay, "longest_answer_ms": 1e3 * counts.longest,
-        "mean_answer_ms": 1e3 * counts.total / max(counts.answered, 1), "limited_cycles": corrector.limited,
-        "path_share": done, "recording": str(directory),
-    }  # fmt: skip
+        "answered": counts.answered,
+        "late": counts.late,
+        "missed_cycles": counts.missed,
+        "repeated": counts.repeated,
+        "ignored": counts.refused,
+        "most_delay": counts.most_delay,
+        "longest_answer_ms": 1e3 * counts.longest,
+        "mean_answer_ms": 1e3 * counts.total / max(counts.answered, 1),
+        "limited_cycles": corrector.limited,
+        "path_share": share,
+        "recording": str(directory),
+    }
     shown = [
         f"{counts.answered} cycles answered, {counts.late} later than {args.cycle_ms} ms, {counts.missed} missed, "
         f"{counts.refused} telegrams ignored",
         f"answer after {result['mean_answer_ms']:.2f} ms in the mean, {result['longest_answer_ms']:.2f} ms at most; "
         f"largest Delay that the robot reported: {counts.most_delay}",
-        f"{100 * done:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
+        f"{100 * share:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
         f"recording: {shown_path(directory)}",
     ]
     code = int(bool(counts.late or counts.missed or session.recording_failed))
     return Answer(result, shown, code=128 + ended[0] if ended and ended[0] != signal.SIGINT else code)
 
 
-def _attached(name: str) -> dict[str, bytes | str]:
-    """Return the cell and the files of its path as attachments."""
-    from kr270_milling.base.parameter_file import find_file
-    from kr270_milling.cell.cell_file import cell_text, read_cell
-
-    cell = read_cell(find_file(name))
-    return {"cell.yaml": cell_text(cell)} | {Path(file).name: Path(file).read_bytes() for file in cell.path.files}
-
-
 def _table(name: str) -> Path:
     """Return the table of offsets: the file, or the only one of a directory."""
-    from kr270_milling.base.errors import InputError
 
     path = Path(name)
     if not path.is_dir():

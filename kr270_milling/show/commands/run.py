@@ -5,39 +5,28 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from kr270_milling.base.arguments import bounded
+import numpy as np
+
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.files import fresh_directory
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.models import arm_model_of, cut_of, cut_text_of, path_of
 from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
-from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.show.commands.command import CELL, PLANT, command, option
-from kr270_milling.show.commands.console import Answer, cell_of, plant_of, shown_path
+from kr270_milling.physics.motion.milling_pass import CompliantArm
+from kr270_milling.physics.motion.scores import Scores
+from kr270_milling.show.commands.console import Answer, shown_path
 from kr270_milling.show.commands.progress import steps
-
-COMMANDS = {
-    "run": command(
-        "run.run_graph", "run config/paper.yaml --method spline --out out",
-        *CELL,
-        *PLANT,
-        option(
-            "--passes N", "passes in all, with the original one (default: as many as needed)", bounded(1, 1000, int)
-        ),
-        option("--method", "how to compensate; may be given several times", choices=METHODS, action="append"),
-        option("--out DIR", "for recordings, logs, cell.yaml", default="out"),
-        option("--processes", "one process a node; else two nodes share one, which is quicker", bool),
-        option("--namespace NAME", "ROS namespace of the four nodes", default=""),
-    ),
-}  # fmt: skip
+from kr270_milling.show.commands.simulate import plant_of
 
 
 def run_graph(args) -> Answer:
     require_ros("run")
     keep_to_this_host()
-    from kr270_milling.cell.models import cut_text_of
-    from kr270_milling.live.graph.plan import RunRow
-    from kr270_milling.physics.motion.scores import Scores
+    from kr270_milling.live.graph.plan import RunRow  # imports rclpy
 
-    cell = cell_of(args)
+    cell = read_cell(find_file(args.cell), args.set)
     if cell.stage:
         if cell.stage.earlier:
             print(f"warning: {cell.stage}: the nodes begin with an uncut stock", file=sys.stderr)
@@ -45,18 +34,18 @@ def run_graph(args) -> Answer:
     methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
     with steps() as whole:
-        ran = run_passes(cell, methods, args.out, *options, say=whole.say)
-    up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
-    result = summary(ran)
+        outcome = run_passes(cell, methods, args.out, *options, say=whole.say)
+    up = f"graph up in {outcome['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(outcome['out'])}"
+    result = summary(outcome)
     columns = (("pass", "name", 2), *columns_of(Scores), *columns_of(RunRow), ("recording", "recording", shown_path))
     table = table_of("Path deviation, four nodes and a recorder", columns, result["passes"])
-    missing = missing_text(ran)
+    missing = missing_text(outcome)
     return Answer(result, [table, cut_text_of(cell), up, *missing], code=int(bool(missing)))
 
 
-def missing_text(ran: dict) -> list[str]:
+def missing_text(outcome: dict) -> list[str]:
     """Return a sentence where messages are missing in the recordings of ``run_passes``."""
-    lost = sum(one.messages_lost for row in ran["passes"] for one in (row, *row.learning))
+    lost = sum(run.messages_lost for row in outcome["passes"] for run in (row, *row.learning))
     return [f"{lost} messages are missing in the recordings"] if lost else []
 
 
@@ -66,9 +55,8 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     say: called with a sentence at the start of each step. Returns graph_up_s, out (the directory used) and passes, a
     list of RunRow.
     """
-    from kr270_milling.base.files import fresh_directory
-    from kr270_milling.cell.models import path_of
-    from kr270_milling.live.graph.graph import Graph
+
+    from kr270_milling.live.graph.graph import Graph  # these import rclpy
     from kr270_milling.live.graph.plan import run_plan
     from kr270_milling.live.ros.names import full_namespace
 
@@ -85,22 +73,18 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     _compile(cell)
     say("starting the nodes")
     with Graph(cell, directory, namespace, composed, cuts) as graph:
-        ran = run_plan(graph, methods, passes, say)
-    return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+        rows = run_plan(graph, methods, passes, say)
+    return {"graph_up_s": graph.up_s, "out": directory, "passes": rows}
 
 
 def _compile(cell) -> None:
     """Compile once what the nodes run, so that no node of the graph waits; the disk keeps the compiled code."""
-    import numpy as np
-
-    from kr270_milling.cell.models import arm_model_of, cut_of, path_of
-    from kr270_milling.physics.motion.milling_pass import CompliantArm
 
     above = np.array([0.0, 0.0, float(cell.stock.max[2]) + 1.0])
     cut_of(cell).sweep(above, above, 0, 1)
     CompliantArm(arm_model_of(cell, path_of(cell).target)).predict()
 
 
-def summary(ran: dict) -> dict:
+def summary(outcome: dict) -> dict:
     """Return the result for JSON."""
-    return {**ran, "out": str(ran["out"]), "passes": [one.row() for one in ran["passes"]]}
+    return {**outcome, "out": str(outcome["out"]), "passes": [row.row() for row in outcome["passes"]]}

@@ -5,14 +5,19 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from kr270_milling.base.arguments import grid
+import numpy as np
+
 from kr270_milling.base.column import as_dict, columns_of, table_of, yes
 from kr270_milling.base.files import staged
-from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, command, option
-from kr270_milling.show.commands.console import Answer, cell_of
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.decide.stability import FeatureLimit, feature_limits
+from kr270_milling.physics.motion.stability import Lobe
+from kr270_milling.show.commands.console import Answer
 from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.report.lobes_page import write_lobes
+from kr270_milling.studies.maps.lobes import engagement_text, lobes
 
-LOBE_SPEEDS = 60
 SHOWN = 24  #: rows of the printed table
 OTHERS = (
     "the path itself: check and --along take the engagement, feed direction and posture of each feature, so that their "
@@ -21,46 +26,22 @@ OTHERS = (
 
 
 def _rigid(cell) -> str:
-    """What a limit without ``tool.modes`` leaves out."""
+    """Return the words about a limit without ``tool.modes``."""
     return "" if cell.tool.modes.frequency.size else ", with tool and spindle taken as rigid (no tool.modes)"
 
 
-COMMANDS = {
-    "stability": command(
-        "stability.run_stability", "stability config/paper.yaml --speeds 4000:12000/100",
-        *CELL,
-        option(
-            "--speeds LOW:HIGH/COUNT",
-            f"spindle speeds [rpm] (default: {LOBE_SPEEDS} from half to one and a half times that of the cell)",
-            grid(1.0, 2e5, 100_000),
-        ),
-        option("--no-arm", "leave out the arm: the modes of tool.modes alone", bool),
-        option("--along", "instead of lobes: the limit depth of each feature of the path", bool),
-        option("--out DIR", "write lobes.csv and the picture lobes.html here"),
-        SELF_CONTAINED,
-        note="keys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) state the engagement, "
-        "tool.modes the vibration of tool and spindle",
-    ),
-}  # fmt: skip
-
-
 def run_stability(args) -> Answer:
-    import numpy as np
 
-    from kr270_milling.decide.stability import FeatureLimit, feature_limits
-    from kr270_milling.physics.motion.stability import Lobe
-    from kr270_milling.studies.maps.lobes import engagement_text, lobes
-
-    cell = cell_of(args)
+    cell = read_cell(find_file(args.cell), args.set)
     about = {"cell": args.cell, "arm": not args.no_arm}
     if args.along:
-        rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
+        rows = [limit.as_dict() for limit in feature_limits(cell, not args.no_arm)]
         rpm = cell.tool.spindle_speed * 30.0 / math.pi
         title = f"Limit depth along the path, as in check, at {rpm:.0f} rpm{_rigid(cell)}"
         columns = ("feature", "feature", 1), *columns_of(FeatureLimit), *columns_of(Lobe)[1:], ("stable", "stable", yes)
         return Answer(about | {"features": rows}, [table_of(title, columns, rows)])
     nominal = cell.tool.spindle_speed * 30.0 / math.pi
-    low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, LOBE_SPEEDS)
+    low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, 60)
     with progress("stability") as report:
         results = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
     rows = list(map(as_dict, results))
@@ -76,12 +57,12 @@ def run_stability(args) -> Answer:
 
 def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
     """Table and page."""
-    from kr270_milling.show.report.lobes_page import write_lobes
 
     with staged(args.out) as (draft, final):
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
         table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
-        page = write_lobes(draft, cell, Path(args.cell).name, rows, summary, arm=not args.no_arm,
-                           self_contained=args.self_contained)  # fmt: skip
+        page = write_lobes(
+            draft, cell, Path(args.cell).name, rows, summary, arm=not args.no_arm, self_contained=args.self_contained
+        )
         return [str(final(table)), str(final(page))]

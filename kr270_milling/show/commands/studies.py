@@ -4,103 +4,63 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.base.arguments import bounded, grid
+import numpy as np
+
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, Group, command, option
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import arm_of, path_of
+from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.trajectory import TRAJECTORY
 from kr270_milling.show.commands.console import Answer, output_directory, shown_path
 from kr270_milling.show.commands.progress import progress, steps
+from kr270_milling.show.report.placements import gain_text, write_map
+from kr270_milling.show.report.sweep import sweep_tables, write_sweep
+from kr270_milling.studies.maps import along as turning
+from kr270_milling.studies.maps.engine import Study, content, run_chunks
+from kr270_milling.studies.maps.placements import (
+    PlacementRow,
+    Placements,
+    Summary,
+    grid_axes,
+    path_places,
+    place_of,
+    places_at,
+    present_row,
+    write_cells,
+    write_placement,
+)
+from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
 STUDIES = ("pyarrow", "dask", "distributed")  #: Dask with --scheduler only
-MOST = 10_000_000
 READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
 BEST = 5  #: placements that are written as cells
 TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
 
-SCHEDULER = option("--scheduler ADDRESS", "a running Dask scheduler, tcp://host:port")
-PLACES = grid(-1e5, 1e5, 1_000_000)
-
-COMMANDS = {
-    "map": command(
-        "studies.run_map", "map config/test_piece.yaml --x 1200:1800/13 --y=-300:300/7 --tool-turn=-90:90/7",
-        *CELL,
-        option("--x LOW:HIGH/COUNT", "[mm] of the workpiece's origin on base_link", PLACES),
-        option("--y LOW:HIGH/COUNT", "[mm]", PLACES),
-        option("--z LOW:HIGH/COUNT", "[mm]", PLACES),
-        option("--turn LOW:HIGH/COUNT", "[deg] of the workpiece about z of base_link, on top of the cell's", PLACES),
-        option("--tool-turn LOW:HIGH/COUNT", "[deg] of the tool about its axis", PLACES),
-        option("--out DIR", "where rows, cells and picture go", default="map"),
-        SELF_CONTAINED,
-        SCHEDULER,
-        option("--chunk N", "placements a file", bounded(1, 100_000, int), 500),
-        Group("along a path", (
-            option(
-                "--along PATH",
-                "turn the tool about its axis along this tool path (default: that of the cell), where the "
-                "workpiece is",
-                nargs="?",
-                const="",
-            ),
-            option("--smooth UM", "how much error [um] a turn of 1 deg/s is worth", bounded(0.001, 1e6), 1.0),
-            option("--places N", "along the path", bounded(3, 5000, int), 200),
-        )),
-    ),
-    "sweep": command(
-        "studies.run_sweep", "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",
-        *CELL,
-        option(
-            "--vary KEY=LOW:HIGH:STEP",
-            "values of a key, also KEY=LOW:HIGH/COUNT or KEY=A,B,C; may be given several times",
-            action="append",
-            required=True,
-        ),
-        option("--samples N", "with --latin: that many rows", bounded(1, MOST, int)),
-        option("--latin", "a Latin hypercube between the values instead of a grid", bool),
-        option("--seed N", "of --latin", bounded(0, 2**31, int), 1),
-        option("--out DIR", "where the rows go", default="sweep"),
-        SELF_CONTAINED,
-        SCHEDULER,
-        option("--chunk N", "rows a file (default: 1 to 8)", bounded(1, 100_000, int), 0),
-    ),
-}  # fmt: skip
-
 
 def run_map(args) -> Answer:
     if args.along is None:
         require_extra("map", "studies", *STUDIES[: 3 if args.scheduler else 1])
-    import numpy as np
-
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.cell.jobs import simulate
-    from kr270_milling.cell.models import arm_of, path_of
-    from kr270_milling.show.report.placements import gain_text, write_map
-    from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.placements import (
-        PlacementRow,
-        Placements,
-        Summary,
-        grid_axes,
-        path_places,
-        present_row,
-        write_cells,
-    )
 
     if args.along is not None:
         return _along(args)
     source = find_file(args.cell).resolve()
     cell = read_cell(source, args.set)
-    given = [args.x, args.y, args.z, args.turn, args.tool_turn]
-    axes = grid_axes(cell.workpiece, [None if axis is None else np.linspace(*axis) for axis in given])
+    ranges = [args.x, args.y, args.z, args.turn, args.tool_turn]
+    axes = grid_axes(cell.workpiece, [None if axis is None else np.linspace(*axis) for axis in ranges])
     path = path_of(cell)
     plan = {
         "study": "map",
         "cell": content(source, path.path.sha256),
         "set": args.set,
-        "axes": given,
+        "axes": ranges,
         "chunk": args.chunk,
     }
     study = Study(output_directory(args.out), plan)
@@ -109,14 +69,14 @@ def run_map(args) -> Answer:
             places = path_places(path, simulate(cell, progress=report).result)
             left = cell.uncertainty.left
             placements = Placements(arm_of(cell), left, places, axes, args.chunk)
-        made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
+        share = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
         with whole("map") as report:
             seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
     summary = Summary(axes[0], axes[1], BEST)
     for table in study.tables(placements.chunks):
         summary.add(table)
     cells = write_cells(args.out, source, args.set, placements, summary.best, cell.posture_key)
-    rate = made * summary.rows / seconds if seconds else None
+    rate = share * summary.rows / seconds if seconds else None
     present = present_row(placements, path.target)
     page = write_map(args.out, cell.arm, path, source.name, summary, present, self_contained=args.self_contained)
     result = {
@@ -129,24 +89,16 @@ def run_map(args) -> Answer:
         "picture": str(page),
         "out": args.out,
     }
-    return Answer(result, [
+    shown = [
         table_of("Best placements: largest static error across the feed", columns_of(PlacementRow), result["best"]),
         gain_text(summary, present),
         f"{result['rows']} rows, {result['feasible']} feasible: {result['out']}",
-        *(row["cell"] for row in result["best"]),
-        result["picture"],
-    ])  # fmt: skip
+    ]
+    return Answer(result, [*shown, *(row["cell"] for row in result["best"]), result["picture"]])
 
 
 def _along(args) -> Answer:
     """Turn the tool about its axis along a path."""
-    import numpy as np
-
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.cell.jobs import simulate
-    from kr270_milling.cell.models import arm_of, path_of
-    from kr270_milling.studies.maps import along as turning
-    from kr270_milling.studies.maps.placements import places_at
 
     if any(axis is not None for axis in (args.x, args.y, args.z, args.turn)):
         raise ParameterError("--along", args.along, "without --x, --y, --z and --turn: the workpiece stays")
@@ -154,17 +106,19 @@ def _along(args) -> Answer:
     settings = [*args.set, *([f"path.file={Path(args.along).resolve()}"] if args.along else [])]
     cell = read_cell(source, settings)
     with progress("milling") as report:
-        ran = simulate(cell, progress=report).result
-    chosen = np.linspace(0, len(ran.time) - 1, min(args.places, len(ran.time))).astype(int)
-    step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
-    turns = turning.Turns(arm_of(cell), places_at(path_of(cell), ran, chosen), step, np.degrees(1e-6 * args.smooth))
+        simulated = simulate(cell, progress=report).result
+    chosen = np.linspace(0, len(simulated.time) - 1, min(args.places, len(simulated.time))).astype(int)
+    step = float(simulated.time[-1] - simulated.time[0]) / (len(chosen) - 1)
+    turns = turning.Turns(
+        arm_of(cell), places_at(path_of(cell), simulated, chosen), step, np.degrees(1e-6 * args.smooth)
+    )
     grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
     path, same, own = (
         turning.best_turns(turns, grid),
         turning.constant_turn(turns, grid),
         turning.constant_turn(turns, np.zeros(1)),
     )
-    run, q = turning.turned(arm_of(cell), path_of(cell).target, ran.time_ns[chosen], path)
+    run, q = turning.turned(arm_of(cell), path_of(cell).target, simulated.time_ns[chosen], path)
     files = _write(Path(args.out), source, args.set, cell, run, q, path)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
     result = {
@@ -187,25 +141,16 @@ def _along(args) -> Answer:
     shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * path.value:.2f} um"]
     for name, other in (("the best turn that stays the same", same), ("not turned", own)):
         shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
-    share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
-    return Answer(result, [
-        *shown,
+    shown += [
         "(root mean square of the static error across the feed and of what turning is worth by --smooth; what corners",
         "and teeth shake is not in it: compare `simulate` of both cells)",
-        f"{share}, the path takes {result['slower']:.3f} times",
-        *files,
-    ])  # fmt: skip
+        f"joints run at up to {100 * speed.max():.0f} % of their speeds, the path takes {result['slower']:.3f} times",
+    ]
+    return Answer(result, [*shown, *files])
 
 
 def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
     """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
-    import numpy as np
-
-    from kr270_milling.path.trajectory_csv import write_csv
-    from kr270_milling.recordings.bag.writer import BagWriter
-    from kr270_milling.recordings.messages.codec import to_bytes
-    from kr270_milling.recordings.messages.trajectory import TRAJECTORY
-    from kr270_milling.studies.maps.placements import place_of, write_placement
 
     changes = {
         "path": {"file": TURNED_RECORDING},
@@ -225,10 +170,6 @@ def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
     require_extra("sweep", "studies", *STUDIES[: 3 if args.scheduler else 1])
-    from kr270_milling.cell.cell_file import read_cell
-    from kr270_milling.show.report.sweep import sweep_tables, write_sweep
-    from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
     if args.latin != (args.samples is not None):
         raise ParameterError("--samples", args.samples, "given together with --latin")
@@ -237,8 +178,15 @@ def run_sweep(args) -> Answer:
     hashed = content(cell, read_cell(cell, args.set).path.sha256)
     axes = tuple(parse_axis(text) for text in args.vary)
     rows = Sweep(str(cell), tuple(args.set), axes, args.samples, args.seed, args.chunk)
-    plan = {"study": "sweep", "cell": hashed, "set": args.set, "vary": args.vary, "samples": args.samples,
-            "seed": args.seed, "chunk": args.chunk}  # fmt: skip
+    plan = {
+        "study": "sweep",
+        "cell": hashed,
+        "set": args.set,
+        "vary": args.vary,
+        "samples": args.samples,
+        "seed": args.seed,
+        "chunk": args.chunk,
+    }
     study = Study(output_directory(args.out), plan)
     with progress("sweep") as report:
         seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
@@ -247,6 +195,13 @@ def run_sweep(args) -> Answer:
         summary.add(table)
     sentence = f"{len(rows)} rows, {summary.failed} failed (column error), in {seconds:.1f} s: {args.out}"
     picture = shown_path(write_sweep(args.out, summary, [sentence, READ.format(args.out)], args.self_contained))
-    result = {"rows": len(rows), "failed": summary.failed, "best": summary.best, "worst": summary.worst,
-              "picture": picture, "out": args.out, "wall_s": seconds}  # fmt: skip
+    result = {
+        "rows": len(rows),
+        "failed": summary.failed,
+        "best": summary.best,
+        "worst": summary.worst,
+        "picture": picture,
+        "out": args.out,
+        "wall_s": seconds,
+    }
     return Answer(result, [*sweep_tables(summary), sentence, READ.format(args.out), picture])

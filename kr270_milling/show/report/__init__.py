@@ -29,9 +29,6 @@ from kr270_milling.show.report.straight_cut import charts_of
 
 __all__ = ["report_text", "write_report", "write_report_page", "write_series"]
 
-FIRST_TILES = 3  #: before the findings: decision, as programmed, compensated
-FIRST_FINDINGS = 4  #: rows that are shown at once; the others follow behind a switch
-
 
 def write_report(directory, cell: Cell, passes: Sequence[ScoredPass], **more) -> Path:
     """Write the page of ``report_text``; more: its other parameters. Returns the path."""
@@ -119,8 +116,8 @@ def report_text(
         asked=asked(cell, passes),
         tiles=tiles(names, judgements, decision, checked, method, cell.stage.tool if cell.stage else ""),
         findings=finding_rows(checked),
-        first_findings=FIRST_FINDINGS,
-        first_tiles=FIRST_TILES,
+        first_findings=4,  # rows that are shown at once; the others follow behind a switch
+        first_tiles=3,  # before the findings: decision, as programmed, compensated
         scores=texts.line_scores(passes, paper) if path.straight else texts.part_scores(parts),
         features=None if path.straight else texts.feature_table(parts),
         more=[texts.typographic(t) for t in tables if t.rows],

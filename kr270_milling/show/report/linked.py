@@ -18,8 +18,6 @@ __all__ = ["Linked", "PartSurface", "StationSeries", "SurfaceErrors", "SourceLin
 
 LONGEST = 160  #: characters of a source line
 MOST_LINES = 4000  #: lines of the source; of a longer one only those on which a station lies
-MOST_CELLS = 120  #: nodes of the part's map along its longer side
-WALL_BUCKETS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +43,7 @@ class Linked:
     """k stations of the target in the order of time, and every pass there."""
 
     time: np.ndarray  #: [s], (k,)
-    way: np.ndarray  #: along the path [mm], (k,)
+    distance: np.ndarray  #: along the path [mm], (k,)
     x: np.ndarray  #: position of the target, workpiece frame [mm], (k,)
     y: np.ndarray
     z: np.ndarray
@@ -82,7 +80,7 @@ def linked(
     line = programmed.line_at(time_ns)
     return Linked(
         time=time_ns[chosen] * 1e-9,
-        way=path.distance[chosen] * 1e3,
+        distance=path.distance[chosen] * 1e3,
         x=target[chosen, 0] * 1e3,
         y=target[chosen, 1] * 1e3,
         z=target[chosen, 2] * 1e3,
@@ -151,12 +149,12 @@ class PartSurface:
 def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
     """The surfaces of all passes on one thinned grid; each cell shows its largest floor error."""
     floors, walls = parts[0].surface.floors, parts[0].surface.walls
-    share = max(1, -(-max(floors.height.shape) // MOST_CELLS))
+    share = max(1, -(-max(floors.height.shape) // 120))  # nodes of the part's map along its longer side
     x, y = (np.nanmean(_blocks(axis[None], 1, share), axis=-1)[0] * 1e3 for axis in (floors.x, floors.y))
     height = np.nanmean(_blocks(floors.height, share, share), axis=-1) * 1e3
     errors = [part.surface.walls.error for part in parts]
     same = [error for error in errors if error.size == walls.error.size]
-    chosen = np.unique(np.concatenate([envelope_index(error, WALL_BUCKETS) for error in same]))
+    chosen = np.unique(np.concatenate([envelope_index(error, 400) for error in same]))
     wall_x, wall_y, wall_z = walls.position[chosen].T * 1e3
     top = wall_z + walls.height[chosen] * 1e3
     unknown = np.full(chosen.size, np.nan)

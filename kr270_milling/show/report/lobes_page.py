@@ -20,7 +20,6 @@ from kr270_milling.studies.maps.lobes import engagement_text
 __all__ = ["write_lobes"]
 
 RPM = 30.0 / math.pi
-LOGARITHMIC = 20.0  #: ratio of two frequencies beyond which their axis is logarithmic
 
 
 def write_lobes(
@@ -51,7 +50,7 @@ def write_lobes(
         both = series | {"chatter": (speeds, chatter)}
         figures.append(points("Chatter at the limit", across, "frequency [Hz]", both, tuple(series), style))
         shown = [*filter(math.isfinite, chatter), *(mode[0] for rows in modes.values() for mode in rows)]
-        if max(shown) > LOGARITHMIC * min(shown):
+        if max(shown) > 20.0 * min(shown):  # ratio of two frequencies beyond which their axis is logarithmic
             figures[1].update_yaxes(type="log", dtick="D2")
     for figure in figures:  # one above the other
         figure.update_xaxes(range=ends)

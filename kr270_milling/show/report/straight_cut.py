@@ -27,7 +27,6 @@ from kr270_milling.show.report.series import deviation_of
 __all__ = ["charts_of", "force_law", "machined_profile", "micro_step_forces"]
 
 SAMPLES = 1000  #: samples of a reference trajectory
-MOST_MICRO_STEPS = 500_000  #: a longer pass is not swept a second time for its micro-step forces
 ZERO = ((0.0, ""),)  #: a level
 
 
@@ -73,9 +72,13 @@ def force_law(cutting: Cutting, feed_per_tooth: float, depth_of_cut: float) -> C
     caption = f"{caption} {law.caption}".rstrip()
     top = 1.08 * float(np.max(tangential)) * depth_of_cut
     panel = Panel(
-        "uncut chip thickness h [µm]", "force of one tooth [N]", curves, x_range=(0.0, float(micrometres[-1])),
-        y_range=(0.0, top), uprights=uprights,
-    )  # fmt: skip
+        "uncut chip thickness h [µm]",
+        "force of one tooth [N]",
+        curves,
+        x_range=(0.0, float(micrometres[-1])),
+        y_range=(0.0, top),
+        uprights=uprights,
+    )
     return Chart("force_law", "Cutting force of one tooth", "Fig. 3", caption, [panel])
 
 
@@ -134,7 +137,7 @@ def _of_pass(cell: Cell, scored: ScoredPass, shade) -> list[Chart]:
         curves.append(curve(f"{name} of a period", result.time, wrench[:, k], k + 1, "thin", legend=False))
         curves.append(curve(name, result.time, moving_mean(wrench[:, k], window), k + 1))
     panels = [Panel("time [s]", "force [N]", curves, "the whole pass", shade=shade)]
-    if result.micro_steps <= MOST_MICRO_STEPS:
+    if result.micro_steps <= 500_000:  # a longer pass is not swept a second time for its micro-step forces
         fine = micro_step_forces(cut_of(cell), result.tool, clock.micro_steps)
         count = min(len(fine), round(revolution / micro_step))
         time = (end - micro_step * np.arange(count)[::-1]) * 1e3

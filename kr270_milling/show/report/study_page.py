@@ -17,7 +17,6 @@ __all__ = ["COLOURS", "DIVERGING", "figure_of", "fragment", "points", "write_pag
 
 COLOURS: list[str] = page.COLOURS["light"]["series"]  # type: ignore[assignment]  #: a page replaces them in its dark theme
 DIVERGING = page.COLOURS["light"]["diverging"]  #: for values about zero
-STYLE = ("template", "colorway", "title")  #: style of a figure; a page has a separate style
 
 
 def figure_of(title: str, x: str, y: str):
@@ -83,5 +82,5 @@ def _capital(text: str) -> str:
 def _plain_figure(figure) -> dict:
     """Traces and layout of a figure without its style."""
     known = figure.to_plotly_json()
-    layout = {key: value for key, value in known["layout"].items() if key not in STYLE}
+    layout = {key: value for key, value in known["layout"].items() if key not in ("template", "colorway", "title")}
     return {"data": known["data"], "layout": layout}

@@ -18,12 +18,17 @@ def sweep_tables(summary: SweepSummary) -> list[TextTable]:
     head = ["row", *summary.keys, *SHOWN.values()]
     both = (("Least deviation", summary.best), ("Largest deviation", summary.worst))
     return [
-        TextTable(title, head, [
-            [str(row["index"]), *(_text(row[key]) for key in summary.keys), *(fixed(row[key]) for key in SHOWN)]
-            for row in rows
-        ])
-        for title, rows in both if rows
-    ]  # fmt: skip
+        TextTable(
+            title,
+            head,
+            [
+                [str(row["index"]), *(_text(row[key]) for key in summary.keys), *(fixed(row[key]) for key in SHOWN)]
+                for row in rows
+            ],
+        )
+        for title, rows in both
+        if rows
+    ]
 
 
 def write_sweep(folder, summary: SweepSummary, sentences: list[str], self_contained: bool = False) -> Path:

@@ -16,8 +16,21 @@ from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.robot import Arm
 
-__all__ = ["PAPER", "TABLE_2", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
-           "micro", "part_scores", "shown", "typeset", "typographic", "warning"]  # fmt: skip
+__all__ = [
+    "PAPER",
+    "TABLE_2",
+    "details",
+    "feature_table",
+    "fixed_text",
+    "input_rows",
+    "line_scores",
+    "micro",
+    "part_scores",
+    "shown",
+    "typeset",
+    "typographic",
+    "warning",
+]
 
 UM = 1e6
 #: source of the columns `paper`
@@ -144,15 +157,26 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
     for scored in passes:
         result = scored.result
         shift = float(np.linalg.norm(result.reference - result.target, axis=1).max())
-        rows.append((
-            scored.name, " / ".join(fixed_text(v, 2) for v in mean_force(result)), fixed_text(shift * UM, 2),
-            fixed_text(result.removed_volume * 1e9, 3), fixed_text(float(result.correction.max()) * 1e9, 2),
-            str(result.micro_steps), fixed_text(result.wall_time, 3),
-        ))  # fmt: skip
+        rows.append(
+            (
+                scored.name,
+                " / ".join(fixed_text(v, 2) for v in mean_force(result)),
+                fixed_text(shift * UM, 2),
+                fixed_text(result.removed_volume * 1e9, 3),
+                fixed_text(float(result.correction.max()) * 1e9, 2),
+                str(result.micro_steps),
+                fixed_text(result.wall_time, 3),
+            )
+        )
     columns = (
-        "pass", "mean force x / y / z, last quarter [N]", "largest shift of the reference [µm]", "removed volume [mm³]",
-        "largest correction of a predicted pose [nm]", "micro-steps", "computed in [s]",
-    )  # fmt: skip
+        "pass",
+        "mean force x / y / z, last quarter [N]",
+        "largest shift of the reference [µm]",
+        "removed volume [mm³]",
+        "largest correction of a predicted pose [nm]",
+        "micro-steps",
+        "computed in [s]",
+    )
     note = (
         "In each exchange period the arm predicts the pose of the tool, the cut answers with the mean wrench on the "
         "way there, and the arm corrects its pose with that wrench. The correction is what the chip geometry was wrong "

@@ -27,8 +27,12 @@ def tools_page(title: str, decision: DecisionOnTools, names: Sequence[str], page
         sentence=micro(decision.sentence),
         rows=rows,
         first=decision.worst[0],
-        data=page.to_json({
-            "mark": PLOTLY,
-            "pages": dict(zip(names, (text.replace(page.plotly_script(), PLOTLY, 1) for text in pages), strict=True)),
-        }),
-    )  # fmt: skip
+        data=page.to_json(
+            {
+                "mark": PLOTLY,
+                "pages": dict(
+                    zip(names, (text.replace(page.plotly_script(), PLOTLY, 1) for text in pages), strict=True)
+                ),
+            }
+        ),
+    )

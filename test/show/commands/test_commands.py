@@ -19,7 +19,7 @@ from kr270_milling.cell.models import arm_model_of, path_of
 from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
-from kr270_milling.show.commands.recordings import unique_names
+from kr270_milling.show.commands.reports import unique_names
 
 PROGRAMS = Path(__file__).parents[2] / "path" / "programs"
 TEST_PIECE = Path(__file__).parents[3] / "config" / "test_piece.nc"

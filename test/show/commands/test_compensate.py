@@ -19,7 +19,7 @@ from kr270_milling.decide.programs import krl
 @pytest.fixture
 def quick(monkeypatch):
     """Without the report, which is not what the test is about."""
-    monkeypatch.setattr("kr270_milling.show.report.report_text", lambda *_, **__: "figures left out")
+    monkeypatch.setattr("kr270_milling.show.commands.compensate.report_text", lambda *_, **__: "figures left out")
 
 
 def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[str]:

@@ -12,8 +12,6 @@ from kr270_milling.studies.identification.comparison import ComparedChannel, Com
 __all__ = ["advice", "comparison_outcome"]
 
 AGREES = 0.1  #: gains within this share of 1 need no new identification: batches of a material scatter by as much
-RINGS_ALIKE = 0.05  #: relative difference of two frequencies that agree
-DAMPS_ALIKE = 0.5  #: relative difference of two damping ratios that agree
 SURE = 2.0  #: standard deviations
 LARGE = 0.2  #: share of the largest force component from which a component is compared
 MOST_POINTS = 5000  #: points of a channel in the figure
@@ -24,8 +22,10 @@ UNITS = {"m": (1e6, "um", "um"), "N": (1.0, "n", "N")}  #: unit of a channel -> 
 def comparison_outcome(comparison: Comparison, recording: str, cell: str) -> Outcome:
     """Return the result of ``compare``; recording, cell: names of the files."""
     sentences = advice(comparison)
-    lags = [f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
-            for name, lag in comparison.lags.items()]  # fmt: skip
+    lags = [
+        f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
+        for name, lag in comparison.lags.items()
+    ]
     result = {
         "channels": [_as_dict(channel) for channel in comparison.channels],
         "lag_s": comparison.lags,
@@ -58,7 +58,8 @@ def advice(comparison: Comparison) -> list[str]:
             sentences.append(f"the deviation is {ratio:.2f} times what the measured forces explain: {cause}")
     if all(np.isfinite(values).all() for values in ringing.values()) and ringing:
         (ours, damping), (theirs, measured) = ringing["simulated"], ringing["measured"]
-        if abs(theirs / ours - 1.0) > RINGS_ALIKE or abs(measured / damping - 1.0) > DAMPS_ALIKE:
+        # relative differences of frequency and damping
+        if abs(theirs / ours - 1.0) > 0.05 or abs(measured / damping - 1.0) > 0.5:
             sentences.append(
                 f"the tool rings at {theirs:.2f} Hz with a damping ratio of {measured:.3f}, "
                 f"simulated {ours:.2f} Hz and {damping:.3f}: `identify damping`"

@@ -17,9 +17,6 @@ from kr270_milling.studies.identification.problem import Cause, Exclusion
 
 __all__ = ["BASE_Z", "compliance_outcome", "reason", "sentences"]
 
-HARDLY_NORMAL = 0.05  #: p-value of the normality test below which a sentence warns
-OUTLIER = 0.25  #: weight of a load test below which a sentence names the test
-WIDENED = 1.5  #: reduced chi^2 above which a sentence warns
 COLUMNS = ("number", "arm file", "identified", "95 % +-", "identified by the data")
 BASE_Z = "not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance"
 CAUSES = {
@@ -46,9 +43,16 @@ def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outc
     result = _as_dict(fit, None if refused else pose) | {"doubts": doubted, "usable": not refused}
     texts = [residual, *doubted, *sentences(fit, None if refused else pose, bool(doubts))]
     return Outcome(
-        "compliance", title, result, [TextTable(title, COLUMNS, rows)], texts, lambda: _figures(fit), _sections(fit),
-        "name this file in `includes` after the file of the arm", refused,
-    )  # fmt: skip
+        "compliance",
+        title,
+        result,
+        [TextTable(title, COLUMNS, rows)],
+        texts,
+        lambda: _figures(fit),
+        _sections(fit),
+        "name this file in `includes` after the file of the arm",
+        refused,
+    )
 
 
 def reason(fit: Fit, number: int) -> str:
@@ -73,12 +77,12 @@ def sentences(fit: Fit, pose: Measurements | None = None, doubted: bool = False)
     measured = fit.problem.measured.displacement[:, :3]
     if np.nansum(measured * (measured - fit.residuals[:, :3])) < 0.0:
         texts.append("the arm moved against its loads: look at the signs of forces and displacements")
-    outliers = np.flatnonzero(fit.weights < OUTLIER) + 1
+    outliers = np.flatnonzero(fit.weights < 0.25) + 1  # weight of a load test below which a sentence names the test
     if outliers.size:
         texts.append("tests that contradict the others: " + ", ".join(map(str, outliers.tolist())))
-    if fit.normality < HARDLY_NORMAL:
+    if fit.normality < 0.05:  # p-value of the normality test below which a sentence warns
         texts.append(f"the residuals are hardly normal (p = {fit.normality:.2g}): look for outliers, or a wrong load")
-    if fit.problem.measured.sigma_known and fit.chi2_reduced > WIDENED:
+    if fit.problem.measured.sigma_known and fit.chi2_reduced > 1.5:  # reduced chi^2 above which a sentence warns
         factor = np.sqrt(fit.chi2_reduced)
         texts.append(f"the residuals are {factor:.1f} times what sigma_um states; the intervals are widened by that")
     if pose is not None:
@@ -161,8 +165,9 @@ def _figures(fit: Fit) -> list:
     bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
     bars.add_bar(name="arm file", x=joints, y=(1e6 * fit.problem.arm.joint_compliance).tolist())
     heat = figure_of("Correlation of the fitted numbers", "", "")
-    heat.add_heatmap(x=names, y=names, z=fit.correlation.tolist(), zmin=-1, zmax=1, colorscale=DIVERGING,
-                     texttemplate="%{z:.2f}")  # fmt: skip
+    heat.add_heatmap(
+        x=names, y=names, z=fit.correlation.tolist(), zmin=-1, zmax=1, colorscale=DIVERGING, texttemplate="%{z:.2f}"
+    )
     heat.update_layout(yaxis_autorange="reversed", height=480)
     residuals = 1e6 * fit.residuals[:, :3]
     tests = np.arange(1, len(residuals) + 1)
@@ -173,11 +178,24 @@ def _figures(fit: Fit) -> list:
     axes = list(enumerate("xyz"))
     return [
         bars,
-        points("Measured against modelled displacement", "modelled [um]", "measured [um]",
-               {a: (modelled[:, i], measured[:, i]) for i, a in axes}),
-        points("Residuals of each load test", "test", "measured less modelled [um]",
-               {a: (tests, residuals[:, i]) for i, a in axes}),
-        points("Residuals against the normal distribution", "normal quantile", "residual [standard deviations]",
-               {"residuals": (normal, scaled), "normal": (normal, normal)}, ("normal",)),
+        points(
+            "Measured against modelled displacement",
+            "modelled [um]",
+            "measured [um]",
+            {a: (modelled[:, i], measured[:, i]) for i, a in axes},
+        ),
+        points(
+            "Residuals of each load test",
+            "test",
+            "measured less modelled [um]",
+            {a: (tests, residuals[:, i]) for i, a in axes},
+        ),
+        points(
+            "Residuals against the normal distribution",
+            "normal quantile",
+            "residual [standard deviations]",
+            {"residuals": (normal, scaled), "normal": (normal, normal)},
+            ("normal",),
+        ),
         heat,
-    ]  # fmt: skip
+    ]

@@ -16,9 +16,6 @@ from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PAR
 
 __all__ = ["force_outcome", "material_outcome"]
 
-COMPONENTS = {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[3]}
-MEASURED = "circle-open"  #: marker
-BETTER = 0.9  #: share of the residual of the linear-edge law below which another law is recommended
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 
 
@@ -72,8 +69,10 @@ def material_outcome(rows: list[Material], name: str | None, row: Material | Non
 
 def _table(fit: LawFit) -> TextTable:
     values = fit.as_dict()
-    rows = [[key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((values[key], 5), (width, 3)))]
-            for key, width in values["ci95"].items()]  # fmt: skip
+    rows = [
+        [key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((values[key], 5), (width, 3)))]
+        for key, width in values["ci95"].items()
+    ]
     title = f"{fit.law.replace('_', '-').capitalize()} law, residual {fit.residual_rms:.3g} N RMS"
     return TextTable(title, ["coefficient", "value", "95 % +-"], rows)
 
@@ -93,7 +92,8 @@ def _sentences(edge: LawFit, *others: LawFit) -> list[str]:
             sentences.append(f"{name} is negative: look at the signs and at the sense of rotation")
     if others:
         best = min(others, key=lambda other: other.lateral_rms)
-        better = best if best.lateral_rms < BETTER * edge.lateral_rms else edge
+        # share of the residual of the linear-edge law below which another law is recommended
+        better = best if best.lateral_rms < 0.9 * edge.lateral_rms else edge
         residuals = ", ".join(f"{fit.lateral_rms:.3g} N ({fit.law.replace('_', ' ')})" for fit in (edge, *others))
         sentences.append(f"residual of F_x and F_y {residuals}: use the {better.law.replace('_', '-')} law")
     return sentences
@@ -107,13 +107,20 @@ def _figures(fits: list[LawFit]) -> list:
     forces = {"measured": cuts.force} | {law: fit.modelled for law, fit in zip(names, fits, strict=True)}
 
     def by_component(rows_of_laws: dict) -> dict:
-        return {f"F_{axis} {law}": (feed, column) for law, rows in rows_of_laws.items()
-                for axis, column in zip("xyz", rows.T, strict=True)}  # fmt: skip
+        return {
+            f"F_{axis} {law}": (feed, column)
+            for law, rows in rows_of_laws.items()
+            for axis, column in zip("xyz", rows.T, strict=True)
+        }
 
     mean = by_component({law: rows * per_depth for law, rows in forces.items()})
     residuals = by_component({law: fit.residuals for law, fit in zip(names, fits, strict=True)})
-    symbols = {"measured": MEASURED} | {law: LAWS[fit.law].symbol for law, fit in zip(names, fits, strict=True)}
-    style = {f"F_{axis} {law}": (colour, symbols[law]) for law in forces for axis, colour in COMPONENTS.items()}
+    symbols = {"measured": "circle-open"} | {law: LAWS[fit.law].symbol for law, fit in zip(names, fits, strict=True)}
+    style = {
+        f"F_{axis} {law}": (colour, symbols[law])
+        for law in forces
+        for axis, colour in {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[3]}.items()
+    }
     return [
         points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", mean, (), style),
         points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),

@@ -15,14 +15,15 @@ from kr270_milling.studies.identification.signals import Signals
 
 __all__ = ["mode_outcome"]
 
-MOST_HZ = 200.0  #: end of the spectrum in the figure
-MOST_POINTS = 4000  #: points of a signal in the figure
-
 
 def mode_outcome(
-    modes: list[Mode], faint: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str,
+    modes: list[Mode],
+    faint: list[Mode],
+    signals: Signals,
+    shapes: np.ndarray | None,
+    title: str,
     doubts: Sequence[Doubt] = (),
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Return the result of ``identify damping``; shapes: mass-normalised shapes, (n, 6); None: not scaled.
 
     faint: modes that may be noise; they are listed and not used; doubts: about the signals and the units.
@@ -88,8 +89,8 @@ def _figures(signals: Signals) -> list:
     data = signals.values - signals.values.mean(0)
     frequency = np.fft.rfftfreq(len(data), signals.step)
     spectrum = np.abs(np.fft.rfft(data, axis=0)) * 2 / len(data)
-    thin = slice(None, None, max(1, len(time) // MOST_POINTS))
-    low = frequency < min(MOST_HZ, frequency[-1])
+    thin = slice(None, None, max(1, len(time) // 4000))  # points of a signal in the figure
+    low = frequency < min(200.0, frequency[-1])  # end of the spectrum in the figure
     by_channel = {name: (time[thin], data[thin, i]) for i, name in enumerate(signals.names)}
     spectra = {name: (frequency[low], spectrum[low, i]) for i, name in enumerate(signals.names)}
     return [

@@ -16,7 +16,6 @@ from kr270_milling.studies.identification.plan import Candidates, Design
 __all__ = ["blind_spots", "load_text", "plan_as_dict", "plan_tables", "write_plan"]
 
 LOADS = ("hang", "pull outward", "pull sideways", "pull between both")  #: kind of a candidate -> text
-BLIND = 0.5  #: relative standard deviation from which a compliance is practically unknown
 MODULE = "LOADTEST"
 JOINTS = 6  #: further sought numbers are those of the base
 SPEED = 10  #: [%] of the axis speeds
@@ -28,17 +27,28 @@ def plan_as_dict(plan: Candidates, designs: Mapping[str, Design], chosen: Design
     return {
         "blind_spots": blind_spots(chosen.relative, names),
         "sought": list(names),
-        "designs": [{"name": name, "error_um": 1e6 * d.pose_error, "relative": d.relative.tolist(),
-                     "determinant": d.determinant} for name, d in designs.items()],
-        "tests": [{"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
-                  for i, (q, w) in enumerate(zip(plan.tests.q, plan.tests.wrench, strict=True))],
-    }  # fmt: skip
+        "designs": [
+            {
+                "name": name,
+                "error_um": 1e6 * d.pose_error,
+                "relative": d.relative.tolist(),
+                "determinant": d.determinant,
+            }
+            for name, d in designs.items()
+        ],
+        "tests": [
+            {"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
+            for i, (q, w) in enumerate(zip(plan.tests.q, plan.tests.wrench, strict=True))
+        ],
+    }
 
 
 def plan_tables(plan: Candidates, designs: Mapping[str, Design]) -> list[TextTable]:
     """Return the comparison of the designs and of the tests."""
-    rows = [[name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
-            for name, d in designs.items()]  # fmt: skip
+    rows = [
+        [name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
+        for name, d in designs.items()
+    ]
     title = f"{len(plan.tests)} load tests: standard deviation of the displacement by 100 N at the cell's posture"
     tests = [[load_text(plan, i), " ".join(f"{a:7.2f}" for a in np.degrees(q))] for i, q in enumerate(plan.tests.q)]
     return [
@@ -52,7 +62,8 @@ def blind_spots(relative: np.ndarray, names: Sequence[str]) -> list[str]:
 
     relative: standard deviations of the factors, (p,); names: of the sought numbers, (p,).
     """
-    unseen = [name for name, deviation in zip(names, relative, strict=True) if deviation > BLIND]
+    # relative standard deviation from which a compliance is practically unknown
+    unseen = [name for name, deviation in zip(names, relative, strict=True) if deviation > 0.5]
     cure = "a horizontal pull turns joint 1, a --point off axis 6 turns joint 6, more tests help joints of small effect"
     texts = [f"{', '.join(unseen)}: these tests hardly identify the compliance; {cure}"] if unseen else []
     return texts + [BASE_Z] * (len(names) > JOINTS)

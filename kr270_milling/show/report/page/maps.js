@@ -19,16 +19,16 @@
   const filtered = () => Boolean(tolerance) && KR.by("beyond").checked;
   const isBeyond = (value) => Math.abs(value) > tolerance;
   /* [mm] of the path that is scored where it deviates by more than the tolerance. */
-  const lengthBeyond = (values) => values.reduce((sum, v, i) => sum + (i && linked.scored[i] && isBeyond(v) ? linked.way[i] - linked.way[i - 1] : 0), 0);
+  const lengthBeyond = (values) => values.reduce((sum, v, i) => sum + (i && linked.scored[i] && isBeyond(v) ? linked.distance[i] - linked.distance[i - 1] : 0), 0);
 
   /* Stations that a map draws: where the tool cuts and is scored, the largest value of each bucket remains. */
   function chosen(values) {
     const rows = [...values.keys()].filter((i) => linked.scored[i] && Number.isFinite(values[i]));
     if (rows.length <= 2 * BUCKETS) return rows;
-    const step = linked.way[linked.way.length - 1] / BUCKETS;
+    const step = linked.distance[linked.distance.length - 1] / BUCKETS;
     const best = new Map();
     for (const i of rows) {
-      const bucket = Math.floor(linked.way[i] / step);
+      const bucket = Math.floor(linked.distance[i] / step);
       best.set(bucket, KR.largest(values, [best.get(bucket) ?? i, i]));
     }
     return [...best.values()];

@@ -63,15 +63,19 @@ def page_text(template: str, scripts: Sequence[str], shared: bool = False, **val
     template, scripts: names of files in this folder, without suffix; shared: the page loads plotly from PLOTLY_FILE in
     its folder and does not contain plotly.
     """
-    return _templates().get_template(f"{template}.html").render(
-        version=__version__,
-        colours=json.dumps(COLOURS, separators=(",", ":")),
-        style=Markup(_text("report.css")),
-        shared=PLOTLY_FILE if shared else "",
-        plotly=plotly_script(),
-        scripts=Markup("\n".join(_text(f"{name}.js") for name in scripts)),
-        **values,
-    )  # fmt: skip
+    return (
+        _templates()
+        .get_template(f"{template}.html")
+        .render(
+            version=__version__,
+            colours=json.dumps(COLOURS, separators=(",", ":")),
+            style=Markup(_text("report.css")),
+            shared=PLOTLY_FILE if shared else "",
+            plotly=plotly_script(),
+            scripts=Markup("\n".join(_text(f"{name}.js") for name in scripts)),
+            **values,
+        )
+    )
 
 
 def _text(name: str) -> str:

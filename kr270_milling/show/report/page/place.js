@@ -49,13 +49,13 @@
 
   function words(i) {
     const line = linked.line[i] ? `, line ${linked.line[i]}` : "";
-    return `${linked.features[linked.feature[i]]}${line}, ${KR.num(linked.way[i], 1)} mm`;
+    return `${linked.features[linked.feature[i]]}${line}, ${KR.num(linked.distance[i], 1)} mm`;
   }
   function readout(i) {
     const parts = [["", linked.features[linked.feature[i]]]];
     if (linked.line[i]) parts.push(["line", linked.line[i]]);
     parts.push(["point", `XP${linked.point[i]}`], ["t", `${KR.num(linked.time[i], 3)} s`],
-      ["way", `${KR.num(linked.way[i], 2)} mm`],
+      ["way", `${KR.num(linked.distance[i], 2)} mm`],
       ["x y z", `${KR.num(linked.x[i], 2)} ${KR.num(linked.y[i], 2)} ${KR.num(linked.z[i], 2)} mm`]);
     for (const one of linked.passes) {
       const shift = Math.abs(one.correction[i]) > 0.005 ? `, shift ${KR.num(one.correction[i], 1)} µm` : "";

@@ -60,8 +60,8 @@
     const tip = inBase(KR.place);
     if (view === "tool") return tip.map((v) => [v - 0.32, v + 0.32]);
     const reach = Math.max(1.2, Math.hypot(tip[0], tip[1]) + 0.35);
-    const way = Math.hypot(tip[0], tip[1]) || 1;
-    const middle = [(0.42 * reach * tip[0]) / way, (0.42 * reach * tip[1]) / way];
+    const radius = Math.hypot(tip[0], tip[1]) || 1;
+    const middle = [(0.42 * reach * tip[0]) / radius, (0.42 * reach * tip[1]) / radius];
     const half = 0.68 * reach;
     return [[middle[0] - half, middle[0] + half], [middle[1] - half, middle[1] + half], [-0.02, 2 * half]];
   }

@@ -12,7 +12,7 @@
   ].filter((row) => row.least === undefined || shown(row.key, row.least));
 
   const along = () => document.querySelector("input[name=axis]:checked").value;
-  const horizontal = () => (along() === "time" ? linked.time : linked.way);
+  const horizontal = () => (along() === "time" ? linked.time : linked.distance);
 
   function traces() {
     const at = Array.from(horizontal());
@@ -133,7 +133,7 @@
     const hidden = new Set(KR.by("series").data.filter((t) => t.visible === "legendonly").map((t) => t.legendgroup));
     const passes = linked.passes.filter((_, k) => !hidden.has(k));
     const safe = (name) => name.replace(/[^\w-]+/g, "_").replace(/^-/, "_");
-    const columns = [["time_s", linked.time], ["way_mm", linked.way], ["x_mm", linked.x], ["y_mm", linked.y], ["z_mm", linked.z],
+    const columns = [["time_s", linked.time], ["way_mm", linked.distance], ["x_mm", linked.x], ["y_mm", linked.y], ["z_mm", linked.z],
       ["line", linked.line], ["point", linked.point],
       ...passes.flatMap((one) => ROWS.map((row) => [`${safe(one.name)}_${row.name}`, one[row.key]]))];
     const [low, high] = KR.by("series")._fullLayout.xaxis.range;
