@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
+from kr270_milling.base.column import column
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
@@ -389,11 +390,13 @@ def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]
 class Residue:
     """Vibration from tooth to tooth in a simulated pass, in which the arm moves and tool and spindle are rigid."""
 
-    word: str  #: "repeats", "grows", "remains" or "no statement"
-    residue: float  #: median from tooth to tooth, a share of the feed per tooth; NaN without a statement
-    limit: float = CHATTERS  #: the same share, above which the vibration does not repeat
+    word: str = column("word")  #: "repeats", "grows", "remains" or "no statement"
+    #: median from tooth to tooth, a share of the feed per tooth; NaN without a statement
+    residue: float = column("residue_share")
+    #: the same share, above which the vibration does not repeat
+    limit: float = column("limit_share", default=CHATTERS)
     teeth: bool = True  #: the pass resolves single teeth
-    time: float = 0.0  #: of the place [s]
+    time: float = 0.0  #: at the place [s]
 
     @property
     def text(self) -> str:
@@ -405,10 +408,6 @@ class Residue:
         share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
         word = {"grows": "vibration grows", "remains": "vibration without growth"}.get(self.word, "the motion repeats")
         return f"simulated pass (arm only): {word}, from tooth to tooth {share} % of the feed per tooth remain"
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {"word": self.word, "residue_share": self.residue, "limit_share": self.limit}
 
 
 def residue_of(cell: Cell, result: PassResult) -> Residue:

@@ -6,7 +6,6 @@ JSON, report and the header of every robot program print the same findings.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -263,10 +262,6 @@ class Finding:
     sentence: str  #: of the worst one
     count: int = 1
     amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the worst one, units in their names
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return dataclasses.asdict(self)
 
     @property
     def text(self) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.column import as_dict, column
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.cell.cell import Cell
@@ -37,16 +37,16 @@ POSTURES = 0.025  #: [m], between two places whose postures are modelled; the mo
 class FeatureLimit:
     """The engagement of one feature that comes nearest to its limit, or goes farthest beyond."""
 
-    name: str
-    limit: Lobe
-    time: float  #: of the place [s]
-    #: of the cut [m]
+    name: str = column("feature", short="feature")
+    limit: Lobe = column("*")
+    time: float = column("")  #: at the place [s]
+    #: depth of the cut [m]
     depth: float = column("depth_mm", 1e3, unit="mm", digits=3, short="depth")
     #: angle of a tooth [rad], from the feed in the sense of rotation
     entry: float = column("entry_deg", 180.0 / math.pi, unit="deg", digits=0, short="from")
     exit: float = column("exit_deg", 180.0 / math.pi, unit="deg", digits=0, short="to")  #: [rad]
 
-    @property
+    @computed("word")
     def word(self) -> str:
         """ "chatter" above the limit, "near the limit" within 20 % below, else "stable"."""
         if self.depth > self.limit.depth_limit:
@@ -68,18 +68,18 @@ class FeatureLimit:
         """Depth over its limit; infinite where every depth chatters."""
         return self.depth / self.limit.depth_limit if self.limit.depth_limit else math.inf
 
-    def as_dict(self) -> dict:
-        """For JSON."""
-        stable = self.depth <= self.limit.depth_limit
-        return {"feature": self.name, **as_dict(self), **as_dict(self.limit), "word": self.word, "stable": stable}
+    @computed("stable", short="stable")
+    def stable(self) -> bool:
+        """Return whether the depth is below its limit."""
+        return self.depth <= self.limit.depth_limit
 
 
 @dataclass(frozen=True)
 class Stability:
     """Statement for the whole path."""
 
-    features: tuple[FeatureLimit, ...]
-    with_tool: bool  #: whether the modes of tool and spindle are known
+    features: tuple[FeatureLimit, ...] = column("features")
+    with_tool: bool = column("tool_modes")  #: the modes of tool and spindle are known
     uniform_pitch: bool = True
 
     @property
@@ -87,7 +87,7 @@ class Stability:
         """The feature with the largest depth against its limit; None where nothing is milled."""
         return max(self.features, key=lambda one: one.share_of_limit, default=None)
 
-    @property
+    @computed("word")
     def word(self) -> str:
         """ "stable", "near the limit", "chatter" or "unknown"."""
         return self.worst.word if self.worst else "unknown"
@@ -99,9 +99,9 @@ class Stability:
             name = timed.toolpath.features[timed.toolpath.feature[int(timed.block_at(round(1e9 * time)))]] or "unnamed"
         return next((one.word for one in self.features if one.name == name), self.word)
 
-    @property
+    @computed("text")
     def text(self) -> str:
-        """One line, the same in every output."""
+        """Return one line, the same in every output."""
         if self.worst:
             known = f"{self.word} ({self.worst.name}: {self.worst.numbers})"
         else:
@@ -109,15 +109,6 @@ class Stability:
         if self.with_tool:
             return f"stability: arm, tool and spindle: {known}"
         return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "word": self.word,
-            "text": self.text,
-            "tool_modes": self.with_tool,
-            "features": [one.as_dict() for one in self.features],
-        }
 
 
 def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Stability:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.cell.stage import Removal, cleared, swept
@@ -183,11 +184,15 @@ class Floors:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What remains of a pass."""
+    """Surfaces of the part after a pass."""
 
     floors: Floors
     walls: Walls
-    floor_resolution: float  #: [m]
+    floor_resolution: float = column("floor_resolution_um", 1e6)  #: [m]
+
+    @computed("wall_points")
+    def wall_points(self) -> int:
+        return int(self.walls.error.size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.text import encoding_of
@@ -44,28 +45,16 @@ MOST_PARTS = 64  #: of one step of the controller
 class WrittenGcode:
     """The G-code of one tool, read back by ``read_gcode``."""
 
-    tool: str
-    source_blocks: int  #: lines with a feed move
-    blocks: int  #: G1 blocks in their place
-    error: float  #: [m], of the read path from the planned path, in the feed moves
-    duration: float  #: [s], by the time law of the controller, without the limits of the joints
-    planned_duration: float  #: [s], of the source by the same law
+    tool: str = column("tool")
+    source_blocks: int = column("source_blocks")  #: lines with a feed move
+    blocks: int = column("blocks")  #: G1 blocks in their place
+    error: float = column("error_um", 1e6)  #: [m], distance of the read path from the planned path, in the feed moves
+    duration: float = column("duration_s")  #: [s], by the time law of the controller, without the limits of the joints
+    planned_duration: float = column("planned_duration_s")  #: [s], duration of the source by the same law
 
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "tool": self.tool,
-            "source_blocks": self.source_blocks,
-            "blocks": self.blocks,
-            "error_um": 1e6 * self.error,
-            "duration_s": self.duration,
-            "planned_duration_s": self.planned_duration,
-            "sentence": self.text,
-        }
-
-    @property
+    @computed("sentence")
     def text(self) -> str:
-        """One line."""
+        """Return one line."""
         tool = f"{self.tool}: " if self.tool else ""
         return (
             f"{tool}{self.blocks} G1 blocks for {self.source_blocks} feed moves; read back, they are within "

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.cell.sections import Program
 from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.trajectory import Trajectory
@@ -81,34 +82,26 @@ def _thinned(
 
 @dataclass(frozen=True)
 class ProgramBlocks:
-    """What the planner of a controller must follow."""
+    """Load on the planner of a controller."""
 
-    points: int
-    duration: float  #: [s]
-    most: int  #: points in one second, at most
-    shortest: float  #: [s]
-    length: float  #: of the shortest block [m]
-    short: int  #: blocks shorter than ``SHORT_NS``
-    error: float  #: [m], of the motion through the points from the planned path
+    points: int = column("points")
+    duration: float = column("")  #: [s]
+    most: int = column("most_points_in_one_second")
+    shortest: float = column("shortest_block_ms", 1e3)  #: [s]
+    length: float = column("shortest_block_mm", 1e3)  #: [m], length of the shortest block
+    short: int = column("short_blocks")  #: blocks shorter than ``SHORT_NS``
+    error: float = column("error_um", 1e6)  #: [m], distance of the motion through the points from the planned path
 
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "points": self.points,
-            "points_per_second": self.points / self.duration,
-            "most_points_in_one_second": self.most,
-            "shortest_block_ms": 1e3 * self.shortest,
-            "shortest_block_mm": 1e3 * self.length,
-            "short_blocks": self.short,
-            "error_um": 1e6 * self.error,
-        }
+    @computed("points_per_second")
+    def points_per_second(self) -> float:
+        return self.points / self.duration
 
     @property
     def text(self) -> str:
-        """One line."""
+        """Return one line."""
         short = f", {self.short} shorter than {SHORT_NS / 1e6:g} ms" if self.short else ""
         return (
-            f"program: {self.points} points, {self.points / self.duration:.3g} a second, at most {self.most} in one; "
+            f"program: {self.points} points, {self.points_per_second:.3g} a second, at most {self.most} in one; "
             f"shortest block {1e3 * self.shortest:.3g} ms, {1e3 * self.length:.3g} mm{short}; the motion through the "
             f"points is within {1e6 * self.error:.2g} um of the planned path"
         )

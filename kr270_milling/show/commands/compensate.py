@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from kr270_milling.base.arguments import bounded
-from kr270_milling.base.column import CONVERGED, TextTable, columns, columns_of, fixed, table_of
+from kr270_milling.base.column import CONVERGED, TextTable, as_dict, columns, columns_of, fixed, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.physics.compensation.methods import BEST, METHODS
@@ -121,7 +121,7 @@ def _values(cell, done) -> dict:
     values["passes"] = [ran.row() for ran in (original, revised)]
     values |= _correction(cell, revised, done.by)
     values["features"] = {part.name: part.table() for part in done.parts}
-    values["check"] = done.checked.as_dict()
+    values["check"] = as_dict(done.checked)
     values["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
     return values | done.decision.as_dict()
 
@@ -177,7 +177,7 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
             {"tool": cell.stage.tool, "level": one.pop("decision"), **one}
             for (cell, _), one in zip(jobs, tools, strict=True)
         ]
-        return {**decision.as_dict(), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
+        return {**as_dict(decision), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
     tools[0]["programs"]["manifest"] = [manifest]
     return tools[0] | report | gcode
 
@@ -191,7 +191,7 @@ def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dic
         method="-".join(dict.fromkeys(done.revised.name for _, done in jobs)), released=released,
     )  # fmt: skip
     lines = [f"{path.name}: for KUKA.CNC, another robot or a machine tool.", *(one.text for one in tools), SCORED]
-    values = {"file": str(final(path)), "tools": [one.as_dict() for one in tools]}
+    values = {"file": str(final(path)), "tools": list(map(as_dict, tools))}
     return {"gcode": values}, "\n" + "\n  ".join(lines) + "\n"
 
 

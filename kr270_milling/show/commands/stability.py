@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from kr270_milling.base.arguments import grid
-from kr270_milling.base.column import as_dict, columns_of, table_of, yes
+from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, command, option
 from kr270_milling.show.commands.console import Answer, cell_of
@@ -54,10 +54,11 @@ def run_stability(args) -> Answer:
     cell = cell_of(args)
     about = {"cell": args.cell, "arm": not args.no_arm}
     if args.along:
-        rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
+        rows = list(map(as_dict, feature_limits(cell, not args.no_arm)))
         rpm = cell.tool.spindle_speed * 30.0 / math.pi
         title = f"Limit depth along the path, as in check, at {rpm:.0f} rpm{_rigid(cell)}"
-        columns = ("feature", "feature", 1), *columns_of(FeatureLimit), *columns_of(Lobe)[1:], ("stable", "stable", yes)
+        *engagement, stable = columns_of(FeatureLimit)
+        columns = *engagement, *columns_of(Lobe)[1:], stable
         return Answer(about | {"features": rows}, [table_of(title, columns, rows)])
     nominal = cell.tool.spindle_speed * 30.0 / math.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, LOBE_SPEEDS)
