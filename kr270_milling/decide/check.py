@@ -29,7 +29,6 @@ from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
 RAPID_MOVES = "removed by rapid moves"
-MOST_ROWS = 2**19  #: of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
 MOST_LINES = 10  #: of the program that the line about rapid moves names
 
 __all__ = ["RAPID_MOVES", "Checked", "check"]
@@ -190,7 +189,8 @@ def _cut(
     try:
         if ran is None:
             with progress("milling") as report:
-                ran = simulate(cell, run, "checked", report, most_rows=MOST_ROWS)
+                most_rows = 2**19  # of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
+                ran = simulate(cell, run, "checked", report, most_rows=most_rows)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
         failed = violation("deflection", error.deflection, FLIGHT, point, said=error)

@@ -136,10 +136,6 @@ def _verdict(
     return monte_carlo(cell, program, robots, seed, progress=report, method=revised.name, others=programs)
 
 
-WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the written program may differ
-WRITTEN_STEP = 0.5e-6  #: [m], differences below it come from the 0.1 um of the points
-
-
 def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation]:
     """A violation where planned and written program differ by more than a share of the planned deviation.
 
@@ -147,7 +143,9 @@ def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation
     arm with little damping swings by twice of it.
     """
     plan, error = planned.max_deviation, written.max_deviation
-    if abs(error - plan) <= max(WRITTEN_SHARE * plan, 2.0 * tolerance + WRITTEN_STEP):
+    written_share = 0.2  # share of the planned deviation by which that of the written program may differ
+    written_step = 0.5e-6  # [m], differences below it come from the 0.1 um of the points
+    if abs(error - plan) <= max(written_share * plan, 2.0 * tolerance + written_step):
         return []
     return [violation("written program", error, plan)]
 

@@ -27,9 +27,7 @@ __all__ = ["FeatureLimit", "Stability", "chatter_violations", "feature_limits", 
 ANGLE = math.radians(10.0)  #: to which angles of engagement are rounded
 FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
 DIRECTION = math.radians(30.0)  #: to which feed directions are rounded
-FEED = 1e-4  #: [m/s], to which feeds are rounded
 FEWEST_TEETH = 10  #: of an engagement; vibration has no time to grow in fewer
-MARGIN = 0.8  #: share of the limit depth above which a cut gets a warning
 POSTURES = 0.025  #: [m], between two places whose postures are modelled; the modes change little in between
 
 
@@ -51,7 +49,8 @@ class FeatureLimit:
         """ "chatter" above the limit, "near the limit" within 20 % below, else "stable"."""
         if self.depth > self.limit.depth_limit:
             return "chatter"
-        return "near the limit" if self.depth > MARGIN * self.limit.depth_limit else "stable"
+        margin = 0.8  # share of the limit depth above which a cut gets a warning
+        return "near the limit" if self.depth > margin * self.limit.depth_limit else "stable"
 
     @property
     def numbers(self) -> str:
@@ -186,7 +185,8 @@ def _groups(arcs: Arcs, shortest: float) -> dict[tuple, np.ndarray]:
     leave = np.where(arcs.exit > FULL, 9, np.round(arcs.exit / ANGLE)).astype(int)
     entry, leave = np.minimum(entry, 8), np.maximum(leave, np.minimum(entry, 8) + 1)
     turn = np.round(arcs.heading / DIRECTION).astype(int) % round(2.0 * np.pi / DIRECTION)
-    keys = np.column_stack([arcs.feature, entry, leave, turn, np.round(arcs.feed / FEED).astype(int)])
+    feed = 1e-4  # [m/s], to which feeds are rounded
+    keys = np.column_stack([arcs.feature, entry, leave, turn, np.round(arcs.feed / feed).astype(int)])
     groups: dict[tuple, list[int]] = {}
     for row, key in enumerate(map(tuple, keys.tolist())):
         groups.setdefault(key, []).append(row)

@@ -22,7 +22,6 @@ from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 __all__ = ["DecisionOnTools", "in_turn"]
 
 Done = TypeVar("Done")
-SAME_PLACE = 1e-9  #: [m]
 
 
 def in_turn(
@@ -50,7 +49,8 @@ def _removal(cell: Cell, ran: ScoredPass | None) -> Removal:
     if ran is None:
         return programmed
     way = ran.result.actual
-    moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > SAME_PLACE
+    same_place = 1e-9  # [m]
+    moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > same_place
     way = np.ascontiguousarray(way[np.concatenate([[True], moved])])
     return dataclasses.replace(programmed, actual=way, spring_back=spring_back(cell, ran))
 

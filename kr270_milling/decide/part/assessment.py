@@ -18,8 +18,6 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 
 __all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all", "assess_result"]
 
-QUANTILE = 0.95
-
 
 def _deviation(key: str, title: str, short: str):
     """Return a field in metres, shown in um, with the convergence of the grid as its least size."""
@@ -83,12 +81,13 @@ class PartAssessment:
         normal = np.abs(self.deviation[mine, 1])
         wall = np.abs(left.walls.error if feature is None else left.walls.error[left.walls.feature == feature])
         floor = np.abs(left.floors.errors(feature))
+        quantile = 0.95
         return FeatureRow(
             name=name,
             cut_length=float(np.diff(self.path.distance, prepend=0.0)[mine].sum()),
             max_normal=_of(np.max, normal),
             mean_normal=_of(np.mean, normal),
-            quantile_normal=_of(lambda values: np.quantile(values, QUANTILE), normal),
+            quantile_normal=_of(lambda values: np.quantile(values, quantile), normal),
             max_vertical=_of(np.max, np.abs(self.deviation[mine, 2])),
             max_wall=_of(np.max, wall),
             mean_wall=_of(np.mean, wall),

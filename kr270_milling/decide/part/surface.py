@@ -28,12 +28,8 @@ from kr270_milling.physics.cutting import CutModel, Stock, Tool
 
 __all__ = ["Floors", "IdealPart", "IdealWalls", "Marks", "Surface", "Walls", "ideal_part", "remaining_walls", "surface"]
 
-SLOPE = 0.02  #: a steeper floor is a wall
-DEEPEST = 20e-6  #: [m]; marks this much deeper than their neighbours still are weighed against them
-NEIGHBOURS = 48  #: at most; a tool that rests marks one place with every tooth
 CHUNK = 5_000  #: marks at once, with the neighbours of each 25 kB
 CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
-PARALLEL = 0.98  #: cosine between normals of one wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,15 +141,18 @@ def _reach(hits: Marks, error: np.ndarray, staying: Marks, own: np.ndarray, leve
     if not out.size:
         return out
     tree = cKDTree(hits.point)
-    bound = float(np.sqrt(2.0 * hits.radius.max() * DEEPEST))
+    deepest = 20e-6  # [m]; marks this much deeper than their neighbours still are weighed against them
+    bound = float(np.sqrt(2.0 * hits.radius.max() * deepest))
+    neighbours = 48  # at most; a tool that rests marks one place with every tooth
+    parallel = 0.98  # cosine between normals of one wall
     for first in range(0, out.size, CHUNK):
         mine = staying[first : first + CHUNK]
-        _, near = tree.query(mine.point, k=min(NEIGHBOURS, len(hits)), distance_upper_bound=bound)
+        _, near = tree.query(mine.point, k=min(neighbours, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
         exists = near < len(hits)
         near = np.where(exists, near, 0)
         theirs = hits[near]
-        same = exists & (np.einsum("mkd,md->mk", theirs.normal, mine.normal) > PARALLEL)
+        same = exists & (np.einsum("mkd,md->mk", theirs.normal, mine.normal) > parallel)
         same &= theirs.centre[..., 2] <= mine.centre[:, None, 2] + level  # a higher pass does not touch the wall here
         away = theirs.centre[..., :2] - mine.point[:, None]
         across = away[..., 0] * mine.normal[:, None, 1] - away[..., 1] * mine.normal[:, None, 0]
@@ -257,9 +256,10 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
     spacing = stock.grid_step * ideal.thinning
     width = 1 + 2 * int(np.ceil((largest + 2.0 * stock.grid_step) / spacing))
     rise = maximum_filter(ideal.height, width, mode="nearest") - minimum_filter(ideal.height, width, mode="nearest")
+    slope = 0.02  # a steeper floor is a wall
     floor = (
         ~ideal.unjudged
-        & (rise <= 2.0 * ideal.level + SLOPE * width * spacing)
+        & (rise <= 2.0 * ideal.level + slope * width * spacing)
         & (ideal.height < stock.max[2] - 0.5 * ideal.level)
     )
     error = np.where(floor, height - ideal.height, np.nan)

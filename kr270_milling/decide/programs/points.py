@@ -22,9 +22,6 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
-THINNINGS = 4  #: times that each point is left out on trial
-REACH = 2  #: stretches to both sides in which a point that is left out changes the path
-LEVER = 0.1  #: [m], length of a tool: a turn by an angle moves its shank by the angle times the length
 
 
 def point_numbers(
@@ -66,14 +63,16 @@ def _thinned(
 ) -> np.ndarray:
     """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
     limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
-    for turn in range(3 * THINNINGS):
+    thinnings = 4  # times that each point is left out on trial
+    reach = 2  # stretches to both sides in which a point that is left out changes the path
+    for turn in range(3 * thinnings):
         out = np.arange(len(chosen)) % 3 == turn % 3
         out &= ~fixed[chosen]
         while out.any():
             over = _errors(program, runs, knots[chosen[~out]]) > limit
             if not over.any():
                 break
-            near = np.convolve(over, np.ones(2 * REACH + 1), "same") > 0.0
+            near = np.convolve(over, np.ones(2 * reach + 1), "same") > 0.0
             back = near[np.cumsum(~out)[out] - 1]  # the stretch in which the point was
             out[np.flatnonzero(out)[back if back.any() else slice(None)]] = False
         chosen = chosen[~out]
@@ -153,13 +152,14 @@ def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.
     stops, number = runs[0].standing[points], np.arange(len(runs[0]))
     stretch = np.clip(np.searchsorted(points, number, side="right") - 1, 0, len(points) - 2)
     worst = np.zeros(len(points) - 1)
+    lever = 0.1  # [m], length of a tool: a turn by an angle moves its shank by the angle times the length
     for run in runs:
         spline = program.motion == "SPLINE"
         place = places_on_program(run, points, run.position[points], stops, spline)
         np.maximum.at(worst, stretch, np.linalg.norm(place - run.position, axis=1))
         if np.any(run.quaternion != run.quaternion[0]):
             turned = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
-            np.maximum.at(worst, stretch, LEVER * _angle(turned.sample_orientation(run.time_ns), run.quaternion))
+            np.maximum.at(worst, stretch, lever * _angle(turned.sample_orientation(run.time_ns), run.quaternion))
     return worst
 
 
