@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from hostile import SHORT
 from hypothesis import settings
-from json_keys import every_answer_is_in_the_table
+from json_keys import answer_of, every_answer_is_in_the_table
 from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
 
 from kr270_milling.cell.cell import Cell
@@ -184,7 +184,7 @@ def demo(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as text:
         patch.setattr(command, "_answer", lambda *arguments: calls.append(arguments) or answer(*arguments))
         assert main(["demo", "--plain", "--out", directory]) == 0
-    with contextlib.redirect_stdout(io.StringIO()) as as_json:
+    with contextlib.redirect_stdout(io.StringIO()) as as_json, answer_of("demo"):
         answer(*calls[0]).print(as_json=True)
     passes, printed = {p.name: p for p in calls[0][0]}, json.loads(as_json.getvalue())
     return SimpleNamespace(passes=passes, text=text.getvalue(), json=printed, directory=directory)

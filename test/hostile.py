@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from json_keys import answer_of
 
 from kr270_milling.cli import main
 from kr270_milling.show.commands.options import make_parser, run
@@ -54,7 +55,8 @@ def answered(*words: str, code: int = 0) -> dict:
 def printed(capsys, *words: str) -> tuple[int, str, dict, str]:
     """Run a command once; return its exit code, what it prints for a reader, its JSON, and its warnings."""
     answer = run(make_parser().parse_args(words))
-    code = answer.print(as_json=True)
+    with answer_of(words[0]):
+        code = answer.print(as_json=True)
     text, warnings = capsys.readouterr()
     assert answer.print(as_json=False) == code
     return code, capsys.readouterr().out, json.loads(text), warnings

@@ -1,11 +1,15 @@
-"""The table of the JSON keys, ``guide/json.md``: which keys of an answer have no row."""
+"""The table of the JSON keys, ``guide/json.md``: keys of answers and columns of records that have no row."""
 
 from __future__ import annotations
 
 import contextlib
 import re
+import typing
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 from pathlib import Path
+
+from kr270_milling.base.column import columns
 
 PAGE = Path(__file__).parents[1] / "kr270_milling" / "guide" / "json.md"
 RECORD = re.compile(r"\[[^]]*\]\(#([a-z0-9-]+)\)")
@@ -37,25 +41,45 @@ def read_page() -> dict[str, dict[str, str]]:
 
 
 TABLES = read_page()
+_command = [""]  # whose answer is printed now
+
+
+def keys_of(kind: type) -> set[str]:
+    """Return the keys that ``as_dict`` writes for a record of a class, those of its flattened records with them."""
+    types = typing.get_type_hints(kind)
+    inner = [types.get(c.name) for c in columns(kind) if c.key == "*"]
+    keys = {c.key for c in columns(kind)} - {"", "*"}
+    return keys.union(*(keys_of(record) for record in inner if is_dataclass(record)))
+
+
+@contextlib.contextmanager
+def answer_of(command: str) -> Iterator[None]:
+    """Name the command whose answers are printed inside."""
+    before, _command[0] = _command[0], command
+    try:
+        yield
+    finally:
+        _command[0] = before
 
 
 @contextlib.contextmanager
 def every_answer_is_in_the_table() -> Iterator[None]:
-    """Compare every answer that a command prints as JSON with the table, whatever test runs the command."""
+    """Compare every answer that a command prints as JSON with the table, whatever test runs the command.
+
+    A test that prints an answer without ``cli`` names its command by ``answer_of``; otherwise the test fails.
+    """
     from kr270_milling import cli
     from kr270_milling.show.commands import console
 
-    run, print_json, command = cli._run, console.print_json, [""]
+    run, print_json = cli._run, console.print_json
 
     def compared_run(argv):
-        command[0] = argv[0] if argv and argv[0] in TABLES else ""
-        try:
+        with answer_of(argv[0] if argv and argv[0] in TABLES else ""):
             return run(argv)
-        finally:
-            command[0] = ""
 
     def compared_print(value):
-        missing = sorted(set(without_row(value, command[0]))) if command[0] else []
+        assert _command[0], "an answer of an unknown command: print it inside json_keys.answer_of"
+        missing = sorted(set(without_row(value, _command[0])))
         assert not missing, f"{PAGE.name} has no row for {missing}"
         print_json(value)
 

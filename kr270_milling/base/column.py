@@ -7,7 +7,8 @@ Terminal tables, JSON, CSV files and the report take their columns from there::
         max_deviation: float = column("max_deviation_um", 1e6, "largest deviation", "um", digits=2, short="max")
 
 The key of JSON is ``max_deviation_um``, the heading is ``largest deviation [µm]`` in the report and ``max [um]`` in the
-terminal. ``computed`` does the same for a property.
+terminal. ``computed`` does the same for a property. ``as_dict`` makes the dictionary for JSON and CSV from them; the
+tables of ``guide/json.md`` are compared with the same columns.
 
 Tables print ``< 0.1`` for a deviation of a part (``least=CONVERGED``) that is smaller than what another grid changes.
 JSON and CSV have the number. ``Scores`` of a straight cut keep their digits, for comparison with Table 2 of the paper.
@@ -18,10 +19,24 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
 
-__all__ = ["CONVERGED", "Column", "TextTable", "as_dict", "column", "columns", "columns_of", "computed", "fixed",
-           "table_of", "yes"]  # fmt: skip
+__all__ = [
+    "CONVERGED",
+    "Column",
+    "TextTable",
+    "as_dict",
+    "column",
+    "columns",
+    "columns_of",
+    "computed",
+    "fixed",
+    "table_of",
+    "yes",
+]
+
+Value = TypeVar("Value")
 
 #: [m]; a finer or coarser grid changes the deviation of the paper's pass by up to 0.06 um, see guide/numbers.md
 CONVERGED = 1e-7
@@ -32,7 +47,7 @@ class Column:
     """Name, unit and format of a field in files and tables; the value of the field is in SI."""
 
     name: str  #: field of the record
-    key: str  #: in JSON and CSV, ends in its unit; "": the field is not written
+    key: str  #: in JSON and CSV, ends in its unit; "": not written; "*": the keys of the value, a record or dictionary
     factor: float  #: SI -> unit of the key
     title: str  #: in the report; "": the field is not shown there
     unit: str  #: in tables
@@ -46,8 +61,10 @@ class Column:
         """Return the title, or the short one, with the unit."""
         return (self.short if short else self.title) + (f" [{self.unit}]" if self.unit else "")
 
-    def text(self, written: float) -> str:
+    def text(self, written: float | str | bool) -> str:
         """Return a value of JSON as text, in the unit of the tables."""
+        if isinstance(written, (str, bool)):
+            return yes(written) if isinstance(written, bool) else written
         value = written / self.factor * self.scale
         return self.infinite if written == math.inf else fixed(value, self.digits, self.least * self.scale)
 
@@ -62,13 +79,18 @@ class TextTable(NamedTuple):
 
 
 def _about(
-    key: str, factor: float = 1.0, title: str = "", unit: str = "", scale: float | None = None, digits: int = 1,
-    short: str = "", infinite: str = "inf", least: float = 0.0,
-) -> dict:  # fmt: skip
+    key: str,
+    factor: float = 1.0,
+    title: str = "",
+    unit: str = "",
+    scale: float | None = None,
+    digits: int = 1,
+    short: str = "",
+    infinite: str = "inf",
+    least: float = 0.0,
+) -> dict:
     """Return the column but for its name; scale: default the factor of the key."""
-    about = dict(key=key, factor=factor, title=title, unit=unit, digits=digits, short=short, infinite=infinite,
-                 least=least)  # fmt: skip
-    return about | {"scale": factor if scale is None else scale}
+    return {**locals(), "scale": factor if scale is None else scale}
 
 
 def column(*about, default: object = dataclasses.MISSING, **more):
@@ -76,14 +98,14 @@ def column(*about, default: object = dataclasses.MISSING, **more):
     return dataclasses.field(default=default, metadata={"column": _about(*about, **more)})
 
 
-class _Computed(property):
+class _Computed(cached_property):
     about: dict
 
 
-def computed(*about, **more) -> Callable[[Callable], Any]:
-    """Return a decorator that makes a property with its column; about, more: as of ``column``."""
+def computed(*about, **more) -> Callable[[Callable[[Any], Value]], cached_property[Value]]:
+    """Return a decorator that makes a cached property with its column; about, more: as of ``column``."""
 
-    def decorate(function: Callable) -> property:
+    def decorate(function: Callable) -> cached_property:
         computed = _Computed(function)
         computed.about = _about(*about, **more)
         return computed
@@ -92,16 +114,35 @@ def computed(*about, **more) -> Callable[[Callable], Any]:
 
 
 def columns(record) -> tuple[Column, ...]:
-    """Return the columns of a record or of its class: the fields in their order, then the properties."""
+    """Return the columns of a record or of its class: the fields in their order, then the properties.
+
+    A record without any column is written by the names of its fields.
+    """
     fields = {f.name: f.metadata["column"] for f in dataclasses.fields(record) if "column" in f.metadata}
     kind = record if isinstance(record, type) else type(record)
     properties = {name: value.about for name, value in vars(kind).items() if isinstance(value, _Computed)}
-    return tuple(Column(name, **about) for name, about in (fields | properties).items())
+    plain = {} if fields or properties else {f.name: _about(f.name) for f in dataclasses.fields(record)}
+    return tuple(Column(name, **about) for name, about in (fields | properties | plain).items())
 
 
-def as_dict(record) -> dict[str, float]:
-    """Return key -> value in the unit of the key, for JSON and CSV."""
-    return {c.key: getattr(record, c.name) * c.factor for c in columns(record) if c.key}
+def as_dict(record) -> dict[str, Any]:
+    """Return key -> value in the unit of the key, for JSON and CSV; records inside become dictionaries, too."""
+    result: dict[str, Any] = {}
+    for c in columns(record):
+        if c.key:
+            value = _written(getattr(record, c.name), c.factor)
+            result |= value if c.key == "*" else {c.key: value}
+    return result
+
+
+def _written(value, factor: float):
+    if dataclasses.is_dataclass(value):
+        return as_dict(value)
+    if isinstance(value, (list, tuple)):
+        return [_written(v, factor) for v in value]
+    if isinstance(value, dict):
+        return {k: _written(v, factor) for k, v in value.items()}
+    return value if value is None or factor == 1.0 else value * factor
 
 
 def columns_of(record, unit: str = "") -> tuple[tuple, ...]:

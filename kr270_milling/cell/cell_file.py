@@ -25,8 +25,6 @@ from kr270_milling.physics.robot import pose
 
 __all__ = ["cell_text", "read_cell", "read_cells", "write_cell_file"]
 
-SAME_PLACE = 1e-3  #: [mm], [deg]
-LONG_CUTTING = 60.0  #: [s]; programs that cut longer are not swept tooth by tooth where cutting.detail is auto
 #: sections that a tool may override; its other keys are those of ``tool``
 SECTIONS = ("compensation", "cutting", "dynamics", "exchange", "limits", "mount", "part", "program", "stock", "timing")
 
@@ -115,7 +113,8 @@ def _with_cut_model(cell: Cell) -> Cell:
     detail = cell.cutting.detail
     if detail == "auto":
         with contextlib.suppress(InputError):
-            detail = "engagement" if cell.path.cutting_time > LONG_CUTTING else "teeth"
+            long_cutting = 60.0  # [s]; a longer cut is not swept tooth by tooth
+            detail = "engagement" if cell.path.cutting_time > long_cutting else "teeth"
     if detail != "engagement":
         return cell.replace(cutting=cell.cutting.replace(detail=detail)) if detail != cell.cutting.detail else cell
     return cell.replace(
@@ -140,9 +139,10 @@ def _placed(cell: Cell, assigned: frozenset, path) -> Cell:
     moved = False
     for spec in (spec for spec in specs(Workpiece) if spec.name in place):
         given = getattr(workpiece, spec.name)
+        same_place = 1e-3  # [mm], [deg]
         if assigned & {f"workpiece.{spec.key}", "workpiece.base_kuka"}:
             moved = True
-        elif given.size and not np.allclose(given, place[spec.name], rtol=0.0, atol=SAME_PLACE * spec.scale):
+        elif given.size and not np.allclose(given, place[spec.name], rtol=0.0, atol=same_place * spec.scale):
             value = tree_of(workpiece)[spec.key]
             raise ConfigError(path, f"workpiece.{spec.key}", value, "left out: at_start_joints places the workpiece")
         if given.size:

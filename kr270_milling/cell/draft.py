@@ -21,20 +21,14 @@ TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="ut
 ALLOWANCE = 5e-3  #: [m], around the path of the cutter and below it
 ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
-PLACES = 100_000  #: of a path, at most
-LEAST_SHARE = 0.2  #: of the area that the path asks for; a stock that is cut down to less is no guess any more
-NEAR = 0.3  #: [m]; a path within this distance of its zero gets the place of the test piece
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
 ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: 0.0, B: 0.0, C: 0.0}}"
 PERIOD = 0.25e-3  #: [s], exchange period of the test piece
-LONGEST_PERIOD = 2e-3  #: [s]
 STEPS = 2e6  #: exchange periods that a pass should take at most
 RAPID = 0.2  #: [m/s], of rapid moves, as the template has it
 SPACING, POSTURES = 5.0, 2e4  #: [mm] between two modelled postures, and how many of them a long path should have
-NODES = 2.5e7  #: of the grid, 25 MB
 FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
 DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where the program does not state it
-LIPS = 2  #: of a twist drill
 #: keys of a tool, below ``tool`` or below its name
 TOOL = """\
       diameter_mm: {diameter}            # {diameter_source}
@@ -63,7 +57,6 @@ STRAIGHT = {
       feed_rate_m_per_min: 2.0           # yours""",
 }  # fmt: skip
 TOOLS = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
-LONGEST_NAME = 12  #: characters of a robot program, so that the name of the tool has room
 
 
 @dataclass(frozen=True)
@@ -107,7 +100,8 @@ def _box_of(path: Toolpath, radius: float) -> Box:
 def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
     """The box cut back until no rapid move below the top meets it, but for holes and where the tool has cut before."""
     down = np.flatnonzero(path.rapid & ~path.drilling & (path.position[:, 2] < box.high[2] - 1e-6))
-    distance, step = np.linspace(0.0, path.length, 2 + min(PLACES, int(path.length / CLEARANCE)), retstep=True)
+    places = 100_000  # of a path, at most
+    distance, step = np.linspace(0.0, path.length, 2 + min(places, int(path.length / CLEARANCE)), retstep=True)
     way, block = path.position_at(distance), path.block_at(distance)
     way, block = way[~path.rapid[block]], block[~path.rapid[block]]
     cut = box
@@ -120,7 +114,8 @@ def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
         nearest = np.clip(place, cut.low[:2], cut.high[:2])
         if math.dist(nearest, place) < radius + CLEARANCE:
             cut = max(_sides(cut, place, radius + CLEARANCE), key=lambda side: side.area)
-    return cut if cut.area > LEAST_SHARE * box.area else box
+    least_share = 0.2  # of the area that the path asks for; a stock that is cut down to less is no guess any more
+    return cut if cut.area > least_share * box.area else box
 
 
 def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
@@ -178,7 +173,8 @@ def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
 def _module_name(file: str) -> str:
     """A name of a robot program from that of a file."""
     name = re.sub(r"[^A-Z0-9]+", "_", pathlib.Path(file).stem.upper()).strip("_")
-    return (name if name[:1].isalpha() else f"P_{name}")[:LONGEST_NAME].rstrip("_")
+    longest_name = 12  # characters of a robot program, so that the name of the tool has room
+    return (name if name[:1].isalpha() else f"P_{name}")[:longest_name].rstrip("_")
 
 
 def _common(path: Toolpath, stock: Box) -> dict:
@@ -225,7 +221,8 @@ def _teeth(path: Toolpath) -> tuple[int, str]:
     if tool and tool.teeth:
         return tool.teeth, "[source: the tool's comment]"
     if path.drilling[~path.rapid].all() or (tool and "drill" in tool.description):
-        return LIPS, "yours: the lips of a twist drill"
+        lips = 2  # of a twist drill
+        return lips, "yours: the lips of a twist drill"
     return TEETH, ""
 
 
@@ -258,7 +255,8 @@ def _duration(path: Toolpath) -> float:
 
 def _period(path: Toolpath, speed: float) -> tuple[float, int]:
     """Exchange period [ms] of whole degrees of the spindle at a speed [rpm], longer for a path that takes long."""
-    wanted = min(max(PERIOD, _duration(path) / STEPS), LONGEST_PERIOD)
+    longest_period = 2e-3  # [s]
+    wanted = min(max(PERIOD, _duration(path) / STEPS), longest_period)
     steps = max(1, round(wanted * 6.0 * speed))
     return 1e3 * steps / (6.0 * speed), steps
 
@@ -266,14 +264,16 @@ def _period(path: Toolpath, speed: float) -> tuple[float, int]:
 def _grid(stock: Box, path: Toolpath, speed: float, teeth: int) -> float:
     """Grid step [um]: a fifth of the feed per tooth, up to a half where that is very fine, or what the stock needs."""
     per_tooth = 1e6 * float(path.feed[~path.rapid].max(initial=0.0)) / (speed / 60.0 * teeth)
-    least = 1e6 * math.sqrt(stock.area / NODES)
+    nodes = 2.5e7  # of the grid, 25 MB
+    least = 1e6 * math.sqrt(stock.area / nodes)
     wanted = max(0.2 * per_tooth, min(FINE, 0.5 * per_tooth), FINEST)
     return float(math.ceil(max(least, min(wanted, COARSEST))))
 
 
 def _place(stock: Box) -> list[float]:
     """[mm], on base_link: that of the test piece, for a path far from its zero with the middle of the stock there."""
-    if max(np.abs(stock.low[:2]).max(), np.abs(stock.high[:2]).max()) <= NEAR:
+    near = 0.3  # [m]; a path within this distance of its zero gets the place of the test piece
+    if max(np.abs(stock.low[:2]).max(), np.abs(stock.high[:2]).max()) <= near:
         return list(PLACE)
     middle = 1e3 * (stock.low + stock.high)[:2] / 2
     return [PLACE[0] - float(middle[0]), PLACE[1] - float(middle[1]), PLACE[2]]

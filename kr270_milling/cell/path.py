@@ -33,8 +33,6 @@ MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its serie
 MOST_TOOTH_STEPS = 1e10  #: micro-steps of single teeth in one pass, some 0.1 us each
 MOST_VISITS = 1e13  #: nodes under the footprint, each time that it is swept as a whole, some ns each
 MOST_POSTURES = 100_000  #: at which the arm's modes are computed, some ms and 3 kB each
-SAME_FEED = 1e-6  # [m/s]
-SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
 UPRIGHT = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
 
 
@@ -105,7 +103,8 @@ def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
     """Return the reason and the block where the programmed spindle differs from the spindle of the cell."""
     cutting = np.flatnonzero(~path.rapid[1:]) + 1
     speed = path.spindle_speed[cutting]
-    other = np.abs(np.abs(speed) - tool.spindle_speed) > SAME_SPEED
+    same_speed = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
+    other = np.abs(np.abs(speed) - tool.spindle_speed) > same_speed
     if not speed.any():
         return None
     if other.any():
@@ -164,7 +163,8 @@ def _extent(low: np.ndarray, high: np.ndarray) -> str:
 
 def check_feed(file: str, path: Toolpath, feed: float) -> None:
     """Raise InputError where the feeds of the program differ from the feed of the cell [m/s]; 0: the cell has none."""
-    other = ~path.rapid & (np.abs(path.feed - feed) > SAME_FEED)
+    same_feed = 1e-6  # [m/s]
+    other = ~path.rapid & (np.abs(path.feed - feed) > same_feed)
     if feed and other.any():
         block = int(np.argmax(other))
         reason = (

@@ -20,9 +20,6 @@ from kr270_milling.physics.robot.errors import JointLimitError, ReachError, Sing
 
 __all__ = ["CellPath", "ProgramPath", "StraightCut"]
 
-SLOW = 0.1  #: share of the time of the milling moves, for ``slow_feed``
-WIDE = 5.0  #: ratio of the widths of path and stock above which the unit is probably wrong
-
 
 @dataclass(frozen=True, eq=False)
 class _Programmed:
@@ -145,7 +142,8 @@ class ProgramPath(_Programmed):
         milling = np.flatnonzero(~path.rapid & ~path.drilling & (path.plane_length > 0.0) & (path.feed > 0.0))
         milling = milling[np.argsort(path.feed[milling], kind="stable")]
         time = np.cumsum(path.block_length[milling] / path.feed[milling])
-        return float(path.feed[milling[np.searchsorted(time, SLOW * time[-1])]]) if milling.size else 0.0
+        slow = 0.1  # share of the time of the milling moves, for ``slow_feed``
+        return float(path.feed[milling[np.searchsorted(time, slow * time[-1])]]) if milling.size else 0.0
 
     @functools.cached_property
     def fed(self) -> TimedPath:
@@ -219,7 +217,8 @@ class ProgramPath(_Programmed):
         reason = str(error).removesuffix(f" (pose {point})")
         extent = np.ptp(toolpath.position[:, :2], axis=0).max()
         width = (self.stock.max - self.stock.min)[:2].max()
-        if extent > WIDE * width:
+        wide = 5.0  # ratio of the widths of path and stock above which the unit is probably wrong
+        if extent > wide * width:
             reason += f"; the path is {extent / width:.0f} times as wide as the stock, check the unit (G20, G21)"
         return InputError(self.path.file, f"point {point + 1} of the path: {reason}", line)
 

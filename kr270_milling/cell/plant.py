@@ -27,10 +27,8 @@ __all__ = [
     "DIVERGED", "Plant", "coarser", "cores", "imperfect_arm", "imperfect_course", "joint_gaps", "perturbed",
 ]  # fmt: skip
 
-STIFFEST = 1e10  #: [N/m] of a tool: a stiffer one is rigid
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
-MOST_KNOTS = 20_000  #: at which the load on the joints is known along a path
 
 
 class Plant:
@@ -95,7 +93,8 @@ def joint_gaps(arm: PlacedArm, path: CellPath, reference: Trajectory, width: np.
     """
     clock = path.clock
     steps = clock.steps(reference.duration_ns)
-    every = max(path.exchange.steps_of(path.timing.controller_step), -(-steps // MOST_KNOTS))
+    most_knots = 20_000  # at which the load on the joints is known along a path
+    every = max(path.exchange.steps_of(path.timing.controller_step), -(-steps // most_knots))
     knots = np.arange(max(3, -(-steps // every) + 1))
     joints = arm.joints_along(reference, np.minimum(clock.stamp(knots * every), reference.duration_ns))
     frames = forward(arm.arm, arm.mount, joints)
@@ -178,7 +177,8 @@ def _softer(cell: Cell, rng: np.random.Generator, factors: np.ndarray) -> tuple[
     longest = tool.replace(stiffness=0.0, stick_out=min(0.5, assumed.tool_stick_out * tool.diameter))
     share = float(rng.random())
     soft = tool.lateral_compliance * float(factors[3]) or share * longest.lateral_compliance
-    stiffness = min(1.0 / soft, STIFFEST) if soft > 0.0 else 0.0
+    stiffest = 1e10  # [N/m] of a tool: a stiffer one is rigid
+    stiffness = min(1.0 / soft, stiffest) if soft > 0.0 else 0.0
     return base, tool.replace(stiffness=stiffness, stick_out=0.0)
 
 

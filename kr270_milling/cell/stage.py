@@ -15,10 +15,7 @@ from kr270_milling.physics.cutting import AL7075_T6, CutModel, Cutting, Engageme
 
 __all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
 
-PLACES_PER_RADIUS = 50  #: of a programmed path: between two places R / 20000 stays at the side
-FARTHEST = 1e-4  #: [m], between two places: on an arc of 1 mm the chord misses 1.3 um
 ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: of no effect: the spindle does not turn
-MOST_PLACES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +52,10 @@ class Stage:
 def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     """Return what a tool removes on its programmed path."""
     radius, length = float(tool.radii.max()), path.length
-    count = 2 + min(MOST_PLACES, int(length / min(radius / PLACES_PER_RADIUS, FARTHEST)))
+    places_per_radius = 50  # of a programmed path: between two places R / 20000 stays at the side
+    farthest = 1e-4  # [m], between two places: on an arc of 1 mm the chord misses 1.3 um
+    most_places = 1_000_000
+    count = 2 + min(most_places, int(length / min(radius / places_per_radius, farthest)))
     distance = np.union1d(np.linspace(0.0, length, count), np.cumsum(path.block_length))
     position = path.position_at(distance)
     return Removal(name, radius, position, position)

@@ -18,16 +18,9 @@ from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, 
 
 __all__ = ["Arcs", "arcs_along"]
 
-NODES_PER_RADIUS = 200  #: of the height map: a finishing cut of 0.05 mm with a cutter of 20 mm covers a row of nodes
-MOST_VISITS = 1e9  #: of nodes; a longer path takes a coarser map
-VISITS = 12.0  #: nodes at each place, as a multiple of those in a radius
-MOST_NODES = 2e7  #: of the height map
 LAG = 10  #: nodes: the crescent in front of the tool is then several nodes thick
 BLOCK = 2000  #: places of the path between two reports of progress
 EVERY = 8  #: places from one evaluation to the next
-FEWEST_NODES = 3  #: in material; fewer are the rounding of a curve
-CUTS = 1e-6  #: [m] of depth, less is rounding
-STEEP = 0.5  #: horizontal part of a unit tangent below which the tool drills rather than mills
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +50,14 @@ def arcs_along(
     timed, target, stock = path.timed, path.target, path.stock
     length = path.length
     area = float(np.prod((stock.max - stock.min)[:2]))
+    nodes_per_radius = 200  # of the height map: a finishing cut of 0.05 mm with a cutter of 20 mm covers a row of nodes
+    most_visits = 1e9  # of nodes; a longer path takes a coarser map
+    visits = 12.0  # nodes at each place, as a multiple of those in a radius
+    most_nodes = 2e7  # of the height map
     step = max(
-        radius / NODES_PER_RADIUS,
-        (VISITS * length * radius / MOST_VISITS) ** 0.5,
-        (area / MOST_NODES) ** 0.5,
+        radius / nodes_per_radius,
+        (visits * length * radius / most_visits) ** 0.5,
+        (area / most_nodes) ** 0.5,
     )
     distance = np.linspace(0.0, length, 2 + int(length / step))
     if timed:
@@ -80,7 +77,8 @@ def arcs_along(
         feature, features = np.zeros(distance.size, np.int64), ("straight cut",)
     level = np.hypot(tangent[:, 0], tangent[:, 1])
     heading = np.arctan2(tangent[:, 1], tangent[:, 0])
-    look = ~rapid & (level > STEEP)
+    steep = 0.5  # horizontal part of a unit tangent below which the tool drills rather than mills
+    look = ~rapid & (level > steep)
     grid = height_map(stock, step, swept, radius)
     for removal in earlier:
         lower_along(grid, removal.radius, on_map(removal.programmed))
@@ -91,7 +89,8 @@ def arcs_along(
         _engage(grid, swept, heading - MAP_TURN, radius, look, (count, depth, least, most), first, last)
         if progress is not None:
             progress(last, len(swept))
-    some = count >= FEWEST_NODES
+    fewest_nodes = 3  # in material; fewer are the rounding of a curve
+    some = count >= fewest_nodes
     left = (
         np.arcsin(np.clip((least[some] - step / 2) / radius, -1, 1)),
         np.arcsin(np.clip((most[some] + step / 2) / radius, -1, 1)),
@@ -126,6 +125,7 @@ def _engage(grid, path, heading, radius, look, met, first, last):
     """
     count, depth, least, most = met
     step = grid.step
+    cuts = 1e-6  # [m] of depth, less is rounding
     for k in range(first, last):
         before = max(k - LAG, 0)
         if k >= LAG:
@@ -134,7 +134,7 @@ def _engage(grid, path, heading, radius, look, met, first, last):
         if k % EVERY or not look[n]:
             continue
         x, y, z = path[k]
-        level = grid.top - max(z, path[before, 2]) - CUTS  # a tool on its way down removes a little floor everywhere
+        level = grid.top - max(z, path[before, 2]) - cuts  # a tool on its way down removes a little floor everywhere
         left_x, left_y = -np.sin(heading[n]), np.cos(heading[n])
         first_i = max(int((x - radius - grid.x) / step), 0)
         for i in range(first_i, min(int((x + radius - grid.x) / step) + 2, grid.depth.shape[0])):

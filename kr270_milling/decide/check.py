@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
@@ -28,7 +29,6 @@ from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
 RAPID_MOVES = "removed by rapid moves"
-MOST_ROWS = 2**19  #: of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
 MOST_LINES = 10  #: of the program that the line about rapid moves names
 
 __all__ = ["RAPID_MOVES", "Checked", "check"]
@@ -40,24 +40,39 @@ ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm tha
 class Checked:
     """The findings, the worst first."""
 
-    findings: tuple[Finding, ...]
-    points: int
-    ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
-    program: SourceProgram  #: what the file of the path says beside its moves
-    stability: Stability | None  #: of the programmed path, if the arm can follow it
-    residue: Residue | None  #: of the pass that was simulated
-    rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
-    exchange: ExchangeShare | None = None  #: of the pass that was simulated
-    load_reversals: tuple[Finding, ...] | None = None  #: each one, with its jump; None: no pass was simulated
-    blocks: ProgramBlocks | None = None  #: of the robot program; None: the arm cannot make the path
+    findings: tuple[Finding, ...] = column("findings")
+    points: int = column("points")
+    ran: ScoredPass | None = column("")  #: the simulated pass; None: the arm cannot make it
+    program: SourceProgram = column("")  #: contents of the file of the path beside its moves
+    stability: Stability | None = column("stability")  #: programmed path; None: the arm cannot follow it
+    residue: Residue | None = column("simulated_pass")
+    #: each rapid move through material; None: the arm cannot make the path
+    rapid_moves: tuple[Finding, ...] | None = column("rapid_moves", default=None)
+    exchange: ExchangeShare | None = None  #: simulated pass
+    #: each reversal, with its jump; None: no pass was simulated
+    load_reversals: tuple[Finding, ...] | None = column("load_reversals", default=None)
+    #: robot program; None: the arm cannot make the path
+    blocks: ProgramBlocks | None = column("program", default=None)
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
 
-    @property
+    @computed("may_be_run")
     def may_be_run(self) -> bool:
-        """Whether no finding forbids it."""
+        """Return whether there is no stop."""
         return not self.count("stop")
+
+    @computed("*")
+    def _counts(self) -> dict[str, int]:
+        return {f"{severity}s": self.count(severity) for severity in SEVERITIES}
+
+    @computed("largest_pose_correction_share")
+    def _share(self) -> float | None:
+        return self.exchange.share if self.exchange else None
+
+    @computed("read_over")
+    def _words(self) -> list[dict]:
+        return [{"word": word.word, "count": word.count} for word in self.program.read_over]
 
     def count(self, severity: str) -> int:
         """Findings of that severity, like ones counted once."""
@@ -86,9 +101,9 @@ class Checked:
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
         return [*read_over, *findings, self.rapid_text, *stability]
 
-    @property
+    @computed("removed_by_rapid_moves_mm3")
     def rapid_volume_mm3(self) -> float | None:
-        """What rapid moves remove; None where the arm cannot make the path."""
+        """Return the volume that rapid moves remove; None where the arm cannot make the path."""
         return None if self.rapid_moves is None else sum((f.amounts["volume_mm3"] for f in self.rapid_moves), 0.0)
 
     @property
@@ -100,23 +115,6 @@ class Checked:
         more = f" and {len(lines) - MOST_LINES} more" if len(lines) > MOST_LINES else ""
         where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:MOST_LINES])}{more})" if lines else ""
         return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
-
-    def as_dict(self) -> dict:
-        """For JSON; values and limits in the unit beside them."""
-        return {
-            "may_be_run": self.may_be_run,
-            "points": self.points,
-            **{f"{severity}s": self.count(severity) for severity in SEVERITIES},
-            "findings": [f.as_dict() for f in self.findings],
-            "removed_by_rapid_moves_mm3": self.rapid_volume_mm3,
-            "rapid_moves": None if self.rapid_moves is None else [f.as_dict() for f in self.rapid_moves],
-            "load_reversals": None if self.load_reversals is None else [f.as_dict() for f in self.load_reversals],
-            "stability": self.stability and self.stability.as_dict(),
-            "simulated_pass": self.residue and self.residue.as_dict(),
-            "largest_pose_correction_share": self.exchange and self.exchange.share,
-            "program": self.blocks and self.blocks.as_dict(),
-            "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
-        }
 
 
 def check(
@@ -191,7 +189,8 @@ def _cut(
     try:
         if ran is None:
             with progress("milling") as report:
-                ran = simulate(cell, run, "checked", report, most_rows=MOST_ROWS)
+                most_rows = 2**19  # of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
+                ran = simulate(cell, run, "checked", report, most_rows=most_rows)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
         failed = violation("deflection", error.deflection, FLIGHT, point, said=error)

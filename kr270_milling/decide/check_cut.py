@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
+from kr270_milling.base.column import column
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
@@ -30,15 +31,9 @@ __all__ = [
     "spring_back",
 ]
 
-NODES_PER_RADIUS = 50  #: of the height map, along its axes
-MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
-MOST_NODES = 2e7  #: of the height map; a small cutter in a large stock takes a coarser map
-SAME_AXIS = 1e-9  #: [m], sideways, of a move along the tool axis
 #: sine of the slope above which a way down is a plunge: no maker allows a steeper ramp without centre cutting
 PLUNGE = math.sin(math.radians(20.0))  # [Kyocera2021]: 20 deg at 25 mm, 16, 12.5, 11, 8.5, 6 deg at 28 to 50 mm
-SOLID_RAMP = math.tan(math.radians(5.0))  #: solid end mills take 2 to 5 deg (carbide-tooling.com, ramping angle)
 INSERT_RAMP = math.tan(math.radians(20.0))
-LEAST_INSERTS = 16e-3  #: [m], assumed: a smaller cutter with inserts is taken as a solid one
 #: [m], [Kyocera2021]: a bore of 2 D - 16 mm at least, so that the inserts cut 8 mm of the radius. A ramp at the angles
 #: above sinks 3.3 to 3.7 mm while the core passes a place (3.5 mm a turn are allowed): the depth of the hollow
 INSERT_WIDTH, HOLLOW = 8e-3, 3.7e-3
@@ -52,9 +47,6 @@ MOST_FEED, LARGEST_FEED = 0.1, 0.94e-3
 #: [N/m^2]. Cemented carbide: the largest stress of rotating bending tests, 700 to 1400 N/mm2 [Stephenson1984], 70 % of
 #: a flexural strength of 2000 N/mm2, as at 10^7 cycles [Nakajima2007]. High-speed steel: assumed
 CARBIDE_STRENGTH, STEEL_STRENGTH = 1400e6, 1000e6
-CARBIDE_MODULUS = 400e9  #: [N/m^2], above that of any steel
-HOLDER_WALL = 3e-3  #: [m], assumed: around the shank, of a slim shrink-fit chuck; a wider holder meets more
-BODY_EVERY = 8  #: places between two at which shank and holder are compared with the material
 FEWEST_TEETH = 60  #: in one stretch of cutting; fewer say nothing about growth
 #: share of the feed per tooth, median of the thirds of ``FEWEST_TEETH``: measured up to 0.11 in sound cuts of 8 to
 #: 80 um a tooth, mostly noise of the grid in thin chips, and 0.19 to 8 where teeth leave the material in chatter
@@ -62,9 +54,7 @@ CHATTERS = 0.15
 GRID_NOISE = (
     0.4  #: ``CHATTERS`` per grid step per feed per tooth: larger where the grid is no finer than ``init`` writes
 )
-LASTS = 2.0 / 3.0  #: share of the vibration that a third of ``FEWEST_TEETH`` later is left, less dies out
 GROWS = 1.5  #: ratio of one third of a stretch to the third before
-SURE = 0.2  #: share of the limit below which growth may be noise
 SMALL = 0.001  #: share of the feed per tooth that is printed as a number
 
 
@@ -132,7 +122,8 @@ def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[n
     position: of the programmed path; near [m]: from a place of the move to the places of the cut.
     """
     move = np.diff(position, axis=0, prepend=position[:1])
-    along = rapid & (np.hypot(*move[:, :2].T) < SAME_AXIS)
+    same_axis = 1e-9  # [m], sideways, of a move along the tool axis
+    along = rapid & (np.hypot(*move[:, :2].T) < same_axis)
     leaves, again = along & (move[:, 2] >= 0.0), np.zeros(len(rapid), bool)
     down, cuts = np.flatnonzero(along & ~leaves), np.flatnonzero(~rapid)
     if down.size and cuts.size:
@@ -150,7 +141,8 @@ def _bodies(cell: Cell, position: np.ndarray) -> np.ndarray:
     """Radius of shank and holder and their height above the tip [m], (2, 2); an infinite height: meets nothing."""
     tool, deepest = cell.tool, float(cell.stock.max[2] - position[:, 2].min())
     radius = (tool.shank_diameter or tool.diameter) / 2.0
-    bodies = np.array([[radius, tool.flute_length], [radius + HOLDER_WALL, tool.stick_out]])
+    holder_wall = 3e-3  # [m], assumed: around the shank, of a slim shrink-fit chuck; a wider holder meets more
+    bodies = np.array([[radius, tool.flute_length], [radius + holder_wall, tool.stick_out]])
     if radius <= tool.radius:
         bodies[0, 1] = 0.0
     bodies[(bodies[:, 1] == 0.0) | (bodies[:, 1] >= deepest)] = 0.0, math.inf
@@ -165,6 +157,7 @@ def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
     material before the series.
     """
     depth, inner, volume, sunk = met[:4]
+    body_every = 8  # places between two at which shank and holder are compared with the material
     for k in range(path.shape[0]):
         last, count = path[max(k - 1, 0)], path.shape[0]
         if series[k] and (k == 0 or series[k] != series[k - 1]):
@@ -180,7 +173,7 @@ def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
         below = grid.top - path[k, 2]
         for n in range(bodies.shape[0]):
             upright = path[k, 0] == last[0] and path[k, 1] == last[1]
-            if below > bodies[n, 1] and (upright or k % BODY_EVERY == 0):
+            if below > bodies[n, 1] and (upright or k % body_every == 0):
                 highest = near_axis(grid, lost[:, :0, :0], bodies[n, 0], path[k], k)[1]
                 met[4 + n, k] = max(0.0, below - bodies[n, 1] - highest)
 
@@ -192,10 +185,13 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     length = path_of(cell).length
     area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
     # length / (step / 2) places of pi (radius / step)^2 nodes each are to stay below MOST_VISITS
+    nodes_per_radius = 50  # of the height map, along its axes
+    most_visits = 2e9  # of nodes, about a nanosecond each; a longer path takes a coarser map
+    most_nodes = 2e7  # of the height map; a small cutter in a large stock takes a coarser map
     step = max(
-        radius / NODES_PER_RADIUS,
-        (2.0 * np.pi * length * radius**2 / MOST_VISITS) ** (1.0 / 3.0),
-        math.sqrt(area / MOST_NODES),
+        radius / nodes_per_radius,
+        (2.0 * np.pi * length * radius**2 / most_visits) ** (1.0 / 3.0),
+        math.sqrt(area / most_nodes),
     )
     count = 2 + int(2.0 * length / step)
     if timed is None:
@@ -247,7 +243,8 @@ def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     # one tooth in a slot feels K f a, K of tangent and radius; the mean of all is K f a teeth / 4
     peak = max(1.0, 4.0 / tool.teeth) if cell.cutting.by_engagement else 1.0
     stress = peak * tool.bending_stress * np.linalg.norm(ran.result.wrench[:, :2], axis=1)
-    limit = CARBIDE_STRENGTH if tool.modulus > CARBIDE_MODULUS else STEEL_STRENGTH
+    carbide_modulus = 400e9  # [N/m^2], above that of any steel
+    limit = CARBIDE_STRENGTH if tool.modulus > carbide_modulus else STEEL_STRENGTH
     return results + violations("tool bending", _by_points(run, ran, stress), limit)
 
 
@@ -373,11 +370,13 @@ def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]
     tool, where = cell.tool, {"points": points, "block": met.block}
     results = violations("plunge", met.sunk, 0.0, steep, part="cutter plunges", most="", **where)
     core = core_radius(tool.radius)
-    solid, part = 2.0 * core * SOLID_RAMP, f"middle of the cutter, {2e3 * core:.3g} mm wide, sinks"
+    solid_ramp = math.tan(math.radians(5.0))  # solid end mills take 2 to 5 deg (carbide-tooling.com, ramping angle)
+    solid, part = 2.0 * core * solid_ramp, f"middle of the cutter, {2e3 * core:.3g} mm wide, sinks"
     timed = path_of(cell).timed
     program = timed.toolpath.program.current if timed else None
     inserts = tool.type == "indexable" or (tool.type == "program" and program is not None and program.inserts)
-    limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if inserts and tool.diameter >= LEAST_INSERTS else solid
+    least_inserts = 16e-3  # [m], assumed: a smaller cutter with inserts is taken as a solid one
+    limit = min(2.0 * core * INSERT_RAMP, HOLLOW) if inserts and tool.diameter >= least_inserts else solid
     for allowed, severity in ((limit, "stop"), (solid, "warning")):
         if not results:
             most = f"; makers allow {1e3 * allowed:.2g} mm"
@@ -389,11 +388,13 @@ def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]
 class Residue:
     """Vibration from tooth to tooth in a simulated pass, in which the arm moves and tool and spindle are rigid."""
 
-    word: str  #: "repeats", "grows", "remains" or "no statement"
-    residue: float  #: median from tooth to tooth, a share of the feed per tooth; NaN without a statement
-    limit: float = CHATTERS  #: the same share, above which the vibration does not repeat
+    word: str = column("word")  #: "repeats", "grows", "remains" or "no statement"
+    #: median from tooth to tooth, a share of the feed per tooth; NaN without a statement
+    residue: float = column("residue_share")
+    #: the same share, above which the vibration does not repeat
+    limit: float = column("limit_share", default=CHATTERS)
     teeth: bool = True  #: the pass resolves single teeth
-    time: float = 0.0  #: of the place [s]
+    time: float = 0.0  #: at the place [s]
 
     @property
     def text(self) -> str:
@@ -405,10 +406,6 @@ class Residue:
         share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
         word = {"grows": "vibration grows", "remains": "vibration without growth"}.get(self.word, "the motion repeats")
         return f"simulated pass (arm only): {word}, from tooth to tooth {share} % of the feed per tooth remain"
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {"word": self.word, "residue_share": self.residue, "limit_share": self.limit}
 
 
 def residue_of(cell: Cell, result: PassResult) -> Residue:
@@ -433,6 +430,8 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     cuts = result.volume > 0.0
     if seconds.size > 1:  # between two teeth of a narrow cut nothing is removed
         cuts = np.convolve(cuts, np.ones(1 + math.ceil(period / (seconds[1] - seconds[0]))))[: cuts.size] > 0.0
+    lasts = 2.0 / 3.0  # share of the vibration that a third of ``FEWEST_TEETH`` later is left, less dies out
+    sure = 0.2  # share of the limit below which growth may be noise
     for first, last in stretches(cuts) if result.every == 1 else ():
         time = seconds[first:last]
         teeth = np.arange(time[0], time[-1], period)
@@ -441,12 +440,12 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
         at_teeth = np.stack([np.interp(teeth, time, result.deflection[first:last, k]) for k in range(2)], 1)
         change = np.diff(at_teeth, 4, axis=0) / (16.0 * feed_per_tooth)  # a motion that alternates counts whole
         early, middle, late = _medians(change, unequal)
-        if late > SURE * limit and late > GROWS * middle > GROWS**2 * early:
+        if late > sure * limit and late > GROWS * middle > GROWS**2 * early:
             grows, worst = True, max(worst, (late, float(time[-1])))
         windows = np.array_split(change, max(1, teeth.size // FEWEST_TEETH))
         for k, thirds in enumerate(_medians(window, unequal) for window in windows):
             place = float(time[0] + (k + 0.5) / len(windows) * (time[-1] - time[0]))
-            worst = max(worst, (sorted(thirds)[1] if thirds[2] > LASTS * thirds[0] else 0.0, place))
+            worst = max(worst, (sorted(thirds)[1] if thirds[2] > lasts * thirds[0] else 0.0, place))
     if worst[0] < 0.0:
         return Residue("no statement", np.nan, limit)
     word = "grows" if grows or worst[0] > limit else "repeats"

@@ -143,8 +143,6 @@ def _verdict(
 
 
 DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
-WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the written program may differ
-WRITTEN_STEP = 0.5e-6  #: [m], differences below it come from the 0.1 um of the points
 
 
 def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation]:
@@ -154,7 +152,9 @@ def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation
     arm with little damping swings by twice of it.
     """
     plan, error = planned.max_deviation, written.max_deviation
-    if abs(error - plan) <= max(WRITTEN_SHARE * plan, 2.0 * tolerance + WRITTEN_STEP):
+    written_share = 0.2  # share of the planned deviation by which that of the written program may differ
+    written_step = 0.5e-6  # [m], differences below it come from the 0.1 um of the points
+    if abs(error - plan) <= max(written_share * plan, 2.0 * tolerance + written_step):
         return []
     return [violation("written program", error, plan)]
 

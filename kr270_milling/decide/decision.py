@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from kr270_milling.base.column import as_dict
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.limits import Limit, limit_line, measurements
 from kr270_milling.decide.tolerance import Judgement, um_text
@@ -127,8 +128,8 @@ class Decision:
             "decision": self.level,
             "sentence": self.sentence,
             "quantity": self.compensated.quantity,
-            "as_programmed": self.as_programmed.as_dict(),
-            "compensated": self.compensated.as_dict(),
+            "as_programmed": as_dict(self.as_programmed),
+            "compensated": as_dict(self.compensated),
             "may_be_run": self.may_be_run,
             "method": self.method,
             "recommended_method": self.recommended_method,

@@ -6,7 +6,6 @@ JSON, report and the header of every robot program print the same findings.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -21,9 +20,7 @@ __all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gath
            "violation", "violations"]  # fmt: skip
 
 DEG = 180.0 / math.pi
-ROUNDING = 1e-5  #: share of a limit that a value may lie above it: what was cut down to the limit is not beyond it
 EXCEEDS = " exceeds {limit:.4g} {unit} ({where}): {value:.4g} {unit} at point {point}"
-SAME_PLACE = 1e-9  #: [m], rounding of distances along a path
 SEVERITIES = ("stop", "warning", "note")  #: the worst first; "stop": must not be run
 
 
@@ -220,7 +217,8 @@ def violations(
     """
     value = np.asarray(value, float)
     limits = np.broadcast_to(limit, len(value))
-    over = ~(value <= limits * (1 + ROUNDING)) if over is None else over
+    rounding = 1e-5  # share of a limit that a value may lie above it: what was cut down to the limit is not beyond it
+    over = ~(value <= limits * (1 + rounding)) if over is None else over
     points = np.arange(1, len(value) + 1) if points is None else points
     worst = np.where(np.isnan(value), np.inf, value) if worst is None else worst
     results = []
@@ -263,10 +261,6 @@ class Finding:
     sentence: str  #: of the worst one
     count: int = 1
     amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the worst one, units in their names
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return dataclasses.asdict(self)
 
     @property
     def text(self) -> str:
@@ -319,4 +313,5 @@ def _place(path: CellPath, run: Trajectory, worst: Violation) -> Place:
 def _block_to(fed: TimedPath, point: int) -> int:
     """The block that leads to a point, counted from 1; where two blocks meet, the block that ends there."""
     ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point, len(fed.distance)) - 1]
-    return int(np.clip(np.searchsorted(ends, distance - SAME_PLACE), 1, len(ends) - 1))
+    same_place = 1e-9  # [m], rounding of distances along a path
+    return int(np.clip(np.searchsorted(ends, distance - same_place), 1, len(ends) - 1))

@@ -17,19 +17,10 @@ from kr270_milling.physics.cutting.materials import materials
 
 __all__ = ["input_violations"]
 
-#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2014]: 0.15 to 2.13)
-COMPLIANCE = 1e-8, 1e-4
-#: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
-LINK_MASS = 1.0, 2e3
 #: [rad] assumed: usual angles of a spindle from the axis of the flange, and how far bracket and calibration miss them
 MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)
 BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist is there
-WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its force is noise
-MATERIAL_RANGE = 0.3, 3.0  #: factors of the least and the largest published K_tc; beyond them a unit has slipped
-DIAMETER_ROUNDING = 20e-6  #: [m], of a diameter in a comment: 0.394 in for 10 mm
-REGROUND = 0.02  #: share of the diameter that regrinding takes; a larger difference is another tool
 MOST_OUTSIDE = 0.5  #: share of the cutting moves outside of the stock; leads and overlaps take less
-PLACES = 100_000  #: of a path, at most
 
 
 def input_violations(cell: Cell) -> list[Violation]:
@@ -39,7 +30,11 @@ def input_violations(cell: Cell) -> list[Violation]:
 
 def _unlikely_arm(cell: Cell) -> list[Violation]:
     arm, mass = cell.arm, cell.mount.mass
-    findings = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
+    # [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2014]: 0.15 to 2.13)
+    compliance = 1e-8, 1e-4
+    # [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
+    link_mass = 1.0, 2e3
+    findings = _unlikely("compliance", arm.joint_compliance, compliance) + _unlikely("mass", arm.link_mass, link_mass)
     if arm.payload and mass > arm.payload:
         findings.append(violation("payload", mass, arm.payload))
     return findings + _mounting(cell)
@@ -68,7 +63,8 @@ def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> lis
 
 def _placement(cell: Cell) -> list[Violation]:
     """A workpiece out of reach, a grid that is too coarse for the tool."""
-    arm, step, widest = cell.arm, cell.stock.grid_step, WIDEST_GRID * cell.tool.radius
+    widest_grid = 0.05  # of the tool's radius: with fewer nodes across a cut its force is noise
+    arm, step, widest = cell.arm, cell.stock.grid_step, widest_grid * cell.tool.radius
     reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
     away = float(np.hypot(*cell.workpiece.xyz[:2]))
     findings = []
@@ -108,7 +104,8 @@ def _material(cell: Cell) -> list[Violation]:
     law = cell.cutting.active
     if not isinstance(law, LinearEdgeLaw):
         return []
-    low, high = (factor * value for factor, value in zip(MATERIAL_RANGE, _published(), strict=True))
+    material_range = 0.3, 3.0  # factors of the least and the largest published K_tc; beyond them a unit has slipped
+    low, high = (factor * value for factor, value in zip(material_range, _published(), strict=True))
     value = law.tangential_cutting
     if low <= value <= high:
         return []
@@ -134,8 +131,10 @@ def _program(cell: Cell) -> list[Violation]:
         findings.append(violation("drilling", float(holes), 0.0, block=block, number=number))
     if tool is None:
         return findings
-    if tool.diameter and abs(tool.diameter - cell.tool.diameter) > DIAMETER_ROUNDING:
-        other = abs(tool.diameter - cell.tool.diameter) > REGROUND * tool.diameter
+    diameter_rounding = 20e-6  # [m], of a diameter in a comment: 0.394 in for 10 mm
+    if tool.diameter and abs(tool.diameter - cell.tool.diameter) > diameter_rounding:
+        reground = 0.02  # share of the diameter that regrinding takes; a larger difference is another tool
+        other = abs(tool.diameter - cell.tool.diameter) > reground * tool.diameter
         severity = "stop" if other else "warning"
         findings.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
                                label=tool.label))  # fmt: skip
@@ -169,7 +168,8 @@ def _along_axis(cell: Cell, path: Toolpath) -> bool:
 def _outside(cell: Cell, path: Toolpath) -> list[Violation]:
     """Features whose cutting moves never pass over the stock, and a path that is outside of the stock mostly."""
     low, high, radius = cell.stock.min, cell.stock.max, float(cell.tool.radii.max())
-    distance = np.linspace(0.0, path.length, 2 + min(PLACES, int(4.0 * path.length / radius)))
+    places = 100_000  # of a path, at most
+    distance = np.linspace(0.0, path.length, 2 + min(places, int(4.0 * path.length / radius)))
     position, block = path.position_at(distance), path.block_at(distance)
     cuts = ~path.rapid[block]
     away = np.hypot(*(position[:, :2] - np.clip(position[:, :2], low[:2], high[:2])).T)

@@ -18,7 +18,6 @@ from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
 
 __all__ = ["backlash_statement", "load_reversals"]
 
-LEAST_JUMP = 1e-7  #: [m], of the tool; a smaller jump shows nowhere
 ARCSEC = math.pi / 648000  # [rad]
 
 
@@ -29,8 +28,9 @@ def load_reversals(arm: PlacedArm, path: CellPath, run: Trajectory, ran: ScoredP
     """
     width, result = arm.arm.backlash, ran.result
     places = []
+    least_jump = 1e-7  # [m], of the tool; a smaller jump shows nowhere
     for step, joint, jump in tool_jumps(joint_gaps(arm, path, run, width, result.every), result.wrench):
-        if jump < LEAST_JUMP:
+        if jump < least_jump:
             continue
         point = int(np.clip(np.searchsorted(run.time_ns, result.time_ns[step]), 0, len(run) - 1)) + 1
         amounts = {"arcsec": float(width[joint] / ARCSEC), "friction_n_m": float(arm.arm.friction_torque[joint])}

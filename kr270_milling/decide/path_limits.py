@@ -22,7 +22,6 @@ from kr270_milling.physics.robot.inverse import branches
 
 __all__ = ["arm_violations", "corner_blending", "correction_per_tick", "correction_size"]
 
-LEAST_ROUNDING = 1e-7  #: [m], of a corner; less is no matter
 MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
 
@@ -147,5 +146,6 @@ def corner_blending(
     inner = points[1:-1]
     rounded = np.where(original.standing[inner], 0.0, distance * half_sine / 2)
     correction = np.linalg.norm(revised.position - original.position, axis=1)[inner]
-    ratio = np.where(rounded < LEAST_ROUNDING, 0.0, rounded / np.maximum(correction, 1e-9))
+    least_rounding = 1e-7  # [m], of a corner; less is no matter
+    ratio = np.where(rounded < least_rounding, 0.0, rounded / np.maximum(correction, 1e-9))
     return violations("corner blending", ratio, share, points=inner + 1)

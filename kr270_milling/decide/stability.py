@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.column import as_dict, column
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.cell.cell import Cell
@@ -27,9 +27,7 @@ __all__ = ["FeatureLimit", "Stability", "chatter_violations", "feature_limits", 
 ANGLE = math.radians(10.0)  #: to which angles of engagement are rounded
 FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
 DIRECTION = math.radians(30.0)  #: to which feed directions are rounded
-FEED = 1e-4  #: [m/s], to which feeds are rounded
 FEWEST_TEETH = 10  #: of an engagement; vibration has no time to grow in fewer
-MARGIN = 0.8  #: share of the limit depth above which a cut gets a warning
 POSTURES = 0.025  #: [m], between two places whose postures are modelled; the modes change little in between
 
 
@@ -37,21 +35,22 @@ POSTURES = 0.025  #: [m], between two places whose postures are modelled; the mo
 class FeatureLimit:
     """The engagement of one feature that comes nearest to its limit, or goes farthest beyond."""
 
-    name: str
-    limit: Lobe
-    time: float  #: of the place [s]
-    #: of the cut [m]
+    name: str = column("feature", short="feature")
+    limit: Lobe = column("*")
+    time: float = column("")  #: at the place [s]
+    #: depth of the cut [m]
     depth: float = column("depth_mm", 1e3, unit="mm", digits=3, short="depth")
     #: angle of a tooth [rad], from the feed in the sense of rotation
     entry: float = column("entry_deg", 180.0 / math.pi, unit="deg", digits=0, short="from")
     exit: float = column("exit_deg", 180.0 / math.pi, unit="deg", digits=0, short="to")  #: [rad]
 
-    @property
+    @computed("word")
     def word(self) -> str:
         """ "chatter" above the limit, "near the limit" within 20 % below, else "stable"."""
         if self.depth > self.limit.depth_limit:
             return "chatter"
-        return "near the limit" if self.depth > MARGIN * self.limit.depth_limit else "stable"
+        margin = 0.8  # share of the limit depth above which a cut gets a warning
+        return "near the limit" if self.depth > margin * self.limit.depth_limit else "stable"
 
     @property
     def numbers(self) -> str:
@@ -68,18 +67,18 @@ class FeatureLimit:
         """Depth over its limit; infinite where every depth chatters."""
         return self.depth / self.limit.depth_limit if self.limit.depth_limit else math.inf
 
-    def as_dict(self) -> dict:
-        """For JSON."""
-        stable = self.depth <= self.limit.depth_limit
-        return {"feature": self.name, **as_dict(self), **as_dict(self.limit), "word": self.word, "stable": stable}
+    @computed("stable", short="stable")
+    def stable(self) -> bool:
+        """Return whether the depth is below its limit."""
+        return self.depth <= self.limit.depth_limit
 
 
 @dataclass(frozen=True)
 class Stability:
     """Statement for the whole path."""
 
-    features: tuple[FeatureLimit, ...]
-    with_tool: bool  #: whether the modes of tool and spindle are known
+    features: tuple[FeatureLimit, ...] = column("features")
+    with_tool: bool = column("tool_modes")  #: the modes of tool and spindle are known
     uniform_pitch: bool = True
 
     @property
@@ -87,7 +86,7 @@ class Stability:
         """The feature with the largest depth against its limit; None where nothing is milled."""
         return max(self.features, key=lambda one: one.share_of_limit, default=None)
 
-    @property
+    @computed("word")
     def word(self) -> str:
         """ "stable", "near the limit", "chatter" or "unknown"."""
         return self.worst.word if self.worst else "unknown"
@@ -99,9 +98,9 @@ class Stability:
             name = timed.toolpath.features[timed.toolpath.feature[int(timed.block_at(round(1e9 * time)))]] or "unnamed"
         return next((one.word for one in self.features if one.name == name), self.word)
 
-    @property
+    @computed("text")
     def text(self) -> str:
-        """One line, the same in every output."""
+        """Return one line, the same in every output."""
         if self.worst:
             known = f"{self.word} ({self.worst.name}: {self.worst.numbers})"
         else:
@@ -109,15 +108,6 @@ class Stability:
         if self.with_tool:
             return f"stability: arm, tool and spindle: {known}"
         return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "word": self.word,
-            "text": self.text,
-            "tool_modes": self.with_tool,
-            "features": [one.as_dict() for one in self.features],
-        }
 
 
 def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Stability:
@@ -195,7 +185,8 @@ def _groups(arcs: Arcs, shortest: float) -> dict[tuple, np.ndarray]:
     leave = np.where(arcs.exit > FULL, 9, np.round(arcs.exit / ANGLE)).astype(int)
     entry, leave = np.minimum(entry, 8), np.maximum(leave, np.minimum(entry, 8) + 1)
     turn = np.round(arcs.heading / DIRECTION).astype(int) % round(2.0 * np.pi / DIRECTION)
-    keys = np.column_stack([arcs.feature, entry, leave, turn, np.round(arcs.feed / FEED).astype(int)])
+    feed = 1e-4  # [m/s], to which feeds are rounded
+    keys = np.column_stack([arcs.feature, entry, leave, turn, np.round(arcs.feed / feed).astype(int)])
     groups: dict[tuple, list[int]] = {}
     for row, key in enumerate(map(tuple, keys.tolist())):
         groups.setdefault(key, []).append(row)

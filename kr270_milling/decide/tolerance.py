@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.column import CONVERGED
+from kr270_milling.base.column import CONVERGED, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
@@ -32,30 +32,22 @@ SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path dev
 class Judgement:
     """Largest errors that a pass leaves [m], and whether they are allowed."""
 
-    wall: float  #: NaN where there is none
-    floor: float  #: NaN where there is none
-    passes: bool | None  #: None where no tolerance is asked for
-    error: float  #: the one that decides: farthest beyond its tolerance, else nearest to it
-    tolerance: float  #: [m] of that one; 0 where none is asked for
-    feature: str | None  #: where it is
-    quantity: str = SURFACE_ERROR  #: name of ``error``
+    wall: float = column("wall_um", 1e6)  #: NaN without a wall
+    floor: float = column("floor_um", 1e6)  #: NaN without a floor
+    passes: bool | None = column("passes_tolerance")  #: None without a tolerance
+    error: float = column("deciding_error_um", 1e6)  #: farthest beyond its tolerance, else nearest to it
+    tolerance: float = column("")  #: [m], limit of ``error``; 0 without a tolerance
+    feature: str | None = column("feature")  #: place of ``error``
+    quantity: str = column("quantity", default=SURFACE_ERROR)  #: name of ``error``
+
+    @computed("tolerance_um", 1e6)
+    def _limit(self) -> float | None:
+        return self.tolerance or None
 
     @property
     def share(self) -> float:
-        """The deciding error as a share of its tolerance; NaN where none is asked for."""
+        """The deciding error as a share of its tolerance; NaN without a tolerance."""
         return self.error / self.tolerance if self.tolerance else np.nan
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "quantity": self.quantity,
-            "passes_tolerance": self.passes,
-            "wall_um": 1e6 * self.wall,
-            "floor_um": 1e6 * self.floor,
-            "tolerance_um": 1e6 * self.tolerance if self.tolerance else None,
-            "deciding_error_um": 1e6 * self.error,
-            "feature": self.feature,
-        }
 
     @property
     def words(self) -> str:

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from kr270_milling.base.column import computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import removal_of
@@ -21,7 +22,6 @@ from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 __all__ = ["DecisionOnTools", "in_turn"]
 
 Done = TypeVar("Done")
-SAME_PLACE = 1e-9  #: [m]
 
 
 def in_turn(
@@ -49,7 +49,8 @@ def _removal(cell: Cell, ran: ScoredPass | None) -> Removal:
     if ran is None:
         return programmed
     way = ran.result.actual
-    moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > SAME_PLACE
+    same_place = 1e-9  # [m]
+    moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > same_place
     way = np.ascontiguousarray(way[np.concatenate([[True], moved])])
     return dataclasses.replace(programmed, actual=way, spring_back=spring_back(cell, ran))
 
@@ -65,7 +66,7 @@ class DecisionOnTools:
         """The decision on the compensations of all tools; jobs: as ``in_turn`` returns them."""
         return cls(tuple((cell.stage.tool, done.decision) for cell, done in jobs if cell.stage))
 
-    @property
+    @computed("decision")
     def level(self) -> str:
         """``yes``, ``caution`` or ``no``. A tool without a wall or floor that stays is judged by its stops alone."""
         levels = [one.level for _, one in self.tools if one.level == NO or not math.isnan(one.compensated.error)]
@@ -83,14 +84,18 @@ class DecisionOnTools:
         """0, or 1 for ``no``."""
         return int(self.level == NO)
 
-    @property
+    @computed("may_be_run")
     def may_be_run(self) -> bool:
-        """Whether no finding of any tool forbids it."""
+        """Return whether no tool has a stop."""
         return all(one.may_be_run for _, one in self.tools)
 
-    @property
+    @computed("deciding_tool")
+    def _deciding_tool(self) -> str:
+        return self.worst[0]
+
+    @computed("sentence")
     def sentence(self) -> str:
-        """Why, with the name of the tool."""
+        """Return the reason, with the name of the tool."""
         name, decision = self.worst
         return f"{name}: {decision.sentence}"
 
@@ -106,12 +111,3 @@ class DecisionOnTools:
             if tool in ("", name):
                 lines += [f"{name}: {line}" for line in (f"{one.level}: {one.sentence}", *one.lines()[1:])]
         return lines
-
-    def as_dict(self) -> dict:
-        """For JSON; what each tool has on its own is in its own entry."""
-        return {
-            "decision": self.level,
-            "sentence": self.sentence,
-            "may_be_run": self.may_be_run,
-            "deciding_tool": self.worst[0],
-        }

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from kr270_milling.base.column import CONVERGED, as_dict, column
+from kr270_milling.base.column import CONVERGED, as_dict, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
@@ -18,8 +17,6 @@ from kr270_milling.decide.part.surface import IdealPart, Surface, ideal_part, su
 from kr270_milling.physics.motion.milling_pass import PassResult
 
 __all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all", "assess_result"]
-
-QUANTILE = 0.95
 
 
 def _deviation(key: str, title: str, short: str):
@@ -35,8 +32,8 @@ class FeatureRow:
     part: walls and floor only count what remains.
     """
 
-    name: str
-    #: of the path on which material was removed
+    name: str = column("feature", short="feature")
+    #: length of the path on which material was removed
     cut_length: float = column("cut_length_mm", 1e3, unit="mm", short="cut")
     #: deviation to the side of the path while cutting
     max_normal: float = _deviation("max_normal_um", "largest deviation to the side", "max")
@@ -55,10 +52,6 @@ class FeatureRow:
     max_torque: float = column("max_torque_n_m")
     max_power: float = column("max_power_w", 1.0, "largest power", "W", short="power")
 
-    def as_dict(self) -> dict:
-        """Return the values for JSON; keys end in their unit."""
-        return {"feature": self.name, **as_dict(self)}
-
 
 @dataclass(frozen=True, eq=False)
 class PartAssessment:
@@ -71,15 +64,15 @@ class PartAssessment:
     force: np.ndarray  #: magnitude of the mean over each period [N], (n + 1,)
     torque: np.ndarray  #: of the spindle [N m], (n + 1,)
     power: np.ndarray  #: [W], (n + 1,)
-    surface: Surface
+    surface: Surface = column("*")
 
-    @cached_property
+    @computed("features")
     def rows(self) -> tuple[FeatureRow, ...]:
         """The features in the order of the path, those that cut."""
         every = (self._row(name, self.path.feature == k, k) for k, name in enumerate(self.path.features))
         return tuple(row for row in every if row.cut_length > 0.0)
 
-    @cached_property
+    @computed("whole_part")
     def whole(self) -> FeatureRow:
         return self._row("whole part", np.ones(self.cutting.size, bool), None)
 
@@ -88,12 +81,13 @@ class PartAssessment:
         normal = np.abs(self.deviation[mine, 1])
         wall = np.abs(left.walls.error if feature is None else left.walls.error[left.walls.feature == feature])
         floor = np.abs(left.floors.errors(feature))
+        quantile = 0.95
         return FeatureRow(
             name=name,
             cut_length=float(np.diff(self.path.distance, prepend=0.0)[mine].sum()),
             max_normal=_of(np.max, normal),
             mean_normal=_of(np.mean, normal),
-            quantile_normal=_of(lambda values: np.quantile(values, QUANTILE), normal),
+            quantile_normal=_of(lambda values: np.quantile(values, quantile), normal),
             max_vertical=_of(np.max, np.abs(self.deviation[mine, 2])),
             max_wall=_of(np.max, wall),
             mean_wall=_of(np.mean, wall),
@@ -105,18 +99,8 @@ class PartAssessment:
         )
 
     def table(self) -> list[dict]:
-        """One dict for each feature that cuts, and the last for the whole part; keys end in their unit."""
-        return [row.as_dict() for row in (*self.rows, self.whole)]
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "name": self.name,
-            "features": [row.as_dict() for row in self.rows],
-            "whole_part": self.whole.as_dict(),
-            "wall_points": int(self.surface.walls.error.size),
-            "floor_resolution_um": self.surface.floor_resolution * 1e6,
-        }
+        """Return a dictionary for each feature that cuts, the last for the whole part; keys end in their unit."""
+        return [as_dict(row) for row in (*self.rows, self.whole)]
 
 
 def _of(measure, values: np.ndarray) -> float:

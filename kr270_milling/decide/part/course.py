@@ -10,8 +10,6 @@ from kr270_milling.cell.paths import CellPath
 
 __all__ = ["Course", "course", "deviations"]
 
-UPRIGHT = 1e-6  #: horizontal part of a unit tangent below which the tool moves along the spindle
-
 
 @dataclass(frozen=True, eq=False)
 class Course:
@@ -48,7 +46,8 @@ def course(programmed: CellPath, time_ns: np.ndarray) -> Course:
 
 
 def _headings(tangent: np.ndarray) -> np.ndarray:
-    level = np.hypot(tangent[:, 0], tangent[:, 1]) > UPRIGHT
+    upright = 1e-6  # horizontal part of a unit tangent below which the tool moves along the spindle
+    level = np.hypot(tangent[:, 0], tangent[:, 1]) > upright
     if not level.any():
         return np.zeros(len(tangent))
     last = np.maximum.accumulate(np.where(level, np.arange(level.size), -1))

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.cell.stage import Removal, cleared, swept
@@ -28,11 +29,9 @@ from kr270_milling.physics.cutting import CutModel, Stock, Tool
 __all__ = ["Floors", "IdealPart", "IdealWalls", "Marks", "Surface", "Walls", "ideal_part", "remaining_walls", "surface"]
 
 SLOPE = 0.02  #: a steeper floor is a wall
-DEEPEST = 20e-6  #: [m]; marks this much deeper than their neighbours still are weighed against them
-NEIGHBOURS = 48  #: at most; a tool that rests marks one place with every tooth
+
 CHUNK = 5_000  #: marks at once, with the neighbours of each 25 kB
 CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
-PARALLEL = 0.98  #: cosine between normals of one wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,15 +143,18 @@ def _reach(hits: Marks, error: np.ndarray, staying: Marks, own: np.ndarray, leve
     if not out.size:
         return out
     tree = cKDTree(hits.point)
-    bound = float(np.sqrt(2.0 * hits.radius.max() * DEEPEST))
+    deepest = 20e-6  # [m]; marks this much deeper than their neighbours still are weighed against them
+    bound = float(np.sqrt(2.0 * hits.radius.max() * deepest))
+    neighbours = 48  # at most; a tool that rests marks one place with every tooth
+    parallel = 0.98  # cosine between normals of one wall
     for first in range(0, out.size, CHUNK):
         mine = staying[first : first + CHUNK]
-        _, near = tree.query(mine.point, k=min(NEIGHBOURS, len(hits)), distance_upper_bound=bound)
+        _, near = tree.query(mine.point, k=min(neighbours, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
         exists = near < len(hits)
         near = np.where(exists, near, 0)
         theirs = hits[near]
-        same = exists & (np.einsum("mkd,md->mk", theirs.normal, mine.normal) > PARALLEL)
+        same = exists & (np.einsum("mkd,md->mk", theirs.normal, mine.normal) > parallel)
         same &= theirs.centre[..., 2] <= mine.centre[:, None, 2] + level  # a higher pass does not touch the wall here
         away = theirs.centre[..., :2] - mine.point[:, None]
         across = away[..., 0] * mine.normal[:, None, 1] - away[..., 1] * mine.normal[:, None, 0]
@@ -183,11 +185,15 @@ class Floors:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What remains of a pass."""
+    """Surfaces of the part after a pass."""
 
     floors: Floors
     walls: Walls
-    floor_resolution: float  #: [m]
+    floor_resolution: float = column("floor_resolution_um", 1e6)  #: [m]
+
+    @computed("wall_points")
+    def wall_points(self) -> int:
+        return int(self.walls.error.size)
 
 
 @dataclass(frozen=True, eq=False)

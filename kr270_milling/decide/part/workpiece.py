@@ -15,8 +15,6 @@ from kr270_milling.physics.motion.periods import Clock
 
 __all__ = ["heights_at", "machined", "write_part", "write_stl"]
 
-MOST_TRIANGLES = 4_000_000  #: 200 MB
-FINE = 0.25e-3  #: [m]
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -77,8 +75,10 @@ def write_stl(path, cut: CutModel, lattice: tuple[np.ndarray, ...] = ()) -> int:
 
 def _thinning(cut: CutModel) -> int:
     """One node in so many each way: 0.25 mm apart, or as far as a large part needs."""
-    thinning = max(1, round(FINE / cut.stock.grid_step))
-    while _most_triangles(cut.stock, thinning) > MOST_TRIANGLES:
+    fine = 0.25e-3  # [m]
+    thinning = max(1, round(fine / cut.stock.grid_step))
+    most_triangles = 4_000_000  # 200 MB
+    while _most_triangles(cut.stock, thinning) > most_triangles:
         thinning = math.ceil(1.1 * thinning)
     return thinning
 

@@ -46,13 +46,11 @@ __all__ = [
 ]
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
-BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 OLDER = "older"  #: folder of the programs of earlier runs
 #: names of what an operator may take: those of ``write_tool_programs`` and ``write_gcode``
 PROGRAMS = re.compile(rf"(krl|rsi|joints|gcode)_\w.*_\d{{8}}_[0-9a-f]{{8}}(\.\w+)?|{NOT_RELEASED}.*")
-FADE = 0.2  #: [s], from the whole correction to none, as that of the command rsi by default
 
 
 def write_programs(
@@ -205,7 +203,8 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
     above = run.position[:1].copy()
     above[0, 2] = max(above[0, 2], safe_z)
     approaches = []
-    for shift in BESIDE:
+    beside = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  # [m], of the approach beside the first point, tried in this order
+    for shift in beside:
         try:
             joints = arm_of(cell).joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
         except (ReachError, JointLimitError, SingularityError) as error:
@@ -279,7 +278,8 @@ def write_rsi_table(
 
 def _faded(rows: np.ndarray, tick: float, top: float, safe: float, feed: float) -> np.ndarray:
     """Rows of shift, turn and place, (n, 9), whose correction ends at zero; with the retract where it is needed."""
-    wanted = int(np.ceil(FADE / tick))
+    fade = 0.2  # [s], from the whole correction to none, as that of the command rsi by default
+    wanted = int(np.ceil(fade / tick))
     if np.min(rows[-wanted:, 8]) < top and rows[-1, 8] < safe:
         heights = np.append(np.arange(rows[-1, 8] + feed * tick, safe, feed * tick), safe)
         retract = np.repeat(rows[-1:], len(heights), axis=0)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.text import encoding_of
@@ -34,38 +35,23 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["WrittenGcode", "check_gcode", "write_gcode"]
 
 NO_GCODE = "corrected G-code needs path.file, a program in G-code"
-SAME_PLACE = 0.05e-6  #: [m], half of the last digit in mm
-SAME_KNOT = 1e-9  #: [m], along the path
 CURVED = 0.25  #: share of the tolerance that straight lines between the candidates take
-MOST_PARTS = 64  #: of one step of the controller
 
 
 @dataclass(frozen=True)
 class WrittenGcode:
     """The G-code of one tool, read back by ``read_gcode``."""
 
-    tool: str
-    source_blocks: int  #: lines with a feed move
-    blocks: int  #: G1 blocks in their place
-    error: float  #: [m], of the read path from the planned path, in the feed moves
-    duration: float  #: [s], by the time law of the controller, without the limits of the joints
-    planned_duration: float  #: [s], of the source by the same law
+    tool: str = column("tool")
+    source_blocks: int = column("source_blocks")  #: lines with a feed move
+    blocks: int = column("blocks")  #: G1 blocks in their place
+    error: float = column("error_um", 1e6)  #: [m], distance of the read path from the planned path, in the feed moves
+    duration: float = column("duration_s")  #: [s], by the time law of the controller, without the limits of the joints
+    planned_duration: float = column("planned_duration_s")  #: [s], duration of the source by the same law
 
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "tool": self.tool,
-            "source_blocks": self.source_blocks,
-            "blocks": self.blocks,
-            "error_um": 1e6 * self.error,
-            "duration_s": self.duration,
-            "planned_duration_s": self.planned_duration,
-            "sentence": self.text,
-        }
-
-    @property
+    @computed("sentence")
     def text(self) -> str:
-        """One line."""
+        """Return one line."""
         tool = f"{self.tool}: " if self.tool else ""
         return (
             f"{tool}{self.blocks} G1 blocks for {self.source_blocks} feed moves; read back, they are within "
@@ -153,13 +139,14 @@ class _Plan:
         after = np.searchsorted(points, times, side="right")
         ends: dict[int, list] = {}
         rows: list[tuple] = []  #: of each move: number of its row, times, whether these are ends of blocks
+        same_place = 0.05e-6  # [m], half of the last digit in mm
         for move in np.flatnonzero(feed).tolist():
             inside = points[after[move] : after[move + 1]]
             begins = move == 0 or not feed[move - 1]
             number = (rows[-1][0] if rows else 0) + begins
             if begins:
                 start, time_ns = path.position[last[move - 1] if move else 0], times[move : move + 1]
-                moved = np.abs(run.sample(time_ns[0]) - start).max() > SAME_PLACE
+                moved = np.abs(run.sample(time_ns[0]) - start).max() > same_place
                 before = line[move - 1] if move else int(path.line[0])
                 rapid = before in source.moves and source.moves[before].kind == "rapid"
                 if moved or rapid:
@@ -220,8 +207,9 @@ def _time_at(timed: TimedPath, distance: np.ndarray) -> np.ndarray:
     time_ns = timed.trajectory.time_ns
     after = np.clip(np.searchsorted(timed.distance, distance), 1, len(time_ns) - 1)
     low, high = time_ns[after - 1], time_ns[after]
+    same_knot = 1e-9  # [m], along the path
     for knot in (after, after - 1):
-        at = np.abs(timed.distance[knot] - distance) < SAME_KNOT
+        at = np.abs(timed.distance[knot] - distance) < same_knot
         low, high = np.where(at, time_ns[knot], low), np.where(at, time_ns[knot], high)
     while np.any(high - low > 1):
         middle = (low + high) // 2
@@ -255,6 +243,7 @@ def _candidates(run: Trajectory, tolerance: float) -> np.ndarray:
     for bend in (run.sample_acceleration(knots[:-1], "right"), run.sample_acceleration(knots[1:], "left")):
         across = np.maximum(across, np.linalg.norm(bend - np.sum(bend * line, axis=1, keepdims=True) * line, axis=1))
     parts = np.ceil(1e-9 * step * np.sqrt(across / (8.0 * CURVED * tolerance)))
-    parts = np.clip(parts, 1, MOST_PARTS).astype(int)
+    most_parts = 64  # of one step of the controller
+    parts = np.clip(parts, 1, most_parts).astype(int)
     part = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     return np.append(np.repeat(knots[:-1], parts) + part * np.repeat(step, parts) // np.repeat(parts, parts), knots[-1])

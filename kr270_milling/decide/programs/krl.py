@@ -43,7 +43,6 @@ __all__ = ["Approach", "Heading", "Setup", "filled", "time_statements", "traject
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
 EXTERNAL = (";FOLD EXTERNAL DECLARATIONS", "EXT BAS (BAS_COMMAND :IN,REAL :IN)", ";ENDFOLD")
-FRAME_LINES = 20  #: of a module beside heading, templates and motions
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +119,8 @@ def write_krl(
     points, stops = point_numbers(program, original, revised), original.standing
     notes = {kind: heading.lines(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
     head, foot = _head_and_foot(program, setup)
-    most = program.line_limit - FRAME_LINES - max(map(len, notes.values())) - len(head) - len(foot)
+    frame_lines = 20  # of a module beside heading, templates and motions
+    most = program.line_limit - frame_lines - max(map(len, notes.values())) - len(head) - len(foot)
     if most < 20:
         raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
     pieces = modules_of(program, points, stops, source, most)

@@ -65,7 +65,6 @@ def comments(texts: Iterable[str]) -> list[str]:
 
 
 GAUSS = np.polynomial.legendre.leggauss(4)
-SLOWEST = 1e-3  #: [m/s], the step of the speeds that are written
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,4 +133,5 @@ def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.nd
         places = run.time_ns[:-1, None] + np.rint((1 + GAUSS[0]) / 2 * step[:, None]).astype(np.int64)
         length = run.feed(places) @ (GAUSS[1] / 2) * step * 1e-9
     fastest = np.maximum.reduceat(length / (1e-9 * step), points[:-1])
-    return np.concatenate([[0.0], np.maximum(fastest, SLOWEST)])
+    slowest = 1e-3  # [m/s], the step of the speeds that are written
+    return np.concatenate([[0.0], np.maximum(fastest, slowest)])

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.cell.sections import Program
 from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.trajectory import Trajectory
@@ -21,9 +22,6 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
-THINNINGS = 4  #: times that each point is left out on trial
-REACH = 2  #: stretches to both sides in which a point that is left out changes the path
-LEVER = 0.1  #: [m], length of a tool: a turn by an angle moves its shank by the angle times the length
 
 
 def point_numbers(
@@ -65,14 +63,16 @@ def _thinned(
 ) -> np.ndarray:
     """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
     limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
-    for turn in range(3 * THINNINGS):
+    thinnings = 4  # times that each point is left out on trial
+    reach = 2  # stretches to both sides in which a point that is left out changes the path
+    for turn in range(3 * thinnings):
         out = np.arange(len(chosen)) % 3 == turn % 3
         out &= ~fixed[chosen]
         while out.any():
             over = _errors(program, runs, knots[chosen[~out]]) > limit
             if not over.any():
                 break
-            near = np.convolve(over, np.ones(2 * REACH + 1), "same") > 0.0
+            near = np.convolve(over, np.ones(2 * reach + 1), "same") > 0.0
             back = near[np.cumsum(~out)[out] - 1]  # the stretch in which the point was
             out[np.flatnonzero(out)[back if back.any() else slice(None)]] = False
         chosen = chosen[~out]
@@ -81,34 +81,26 @@ def _thinned(
 
 @dataclass(frozen=True)
 class ProgramBlocks:
-    """What the planner of a controller must follow."""
+    """Load on the planner of a controller."""
 
-    points: int
-    duration: float  #: [s]
-    most: int  #: points in one second, at most
-    shortest: float  #: [s]
-    length: float  #: of the shortest block [m]
-    short: int  #: blocks shorter than ``SHORT_NS``
-    error: float  #: [m], of the motion through the points from the planned path
+    points: int = column("points")
+    duration: float = column("")  #: [s]
+    most: int = column("most_points_in_one_second")
+    shortest: float = column("shortest_block_ms", 1e3)  #: [s]
+    length: float = column("shortest_block_mm", 1e3)  #: [m], length of the shortest block
+    short: int = column("short_blocks")  #: blocks shorter than ``SHORT_NS``
+    error: float = column("error_um", 1e6)  #: [m], distance of the motion through the points from the planned path
 
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "points": self.points,
-            "points_per_second": self.points / self.duration,
-            "most_points_in_one_second": self.most,
-            "shortest_block_ms": 1e3 * self.shortest,
-            "shortest_block_mm": 1e3 * self.length,
-            "short_blocks": self.short,
-            "error_um": 1e6 * self.error,
-        }
+    @computed("points_per_second")
+    def points_per_second(self) -> float:
+        return self.points / self.duration
 
     @property
     def text(self) -> str:
-        """One line."""
+        """Return one line."""
         short = f", {self.short} shorter than {SHORT_NS / 1e6:g} ms" if self.short else ""
         return (
-            f"program: {self.points} points, {self.points / self.duration:.3g} a second, at most {self.most} in one; "
+            f"program: {self.points} points, {self.points_per_second:.3g} a second, at most {self.most} in one; "
             f"shortest block {1e3 * self.shortest:.3g} ms, {1e3 * self.length:.3g} mm{short}; the motion through the "
             f"points is within {1e6 * self.error:.2g} um of the planned path"
         )
@@ -160,13 +152,14 @@ def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.
     stops, number = runs[0].standing[points], np.arange(len(runs[0]))
     stretch = np.clip(np.searchsorted(points, number, side="right") - 1, 0, len(points) - 2)
     worst = np.zeros(len(points) - 1)
+    lever = 0.1  # [m], length of a tool: a turn by an angle moves its shank by the angle times the length
     for run in runs:
         spline = program.motion == "SPLINE"
         place = places_on_program(run, points, run.position[points], stops, spline)
         np.maximum.at(worst, stretch, np.linalg.norm(place - run.position, axis=1))
         if np.any(run.quaternion != run.quaternion[0]):
             turned = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
-            np.maximum.at(worst, stretch, LEVER * _angle(turned.sample_orientation(run.time_ns), run.quaternion))
+            np.maximum.at(worst, stretch, lever * _angle(turned.sample_orientation(run.time_ns), run.quaternion))
     return worst
 
 

@@ -22,8 +22,6 @@ __all__ = ["rsi_address", "write_rsi_context"]
 
 AXES = "XYZABC"
 PORT = 49152  #: of the command ``rsi`` by default
-ROTATION_DEG = 0.5  #: largest rotation, that of the command ``rsi`` by default
-TIMEOUT = 100  #: cycles without an answer after which the controller ends RSI
 SCHEMA = "/Roboter/Config/System/Common/Schemes/RSIContext.xsd"
 
 
@@ -91,11 +89,13 @@ def _context(name: str, limit_mm: float) -> Xml.Element:
         Xml.SubElement(inputs, "Input", InIdx=str(index), OutObjID="ETHERNET1", OutIdx=str(index))
     signs = [(f"{side}Lim{axis}", sign * limit_mm) for side, sign in (("Lower", -1), ("Upper", 1)) for axis in "XYZ"]
     _parameters(correction, [(key, n, f"{value:g}") for n, (key, value) in enumerate(signs, 1)])
-    _parameters(correction, [("MaxRotAngle", 7, f"{ROTATION_DEG:g}")])
+    rotation_deg = 0.5  # largest rotation, that of the command ``rsi`` by default
+    _parameters(correction, [("MaxRotAngle", 7, f"{rotation_deg:g}")])
     _parameters(correction, [("RefCorrSys", 1, "1")], IsRuntime="false")  # 1: $BASE
     ethernet = Xml.SubElement(root, "RSIObject", ObjType="ETHERNET", ObjTypeID="64", ObjID="ETHERNET1")
     _parameters(ethernet, [("ConfigFile", 1, f"{name}_ethernet.xml")], IsRuntime="false")
-    _parameters(ethernet, [("Timeout", 1, str(TIMEOUT)), ("Flag", 4, "1"), ("Precision", 8, "4")])
+    timeout = 100  # cycles without an answer after which the controller ends RSI
+    _parameters(ethernet, [("Timeout", 1, str(timeout)), ("Flag", 4, "1"), ("Precision", 8, "4")])
     return root
 
 

@@ -23,7 +23,6 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["SOFTER", "motion_of", "softer_pass", "written_pass", "written_trajectory"]
 
 SOFTER = 0.8  #: share of the acceleration of the second time law
-MOST_ROWS = 2**19  #: of the series of that pass, of which only the scores are used
 NOWHERE = Pose(np.zeros(3), np.eye(3))
 
 
@@ -103,4 +102,5 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
         stops = path_of(cell).target.standing[keep]
         stops[[0, -1]] = True
         points = controller_motion(points, path_of(other).target, stops)
-    return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=MOST_ROWS)
+    most_rows = 2**19  # of the series of that pass, of which only the scores are used
+    return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=most_rows)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import CONVERGED, TextTable, columns, columns_of, fixed, table_of
+from kr270_milling.base.column import CONVERGED, TextTable, as_dict, columns, columns_of, fixed, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cells
@@ -94,7 +94,7 @@ def _values(cell, result) -> dict:
     values["passes"] = [scored.row() for scored in (original, revised)]
     values |= _correction(cell, revised, result.by)
     values["features"] = {part.name: part.table() for part in result.parts}
-    values["check"] = result.checked.as_dict()
+    values["check"] = as_dict(result.checked)
     values["verdict"] = result.decision.verdict and result.decision.verdict.as_dict()
     return values | result.decision.as_dict()
 
@@ -157,7 +157,7 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
             {"tool": cell.stage.tool, "level": tool.pop("decision"), **tool}
             for (cell, _), tool in zip(jobs, tools, strict=True)
         ]
-        return {**decision.as_dict(), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
+        return {**as_dict(decision), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
     tools[0]["programs"]["manifest"] = [manifest]
     return tools[0] | report | gcode
 
@@ -174,7 +174,7 @@ def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dic
         released=released,
     )
     lines = [f"{path.name}: for KUKA.CNC, another robot or a machine tool.", *(tool.text for tool in tools), SCORED]
-    values = {"file": str(final(path)), "tools": [tool.as_dict() for tool in tools]}
+    values = {"file": str(final(path)), "tools": list(map(as_dict, tools))}
     return {"gcode": values}, "\n" + "\n  ".join(lines) + "\n"
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import columns_of, table_of
+from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
@@ -50,19 +50,19 @@ def _simulated(cell, args, draft, final, whole):
         scored = jobs.simulate(cell, reference, name, report, plant_of(args, cell))
     summary = _summary(cell, scored)
     residue = residue_of(cell, scored.result)
-    summary["simulated_pass"] = residue.as_dict()
+    summary["simulated_pass"] = as_dict(residue)
     part = None if path_of(cell).straight else assess(cell, scored)
     tolerance = judge(cell, scored, part)
-    summary["tolerance"] = tolerance.as_dict()
+    summary["tolerance"] = as_dict(tolerance)
     if part:
-        summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
+        summary |= as_dict(part)
     if draft and final:
         files = write_series(draft, arm_of(cell), path_of(cell).target, [scored])
         if not path_of(cell).straight:
             files.append(draft / f"part{suffix}.stl")
             write_part(files[-1], cut_of(cell), scored.result, path_of(cell).clock)
         summary["files"] = [str(final(path)) for path in files]
-    columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
+    columns = columns_of(FeatureRow, unit="um")
     scores: list = _scores(cell, summary)
     if part:
         scores = [
@@ -122,7 +122,7 @@ def _checked(cell, args, whole):
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
     checked = decision.check(cell, reference, args.motion, progress=whole.under(title_of(cell)))
     tolerance = judge(cell, checked.ran) if checked.ran else None
-    values = {"cut": cell.cutting.detail, **checked.as_dict(), "tolerance": tolerance and tolerance.as_dict()}
+    values = {"cut": cell.cutting.detail, **as_dict(checked), "tolerance": tolerance and as_dict(tolerance)}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
     return checked, values, [*words, cut_text_of(cell), *kuka_frames(cell), *checked.lines()]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import as_dict, columns_of, table_of, yes
+from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
@@ -35,10 +35,11 @@ def run_stability(args) -> Answer:
     cell = read_cell(find_file(args.cell), args.set)
     about = {"cell": args.cell, "arm": not args.no_arm}
     if args.along:
-        rows = [limit.as_dict() for limit in feature_limits(cell, not args.no_arm)]
+        rows = list(map(as_dict, feature_limits(cell, not args.no_arm)))
         rpm = cell.tool.spindle_speed * 30.0 / math.pi
         title = f"Limit depth along the path, as in check, at {rpm:.0f} rpm{_rigid(cell)}"
-        columns = ("feature", "feature", 1), *columns_of(FeatureLimit), *columns_of(Lobe)[1:], ("stable", "stable", yes)
+        *engagement, stable = columns_of(FeatureLimit)
+        columns = *engagement, *columns_of(Lobe)[1:], stable
         return Answer(about | {"features": rows}, [table_of(title, columns, rows)])
     nominal = cell.tool.spindle_speed * 30.0 / math.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, 60)

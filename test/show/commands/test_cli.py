@@ -15,16 +15,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import POSTURE, answered, ask, refused, settings
-from json_keys import TABLES
+from json_keys import PAGE, TABLES, answer_of, keys_of
 
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cli import main
+from kr270_milling.decide.check import Checked
+from kr270_milling.decide.check_cut import Residue
+from kr270_milling.decide.findings import Finding, Place
+from kr270_milling.decide.part import FeatureRow
+from kr270_milling.decide.programs.gcode import WrittenGcode
+from kr270_milling.decide.programs.points import ProgramBlocks
+from kr270_milling.decide.stability import FeatureLimit, Stability
+from kr270_milling.decide.tolerance import Judgement
 from kr270_milling.live.nodes.start import start
+from kr270_milling.physics.motion.scores import Scores
+from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.show.commands import options
 from kr270_milling.show.commands import progress as module
-from kr270_milling.show.commands.console import print_table, shown_path
+from kr270_milling.show.commands.console import Answer, print_table, shown_path
 from kr270_milling.show.commands.options import COMMANDS, make_parser
 from kr270_milling.show.commands.progress import Progress, progress
 
@@ -71,6 +81,38 @@ def test_every_command_can_be_imported_without_ros():
         f"importlib.import_module('kr270_milling.show.commands.{name}')\n" for name in modules
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+#: table of guide/json.md -> record, and the rows of the table that the command adds
+RECORDS = {
+    "check": (Checked, "cell reference cut tolerance tools tool stops warnings notes"),
+    "corrected-gcode": (WrittenGcode, "file tools"),
+    "feature": (FeatureRow, ""),
+    "finding": (Finding, "amounts.<name>"),
+    "lobe": (Lobe, ""),
+    "pass": (Scores, "name"),
+    "place": (Place, ""),
+    "robot-program": (ProgramBlocks, ""),
+    "stability-of-a-feature": (FeatureLimit, ""),
+    "stability-statement": (Stability, ""),
+    "tolerance": (Judgement, ""),
+    "vibration": (Residue, ""),
+}
+
+
+@pytest.mark.parametrize("table", RECORDS)
+def test_a_table_of_the_json_page_has_a_row_for_each_column_of_its_record_and_no_other(table):
+    record, added = RECORDS[table]
+    keys = keys_of(record) - {row.partition(".<")[0] for row in added.split() if ".<" in row}
+    assert keys | set(added.split()) == set(TABLES[table])
+
+
+def test_an_answer_that_a_test_prints_without_the_command_line_is_compared_with_the_page():
+    answer = Answer({"points": 1, "of no row": 2}, [])
+    with pytest.raises(AssertionError, match=f"{PAGE.name} has no row for .'check: of no row'"), answer_of("check"):
+        answer.print(as_json=True)
+    with pytest.raises(AssertionError, match="unknown command"):
+        answer.print(as_json=True)
 
 
 @pytest.mark.parametrize(("words", "sentence"), [

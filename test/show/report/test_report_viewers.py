@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from samples.recording_samples import sample
 
-from kr270_milling.base.column import as_dict, column, columns, columns_of, table_of
+from kr270_milling.base.column import as_dict, column, columns, columns_of, computed, table_of
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import commanded_joints
@@ -33,6 +33,26 @@ class Row:
     limit: float = column("limit_mm", 1e3, unit="mm", short="limit", infinite="above 100")
 
 
+@dataclass(frozen=True)
+class Rows:
+    name: str = column("name", short="name")
+    unwritten: float = column("")
+    missing: float | None = column("missing_um", 1e6)
+    rows: tuple[Row, ...] = column("rows")
+    flat: Row = column("*")
+
+    @computed("whole", short="whole")
+    def whole(self) -> bool:
+        return len(self.rows) == 2
+
+
+def test_a_record_becomes_one_dictionary_with_its_records_and_texts():
+    row = Row(25e-6, 50e-6)
+    written = as_dict(Rows("a", 1.0, None, (row, row), row))
+    assert written == {"name": "a", "missing_um": None, "rows": [as_dict(row)] * 2, **as_dict(row), "whole": True}
+    assert table_of("Title", columns_of(Rows), [written]).rows == [["a", "yes"]]
+
+
 def test_a_field_is_a_key_of_json_and_a_column_of_the_terminal():
     rows = [as_dict(Row(25e-6, 50e-6)), as_dict(Row(np.nan, np.inf))]
     assert rows[0] == pytest.approx({"deviation_mm": 0.025, "limit_mm": 0.05})
@@ -43,7 +63,7 @@ def test_a_field_is_a_key_of_json_and_a_column_of_the_terminal():
 
 @pytest.mark.parametrize("record", [FeatureRow, Scores])
 def test_every_number_of_a_result_has_a_column(record):
-    assert {c.name for c in columns(record)} == {field.name for field in fields(record)} - {"name"}
+    assert {c.name for c in columns(record)} == {field.name for field in fields(record)}
 
 
 # --- robot.urdf, its solids, and report.robot_model: the robot that viewers and the page show ---
