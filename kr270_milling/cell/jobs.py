@@ -44,7 +44,7 @@ PLANNED = 16  #: simulated robots for which ``robust`` plans
 
 @dataclass(frozen=True, eq=False)
 class ScoredPass:
-    """One pass of a report or a table."""
+    """A pass of a report or a table."""
 
     name: str
     reference: Trajectory
@@ -61,7 +61,7 @@ def simulate(
     cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None, plant: Plant | None = None,
     most_rows: float = math.inf,
 ) -> ScoredPass:  # fmt: skip
-    """One pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead.
+    """Run a pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead.
 
     most_rows: of the result, see ``PassResult.every``.
     """
@@ -153,7 +153,7 @@ def robot_passes(
 
     Repeatability shifts each pass by chance, so it is left out. A robot that is unstable is left out, too.
     """
-    planning_seed = 1_000_000  # of these robots: no verdict draws them, whose seeds are smaller
+    planning_seed = 1_000_000  # seed of these robots: the seeds of a verdict are smaller
     model, rng = coarser(cell), np.random.default_rng(planning_seed)
     drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(count))]
 
@@ -275,7 +275,7 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
 
 
 def long_pass(path: CellPath) -> bool:
-    """Whether the series of a pass along a path fill so much memory that few of them are stored."""
+    """Return whether the series of a pass along a path fill so much memory that few of them are stored."""
     return path.clock.steps(path.target.duration_ns) > LONG_PASS
 
 

@@ -46,7 +46,7 @@ class Plant:
         self.passes = 0  #: run so far
 
     def run(self, reference: Trajectory, progress=None) -> PassResult:
-        """One pass on a fresh workpiece.
+        """Run a pass on a fresh workpiece.
 
         The result is true, and not what a noisy tracker reports: its ``reference`` is the course of the motors, with
         repeatability; its deflections contain the backlash.

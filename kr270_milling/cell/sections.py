@@ -101,7 +101,7 @@ class PathSection(Record):
 
     @property
     def recorded(self) -> bool:
-        """Whether ``file`` is a recording."""
+        """Return whether ``file`` is a recording."""
         reader = known_reader(self.file)
         return reader is not None and reader.recorded
 
@@ -402,12 +402,13 @@ class Uncertainty(Record):
         return math.hypot(self.joint_compliance, self.force_coefficient)
 
     def of_compliances(self) -> np.ndarray:
-        """Of the six compliances, (6,)."""
+        """Return the standard deviations of the six compliances, (6,)."""
         return self.joint_compliances if self.joint_compliances.size else np.full(6, self.joint_compliance)
 
     def of_coefficients(self, count: int, axial: int) -> np.ndarray:
-        """Of so many coefficients of the force law in use, (count,); the list may leave out the last ``axial`` ones.
+        """Return the standard deviations of the coefficients of the force law, (count,).
 
+        The list may leave out the last ``axial`` coefficients.
         Raises ParameterError.
         """
         given = self.force_coefficients

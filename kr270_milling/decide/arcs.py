@@ -29,7 +29,7 @@ class Arcs:
 
     position: np.ndarray  #: tool tip [m], (m, 3)
     time: np.ndarray  #: [s], (m,)
-    heading: np.ndarray  #: of the feed, from x [rad], (m,)
+    heading: np.ndarray  #: direction of the feed, from x [rad], (m,)
     feed: np.ndarray  #: programmed [m/s], (m,)
     feature: np.ndarray  #: index into ``features``, (m,)
     features: tuple[str, ...]

@@ -113,7 +113,7 @@ def _material(cell: Cell) -> list[Violation]:
 
 
 def _program(cell: Cell) -> list[Violation]:
-    """What contradicts the program of ``path.file``."""
+    """Return contradictions between the cell and the program of ``path.file``."""
     fed = path_of(cell).fed
     if fed is None:
         return []
@@ -159,7 +159,7 @@ def _program(cell: Cell) -> list[Violation]:
 
 
 def _along_axis(cell: Cell, path: Toolpath) -> bool:
-    """Whether the tool makes no sideways feed move below the top of the stock."""
+    """Return whether the tool makes no sideways feed move below the top of the stock."""
     sideways = np.hypot(*np.diff(path.position[:, :2], axis=0).T) > 1e-6
     low = np.minimum(path.position[1:, 2], path.position[:-1, 2]) < cell.stock.max[2] - 1e-6
     return not (sideways & low & ~path.rapid[1:]).any()

@@ -1,4 +1,4 @@
-"""What a controller runs, from a cell and its original and revised trajectory: programs, offsets, joint positions.
+"""Files for a controller, from a cell and its original and revised trajectory: programs, offsets, joint positions.
 
 The manifest beside them says which file goes where, and in which order to try them.
 """
@@ -217,7 +217,7 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
 
 
 def timed_by_cell(path: CellPath) -> bool:
-    """Whether ``timing`` decides about the times of the points."""
+    """Return whether ``timing`` decides about the times of the points."""
     return path.timed is not None and not path.timed.timed_by_source
 
 

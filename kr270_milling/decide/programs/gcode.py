@@ -138,7 +138,7 @@ class _Plan:
         points = _point_times(cell, run, times[np.append(feed, False) | np.append(False, feed)])
         after = np.searchsorted(points, times, side="right")
         ends: dict[int, list] = {}
-        rows: list[tuple] = []  #: of each move: number of its row, times, whether these are ends of blocks
+        rows: list[tuple] = []  #: number of the row of each move, its times, and whether these are ends of blocks
         same_place = 0.05e-6  # [m], half of the last digit in mm
         for move in np.flatnonzero(feed).tolist():
             inside = points[after[move] : after[move + 1]]

@@ -56,17 +56,17 @@ class Approach:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What the controller must know of the cell beside the points."""
+    """Data of the cell that the controller needs beside the points."""
 
     tool: Pose  #: tcp in $FLANGE, whose z points out of the flange ($TOOL)
     base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
-    approaches: tuple[Approach, Approach]  #: of the original and of the compensated program
+    approaches: tuple[Approach, Approach]  #: names of the original and of the compensated program
     safe_z: float  #: [m], height of the retract in the workpiece frame
     load_mass: float = 0.0  #: [kg], spindle and tool
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
-    acceleration: float = 0.0  #: of the time law [m/s2]; 0: the times of the points come from elsewhere
-    jerk: float = 0.0  #: of the time law [m/s3]
+    acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
+    jerk: float = 0.0  #: jerk of the time law [m/s3]
 
 
 @dataclass(frozen=True)

@@ -69,10 +69,10 @@ GAUSS = np.polynomial.legendre.leggauss(4)
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where the n knots come from."""
+    """Sources of the n knots."""
 
     line: np.ndarray  #: in the file of the tool path, (n,), 0: none
-    feature: tuple[str, ...]  #: of the part, (n,), "": none
+    feature: tuple[str, ...]  #: feature of the part, (n,), "": none
 
     def comment(self, k: int, before: int) -> list[str]:
         """The comment before point k, where line or feature are not those of the point before."""

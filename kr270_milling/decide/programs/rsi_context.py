@@ -21,7 +21,7 @@ from kr270_milling.decide.programs.krl_motion import frame_row, frame_text
 __all__ = ["rsi_address", "write_rsi_context"]
 
 AXES = "XYZABC"
-PORT = 49152  #: of the command ``rsi`` by default
+PORT = 49152  #: default port of the command ``rsi``
 SCHEMA = "/Roboter/Config/System/Common/Schemes/RSIContext.xsd"
 
 

@@ -102,5 +102,5 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
         stops = path_of(cell).target.standing[keep]
         stops[[0, -1]] = True
         points = controller_motion(points, path_of(other).target, stops)
-    most_rows = 2**19  # of the series of that pass, of which only the scores are used
+    most_rows = 2**19  # rows of the series of that pass; only its scores are used
     return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=most_rows)
