@@ -97,9 +97,17 @@ def arcs_along(
     )
     entry, leave = left if path.tool.sense > 0.0 else (-left[1], -left[0])
     return Arcs(
-        position[some], time[some], heading[some], feed[some], feature[some], features, depth[some], entry, leave,
+        position[some],
+        time[some],
+        heading[some],
+        feed[some],
+        feature[some],
+        features,
+        depth[some],
+        entry,
+        leave,
         EVERY * step,
-    )  # fmt: skip
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -118,9 +118,13 @@ class Checked:
 
 
 def check(
-    cell: Cell, reference: Trajectory | None = None, motion: str | None = None, ran: ScoredPass | None = None,
-    progress: Callable = lambda *_: contextlib.nullcontext(), more: Iterable[Violation] = (),
-) -> Checked:  # fmt: skip
+    cell: Cell,
+    reference: Trajectory | None = None,
+    motion: str | None = None,
+    ran: ScoredPass | None = None,
+    progress: Callable = lambda *_: contextlib.nullcontext(),
+    more: Iterable[Violation] = (),
+) -> Checked:
     """Check the cell's own path, or a corrected one; motion: LIN or SPLINE.
 
     Default: LIN for a correction in straight lines of a smooth path, as compensate writes it, else that of ``program``.

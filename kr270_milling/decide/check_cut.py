@@ -288,7 +288,7 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         results += violations(
             "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
-        )  # fmt: skip
+        )
     if flutes:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
     for body, depth in (("shank", met.shank), ("holder", met.holder)):

@@ -106,9 +106,13 @@ def compensate(
         for p in by.limited
     ]
     checked = check(
-        cell, revised.reference, motion, revised, progress,
+        cell,
+        revised.reference,
+        motion,
+        revised,
+        progress,
         [*limited, *unlike(plan, revised.scores, cell.krl.tolerance)],
-    )  # fmt: skip
+    )
     judged: Verdict | None = None
     if robots:
         with progress("verdict") as report:

@@ -16,8 +16,19 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gathered", "separate", "stretches",
-           "violation", "violations"]  # fmt: skip
+__all__ = [
+    "KINDS",
+    "SEVERITIES",
+    "Finding",
+    "Kind",
+    "Place",
+    "Violation",
+    "gathered",
+    "separate",
+    "stretches",
+    "violation",
+    "violations",
+]
 
 DEG = 180.0 / math.pi
 EXCEEDS = " exceeds {limit:.4g} {unit} ({where}): {value:.4g} {unit} at point {point}"
@@ -183,20 +194,35 @@ class Violation:
 
 
 def violation(
-    kind: str, value: float, limit: float, point: int | None = None, *, severity: str = "", subject: str = "",
-    block: int | None = None, line: int | None = None, amounts: dict[str, float] | None = None, **words,
-) -> Violation:  # fmt: skip
+    kind: str,
+    value: float,
+    limit: float,
+    point: int | None = None,
+    *,
+    severity: str = "",
+    subject: str = "",
+    block: int | None = None,
+    line: int | None = None,
+    amounts: dict[str, float] | None = None,
+    **words,
+) -> Violation:
     """value and limit in SI units; severity: default that of the kind; words, amounts: what else its sentence names.
 
     block: of the tool path, default: the block that leads to the point; line: of the program.
     """
     known, amounts = KINDS[kind], amounts or {}
     sentence = known.sentence.format(
-        value=value * known.scale, limit=limit * known.scale, unit=known.unit, point=point, subject=subject, **amounts,
+        value=value * known.scale,
+        limit=limit * known.scale,
+        unit=known.unit,
+        point=point,
+        subject=subject,
+        **amounts,
         **words,
-    )  # fmt: skip
-    return Violation(kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts,
-                     block, line)  # fmt: skip
+    )
+    return Violation(
+        kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts, block, line
+    )
 
 
 def violations(
@@ -289,8 +315,18 @@ def _finding(path: CellPath, run: Trajectory, group: Sequence[Violation]) -> Fin
     kind = KINDS[worst.kind]
     value, limit = worst.value * kind.scale, worst.limit * kind.scale
     place = _place(path, run, worst)
-    return Finding(worst.severity, worst.kind, place, value, limit, kind.unit, kind.advice, worst.sentence, len(group),
-                   worst.amounts)  # fmt: skip
+    return Finding(
+        worst.severity,
+        worst.kind,
+        place,
+        value,
+        limit,
+        kind.unit,
+        kind.advice,
+        worst.sentence,
+        len(group),
+        worst.amounts,
+    )
 
 
 def _place(path: CellPath, run: Trajectory, worst: Violation) -> Place:

@@ -136,8 +136,11 @@ def _program(cell: Cell) -> list[Violation]:
         reground = 0.02  # share of the diameter that regrinding takes; a larger difference is another tool
         other = abs(tool.diameter - cell.tool.diameter) > reground * tool.diameter
         severity = "stop" if other else "warning"
-        findings.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
-                               label=tool.label))  # fmt: skip
+        findings.append(
+            violation(
+                "tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line, label=tool.label
+            )
+        )
     if cell.stage and cell.stage.same_tip and not tool.length_offset:
         x, y, z = 1e3 * cell.mount.xyz
         tip = f"[{x:g}, {y:g}, {z:g}]"

@@ -61,9 +61,15 @@ def _joint_limits(arm: Arm, joints: np.ndarray) -> list[Violation]:
         angle = joints[:, axis]
         beyond = np.maximum(angle - high, low - angle)
         results += violations(
-            "joint limit", angle, np.where(angle > high, high, low), beyond > 1e-12, worst=beyond,
-            subject=f"axis {axis + 1}", low=np.degrees(low), high=np.degrees(high),
-        )  # fmt: skip
+            "joint limit",
+            angle,
+            np.where(angle > high, high, low),
+            beyond > 1e-12,
+            worst=beyond,
+            subject=f"axis {axis + 1}",
+            low=np.degrees(low),
+            high=np.degrees(high),
+        )
     return results
 
 

@@ -129,9 +129,17 @@ def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation
         words = "above the stability limit" if above else "less than 20 % below the stability limit"
         hertz = milled.limit.chatter_frequency / (2.0 * math.pi)
         offences.append(
-            violation("chatter", milled.depth, milled.limit.depth_limit, point, severity="stop" if above else "warning",
-                      subject=milled.name, words=words, hertz=hertz)
-        )  # fmt: skip
+            violation(
+                "chatter",
+                milled.depth,
+                milled.limit.depth_limit,
+                point,
+                severity="stop" if above else "warning",
+                subject=milled.name,
+                words=words,
+                hertz=hertz,
+            )
+        )
     return offences
 
 
@@ -225,9 +233,13 @@ def _angles(arcs: Arcs, place: int) -> tuple[float, float]:
 
 
 def _limit_at(
-    cell: Cell, arm: bool, arcs: Arcs, place: int, models: dict[tuple, ModalModel] | None = None,
+    cell: Cell,
+    arm: bool,
+    arcs: Arcs,
+    place: int,
+    models: dict[tuple, ModalModel] | None = None,
     deepest: float = DEEPEST,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """``stability_limit`` of arm, tool and cut at one place.
 
     models: of the arm, by place in steps of ``POSTURES``; the first place of a step is modelled.

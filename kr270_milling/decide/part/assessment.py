@@ -107,16 +107,14 @@ def _of(measure, values: np.ndarray) -> float:
     return float(measure(values)) if values.size else np.nan
 
 
-def assess(
-    cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None, path: Stations | None = None
-) -> PartAssessment:  # fmt: skip
+def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None, path: Stations | None = None) -> PartAssessment:
     """Assess a pass of a cell; ideal: the part that the target itself leaves, path: its stations, if known already."""
     return assess_result(cell, ran.name, ran.result, ideal, path)
 
 
 def assess_result(
     cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None, path: Stations | None = None
-) -> PartAssessment:  # fmt: skip
+) -> PartAssessment:
     """Assess the series of a pass along the path of a cell, also of a plant that is not the cell."""
     path = path or stations_of(path_of(cell), result.time_ns)
     return PartAssessment(

@@ -36,8 +36,14 @@ def stations_of(programmed: CellPath, time_ns: np.ndarray) -> Stations:
         distance = np.linalg.norm(target.sample(time_ns) - target.position[0], axis=1)
         along = target.position[-1] - target.position[0]
         tangent = np.tile(along / np.linalg.norm(along), (time_ns.size, 1))
-        return Stations(distance, tangent, _headings(tangent), np.zeros(time_ns.size, np.int64), ("straight cut",),
-                      np.zeros(time_ns.size, bool))  # fmt: skip
+        return Stations(
+            distance,
+            tangent,
+            _headings(tangent),
+            np.zeros(time_ns.size, np.int64),
+            ("straight cut",),
+            np.zeros(time_ns.size, bool),
+        )
     path, distance = timed.toolpath, timed.distance_at(time_ns)
     _, tangent, _ = path.on_path(distance)
     feature = path.feature[path.block_at(distance)]

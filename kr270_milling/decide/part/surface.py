@@ -234,9 +234,13 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
 
 
 def surface(
-    cell: Cell, path: Stations, target: np.ndarray, actual: np.ndarray, ideal: IdealPart | None = None,
+    cell: Cell,
+    path: Stations,
+    target: np.ndarray,
+    actual: np.ndarray,
+    ideal: IdealPart | None = None,
     heights: np.ndarray | None = None,
-) -> Surface:  # fmt: skip
+) -> Surface:
     """Surface errors of a pass with tool centres ``actual`` where ``target`` was wanted, (n + 1, 3) [m].
 
     ideal: the part that the target itself leaves; heights (a, b) [m]: of the pass's own finished workpiece. Each is

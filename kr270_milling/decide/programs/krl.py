@@ -86,14 +86,17 @@ class Heading:
 
     def lines(self, program: Program, kind: str, run: Trajectory) -> list[str]:
         """Comment lines."""
-        return comments([
-            f"{KINDS[kind]}, points 1 to {len(run)}, {program.motion}" + (f", method {self.method}" * (kind == "CMP")),
-            "SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
-            f"kr270_milling {self.version}, {self.date}",
-            f"sha256 of this trajectory {trajectory_hash(run)}",
-            f"sha256 of its source {self.source_hash or 'not given'}",
-            *self.findings,
-        ])  # fmt: skip
+        return comments(
+            [
+                f"{KINDS[kind]}, points 1 to {len(run)}, {program.motion}"
+                + (f", method {self.method}" * (kind == "CMP")),
+                "SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
+                f"kr270_milling {self.version}, {self.date}",
+                f"sha256 of this trajectory {trajectory_hash(run)}",
+                f"sha256 of its source {self.source_hash or 'not given'}",
+                *self.findings,
+            ]
+        )
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:
@@ -105,9 +108,14 @@ def trajectory_hash(trajectory: Trajectory) -> str:
 
 
 def write_krl(
-    directory, program: Program, setup: Setup, original: Trajectory, revised: Trajectory, heading: Heading,
+    directory,
+    program: Program,
+    setup: Setup,
+    original: Trajectory,
+    revised: Trajectory,
+    heading: Heading,
     source: Source | None = None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Write all modules of both programs, or none; returns their paths.
 
     source: line and feature of each knot, for comments. Raises TrajectoryError for trajectories of different knots,

@@ -18,9 +18,19 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "WIDEST", "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
-    "point_speeds", "position_text", "printable_ascii",
-]  # fmt: skip
+    "WIDEST",
+    "Source",
+    "axis_text",
+    "comments",
+    "frame_row",
+    "frame_text",
+    "modules_of",
+    "motion_lines",
+    "number",
+    "point_speeds",
+    "position_text",
+    "printable_ascii",
+]
 
 WIDEST = 100  #: characters of a comment line
 EXTERNAL_AXES = ",".join(f"E{i} 0.0" for i in range(1, 7))

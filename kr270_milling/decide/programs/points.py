@@ -116,9 +116,14 @@ def program_blocks(program: Program, original: Trajectory, revised: Trajectory) 
     length = math.dist(*revised.position[points[shortest : shortest + 2]])
     error = _errors(program, [original, revised], points).max()
     return ProgramBlocks(
-        len(points), original.duration_ns * 1e-9, int(ahead.max()), 1e-9 * int(step[shortest]), length,
-        int((step < SHORT_NS).sum()), float(error),
-    )  # fmt: skip
+        len(points),
+        original.duration_ns * 1e-9,
+        int(ahead.max()),
+        1e-9 * int(step[shortest]),
+        length,
+        int((step < SHORT_NS).sum()),
+        float(error),
+    )
 
 
 @njit(cache=True)

@@ -53,9 +53,14 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
 
 
 def _as_run(
-    planned: Trajectory, target: Trajectory, knots: np.ndarray, position: np.ndarray, quaternion: np.ndarray,
-    stops: np.ndarray, spline: bool,
-) -> Trajectory:  # fmt: skip
+    planned: Trajectory,
+    target: Trajectory,
+    knots: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    stops: np.ndarray,
+    spline: bool,
+) -> Trajectory:
     """The motion through the points of a program, with the time law of the plan."""
     place = places_on_program(planned, knots, position, stops, spline)
     turned = Trajectory(planned.time_ns[knots], position, quaternion).sample_orientation(planned.time_ns)
