@@ -1,4 +1,4 @@
-"""One milling cell: the sections of its parameter file and the conditions between them."""
+"""A milling cell: the sections of its parameter file and the conditions between them."""
 
 from __future__ import annotations
 

@@ -32,9 +32,20 @@ from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
 
 __all__ = [
-    "ScoredPass", "arm_response", "commanded_joints", "compensated", "compensator", "expected_deviations",
-    "joint_ranges", "long_pass", "mean_force", "pass_record", "record_of", "scored", "simulate",
-]  # fmt: skip
+    "ScoredPass",
+    "arm_response",
+    "commanded_joints",
+    "compensated",
+    "compensator",
+    "expected_deviations",
+    "joint_ranges",
+    "long_pass",
+    "mean_force",
+    "pass_record",
+    "record_of",
+    "scored",
+    "simulate",
+]
 
 LONG_PASS = 500_000  #: exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
 PLANNED = 16  #: simulated robots for which ``robust`` plans
@@ -42,7 +53,7 @@ PLANNED = 16  #: simulated robots for which ``robust`` plans
 
 @dataclass(frozen=True, eq=False)
 class ScoredPass:
-    """One pass of a report or a table."""
+    """A pass of a report or a table."""
 
     name: str
     reference: Trajectory
@@ -56,10 +67,14 @@ class ScoredPass:
 
 
 def simulate(
-    cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None, plant: Plant | None = None,
+    cell: Cell,
+    reference: Trajectory | None = None,
+    name: str = "original",
+    progress=None,
+    plant: Plant | None = None,
     most_rows: float = math.inf,
-) -> ScoredPass:  # fmt: skip
-    """One pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead.
+) -> ScoredPass:
+    """Run a pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead.
 
     most_rows: of the result, see ``PassResult.every``.
     """
@@ -73,9 +88,16 @@ def simulate(
         return ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant.cell)), record)
     cut = cut_of(cell)
     result = run_pass(
-        arm_model_of(cell, reference), cut, path_of(cell).clock, target, reference, cell.exchange.iterations, progress,
-        path_of(cell).drilling_at, most_rows,
-    )  # fmt: skip
+        arm_model_of(cell, reference),
+        cut,
+        path_of(cell).clock,
+        target,
+        reference,
+        cell.exchange.iterations,
+        progress,
+        path_of(cell).drilling_at,
+        most_rows,
+    )
     if not path_of(cell).straight:  # its sweep takes long, so the assessment of the part uses this workpiece
         result = dataclasses.replace(result, heights=cut.map_heights()[2])
     return ScoredPass(name, reference, result, scored(cell, result))
@@ -91,9 +113,15 @@ def scored(
     feed = (target or path_of(cell).target).sample_velocity(result.time_ns)
     lowest = low_frequency_of(cell) if low_frequency is None else low_frequency
     return score(
-        result.time, result.actual, result.target, feed, path_of(cell).full_engagement, lowest, result.deflection[:, 1],
+        result.time,
+        result.actual,
+        result.target,
+        feed,
+        path_of(cell).full_engagement,
+        lowest,
+        result.deflection[:, 1],
         straight=path_of(cell).straight,
-    )  # fmt: skip
+    )
 
 
 def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
@@ -113,9 +141,13 @@ def _measured(cell: Cell, result: PassResult) -> np.ndarray:
 
 
 def pass_record(
-    cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray, tracker: Imperfections | None = None,
+    cell: Cell,
+    time_ns: np.ndarray,
+    tool: np.ndarray,
+    wrench: np.ndarray,
+    tracker: Imperfections | None = None,
     number: int = 0,
-) -> PassRecord:  # fmt: skip
+) -> PassRecord:
     """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], received, recorded or simulated.
 
     The noise of the positions is what the cell states in ``imperfections``. tracker: simulate tracker and force sensor
@@ -151,7 +183,7 @@ def robot_passes(
 
     Repeatability shifts each pass by chance, so it is left out. A robot that is unstable is left out, too.
     """
-    planning_seed = 1_000_000  # of these robots: no verdict draws them, whose seeds are smaller
+    planning_seed = 1_000_000  # seed of these robots: the seeds of a verdict are smaller
     model, rng = coarser(cell), np.random.default_rng(planning_seed)
     drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(count))]
 
@@ -267,20 +299,30 @@ def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
 def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
     tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
     return mirror(
-        cell.arm, cell.mount, tool, wrench_in_base, arm_of(cell).posture, tool_compliance=cell.tool.lateral_compliance,
-        relaxation=cell.compensation.relaxation, sag_compensated=sag_compensated,
-    )  # fmt: skip
+        cell.arm,
+        cell.mount,
+        tool,
+        wrench_in_base,
+        arm_of(cell).posture,
+        tool_compliance=cell.tool.lateral_compliance,
+        relaxation=cell.compensation.relaxation,
+        sag_compensated=sag_compensated,
+    )
 
 
 def long_pass(path: CellPath) -> bool:
-    """Whether the series of a pass along a path fill so much memory that few of them are stored."""
+    """Return whether the series of a pass along a path fill so much memory that few of them are stored."""
     return path.clock.steps(path.target.duration_ns) > LONG_PASS
 
 
 def compensated(
-    cell: Cell, original: ScoredPass, method: str | Method, progress=None, by: Compensator | None = None,
+    cell: Cell,
+    original: ScoredPass,
+    method: str | Method,
+    progress=None,
+    by: Compensator | None = None,
     plant: Plant | None = None,
-) -> ScoredPass:  # fmt: skip
+) -> ScoredPass:
     """The pass along the trajectory that ``method`` makes from the original pass.
 
     by: a compensator to do it with; plant: what runs the passes, the original one included.

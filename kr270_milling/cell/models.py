@@ -157,7 +157,7 @@ def _thin_chips(path: CellPath) -> str:
 
 
 def removal_of(cell: Cell) -> Removal:
-    """What the tool removes along its programmed path; raises InputError without a program."""
+    """Return the material that the tool removes along its programmed path; raises InputError without a program."""
     fed = path_of(cell).fed
     if fed is None:
         raise InputError("path.file", "is empty, and a straight cut is no program")

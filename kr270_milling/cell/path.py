@@ -67,7 +67,7 @@ def check_effort(exchange: Exchange, tool: Tool, stock: Stock, duration: float, 
 
 
 def sinking(time: np.ndarray, height: np.ndarray, top: float) -> tuple[float, float]:
-    """How long [s] and how deep in all [m] a tool sinks below ``top``; times [s] and heights [m] of its path, (n,)."""
+    """Return how long [s] and how deep in all [m] a tool sinks below ``top``; time [s], height [m], (n,)."""
     down = -np.diff(np.minimum(height, top))
     return float(np.diff(time)[down > 0].sum()), float(down[down > 0].sum())
 

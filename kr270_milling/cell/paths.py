@@ -43,8 +43,8 @@ class StraightCut(_Programmed):
     by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
-    drills = False  #: whether the program has a drilling cycle
-    mills = True  #: whether the program cuts in more than drilling cycles
+    drills = False  #: the program has a drilling cycle
+    mills = True  #: the program cuts in more than drilling cycles
 
     @property
     def description(self) -> str:
@@ -97,11 +97,11 @@ class StraightCut(_Programmed):
         return np.zeros(time_ns.size, np.int64)
 
     def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Whether the tool makes a rapid move at times (n,) [ns]."""
+        """Return whether the tool makes a rapid move at times (n,) [ns]."""
         return np.zeros(time_ns.size, bool)
 
     def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
+        """Return whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
         return np.zeros(time_ns.size, bool)
 
 
@@ -191,21 +191,21 @@ class ProgramPath(_Programmed):
         return self.timed.toolpath.line[self.timed.block_at(time_ns)]
 
     def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Whether the tool makes a rapid move at times (n,) [ns]."""
+        """Return whether the tool makes a rapid move at times (n,) [ns]."""
         return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
 
     @property
     def drills(self) -> bool:
-        """Whether the program has a drilling cycle."""
+        """Return whether the program has a drilling cycle."""
         return bool(self.fed.toolpath.drilling.any())
 
     @property
     def mills(self) -> bool:
-        """Whether the program cuts in more than drilling cycles."""
+        """Return whether the program cuts in more than drilling cycles."""
         return bool((~self.fed.toolpath.rapid & ~self.fed.toolpath.drilling).any())
 
     def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
+        """Return whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
         drilling = self.timed.toolpath.drilling
         return drilling[self.timed.block_at(time_ns)] if drilling.any() else np.zeros(time_ns.size, bool)
 

@@ -23,9 +23,7 @@ from kr270_milling.physics.robot.kinematics import forward, jacobian_at
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_torque
 from kr270_milling.physics.robot.mass import rigid_joint_mass
 
-__all__ = [
-    "DIVERGED", "Plant", "coarser", "cores", "imperfect_arm", "imperfect_course", "joint_gaps", "perturbed",
-]  # fmt: skip
+__all__ = ["DIVERGED", "Plant", "coarser", "cores", "imperfect_arm", "imperfect_course", "joint_gaps", "perturbed"]
 
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
@@ -46,7 +44,7 @@ class Plant:
         self.passes = 0  #: run so far
 
     def run(self, reference: Trajectory, progress=None) -> PassResult:
-        """One pass on a fresh workpiece.
+        """Run a pass on a fresh workpiece.
 
         The result is true, and not what a noisy tracker reports: its ``reference`` is the course of the motors, with
         repeatability; its deflections contain the backlash.

@@ -40,9 +40,12 @@ class Workpiece(Record):
         False, text="place it so that start_joints_deg put the tool where the straight cut starts; xyz, abc follow"
     )
     fixtures: np.ndarray = parameter(
-        [], unit="mm", low=-1e5, high=1e5,
+        [],
+        unit="mm",
+        low=-1e5,
+        high=1e5,
         text="boxes that the tool must not enter, workpiece frame: x, y, z of both corners, one box after the other",
-    )  # fmt: skip
+    )
 
     table_z: float = parameter(
         math.nan,
@@ -86,9 +89,12 @@ class PathSection(Record):
     depth_of_cut: float = parameter(0.0, unit="mm", low=0.0, high=100.0, text="straight cut: a_p below the stock's top")
     length: float = parameter(0.0, unit="mm", low=0.0, high=10000.0, text="straight cut: its length")
     feed_rate: float = parameter(
-        0.0, unit="m_per_min", low=0.0, high=60.0,
+        0.0,
+        unit="m_per_min",
+        low=0.0,
+        high=60.0,
         text="feed rate v_f of a straight cut, a program without F, or a recorded path whose poses have one stamp",
-    )  # fmt: skip
+    )
 
     radial_immersion: float = parameter(
         1.0, above=0.0, high=1.0, text="lobes over speed: width of the cut, a share of the diameter"
@@ -101,7 +107,7 @@ class PathSection(Record):
 
     @property
     def recorded(self) -> bool:
-        """Whether ``file`` is a recording."""
+        """Return whether ``file`` is a recording."""
         reader = known_reader(self.file)
         return reader is not None and reader.recorded
 
@@ -263,9 +269,12 @@ class Program(Record):
     line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
     blend_distance: float = parameter(1e-3, unit="mm", low=0.0, high=100.0, text="$APO.CDIS of LIN motions")
     tolerance: float = parameter(
-        2e-6, unit="um", low=0.0, high=1000.0,
+        2e-6,
+        unit="um",
+        low=0.0,
+        high=1000.0,
         text="how far the motion through the points may leave the planned path; 0: a point at each controller step",
-    )  # fmt: skip
+    )
     point_spacing: float = parameter(1e-6, unit="mm", above=0.0, high=10.0, text="closer points are left out")
     approach_speed_percent: int = parameter(10, low=1, high=100, text="axis speed of the PTP motions")
     approach_feed: float = parameter(0.05, unit="m_per_min", above=0.0, high=60.0, text="down to the first point")
@@ -287,9 +296,10 @@ class Program(Record):
     base_number: int = parameter(0, low=0, high=64, text="$BASE=BASE_DATA[n]; 0: by value")
     set_load: bool = parameter(False, text="whether the program sets $LOAD, or a comment says what to set")
     time_law: str = parameter(
-        "jerk", choices=("jerk", "acceleration", "none"),
+        "jerk",
+        choices=("jerk", "acceleration", "none"),
         text="statements of timing in the program: $ACC.CP and $JERK.CP (of SPLINE, KSS 8.3), $ACC.CP alone, or none",
-    )  # fmt: skip
+    )
     # assumed: public programs for KUKA arms set 90 to 400 deg/s and 100 to 1000 deg/s2
     turn_speed: float = parameter(
         math.radians(200.0), unit="deg_per_s", above=0.0, high=1000.0, text="$VEL.ORI1 and $VEL.ORI2"
@@ -329,9 +339,11 @@ class Uncertainty(Record):
         [], low=0.0, high=1.0, text="of each joint on its own, as identified; empty: joint_compliance for all"
     )
     force_coefficients: np.ndarray = parameter(
-        [], low=0.0, high=1.0,
+        [],
+        low=0.0,
+        high=1.0,
         text="of each coefficient of the force law on its own; those left out, axial or all: force_coefficient",
-    )  # fmt: skip
+    )
     # assumed: a worn edge doubles the edge forces, which are half of a light cut, before it is changed
     tool_wear: float = parameter(
         0.3,
@@ -341,9 +353,12 @@ class Uncertainty(Record):
     )
     # the tilt of a foundation that a campaign outside of this package assumed; assumed for every floor
     base_compliance: float = parameter(
-        0.08e-6, unit="urad_per_n_m", low=0.0, high=1e4,
+        0.08e-6,
+        unit="urad_per_n_m",
+        low=0.0,
+        high=1e4,
         text="largest compliance of a plant's base about x and y, where arm.base_compliance is rigid there",
-    )  # fmt: skip
+    )
     # assumed: a tool longer than 4 diameters has its stick-out in the cell
     tool_stick_out: float = parameter(
         4.0, low=0.0, high=20.0, text="longest stick-out of a plant's tool in diameters, where the cell's tool is rigid"
@@ -361,7 +376,7 @@ class Uncertainty(Record):
         low=0.0,
         high=1.0,
         text="share of the plants whose reference moves the motor side, as every real arm's does",
-    )  # fmt: skip
+    )
     # ISO 9283, 0.06 mm: data sheet of the KR 270; noise: a laser tracker at some metres; backlash: none to
     # twice that of the arm
     repeatability: float = parameter(60e-6, unit="um", low=0.0, high=1e4, text="largest repeatability of a plant")
@@ -371,9 +386,12 @@ class Uncertainty(Record):
     )
     # assumed: closed loops of the axes of heavy arms; one cycle of KUKA RSI
     servo_frequency: np.ndarray = parameter(
-        [10.0, 40.0], unit="hz", low=LEAST_SERVO_FREQUENCY, high=1000.0,
+        [10.0, 40.0],
+        unit="hz",
+        low=LEAST_SERVO_FREQUENCY,
+        high=1000.0,
         text="lowest and highest frequency of a plant's servo lag, see imperfections.servo_frequency_hz; empty: none",
-    )  # fmt: skip
+    )
     servo_delay: float = parameter(
         4e-3, unit="ms", low=0.0, high=1000.0, text="longest dead time of a plant's servo lag"
     )
@@ -402,12 +420,13 @@ class Uncertainty(Record):
         return math.hypot(self.joint_compliance, self.force_coefficient)
 
     def of_compliances(self) -> np.ndarray:
-        """Of the six compliances, (6,)."""
+        """Return the standard deviations of the six compliances, (6,)."""
         return self.joint_compliances if self.joint_compliances.size else np.full(6, self.joint_compliance)
 
     def of_coefficients(self, count: int, axial: int) -> np.ndarray:
-        """Of so many coefficients of the force law in use, (count,); the list may leave out the last ``axial`` ones.
+        """Return the standard deviations of the coefficients of the force law, (count,).
 
+        The list may leave out the last ``axial`` coefficients.
         Raises ParameterError.
         """
         given = self.force_coefficients

@@ -20,7 +20,7 @@ ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: o
 
 @dataclass(frozen=True, eq=False)
 class Removal:
-    """What a tool removes: all material above its end, along its way; workpiece frame."""
+    """Material that a tool removes: all material above its end along its path; workpiece frame."""
 
     tool: str  #: name in the program
     radius: float  #: [m], of the longest tooth
@@ -42,7 +42,7 @@ class Stage:
 
     @property
     def suffix(self) -> str:
-        """What names of files and robot programs end in: ``_T2``; ``_N2`` where the tool has no short number."""
+        """Suffix of file and program names: ``_T2``; ``_N2`` where the tool has no short number."""
         return f"_{self.tool}" if re.fullmatch(r"T[0-9]{1,2}", self.tool) else f"_N{self.number}"
 
     def __str__(self) -> str:

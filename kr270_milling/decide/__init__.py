@@ -1,1 +1,1 @@
-"""What a person decides on: findings, verdict, part."""
+"""Basis of a decision: findings, verdict, part."""

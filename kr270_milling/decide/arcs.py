@@ -29,7 +29,7 @@ class Arcs:
 
     position: np.ndarray  #: tool tip [m], (m, 3)
     time: np.ndarray  #: [s], (m,)
-    heading: np.ndarray  #: of the feed, from x [rad], (m,)
+    heading: np.ndarray  #: direction of the feed, from x [rad], (m,)
     feed: np.ndarray  #: programmed [m/s], (m,)
     feature: np.ndarray  #: index into ``features``, (m,)
     features: tuple[str, ...]
@@ -97,9 +97,17 @@ def arcs_along(
     )
     entry, leave = left if path.tool.sense > 0.0 else (-left[1], -left[0])
     return Arcs(
-        position[some], time[some], heading[some], feed[some], feature[some], features, depth[some], entry, leave,
+        position[some],
+        time[some],
+        heading[some],
+        feed[some],
+        feature[some],
+        features,
+        depth[some],
+        entry,
+        leave,
         EVERY * step,
-    )  # fmt: skip
+    )
 
 
 @njit(cache=True, nogil=True)

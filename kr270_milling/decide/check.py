@@ -29,7 +29,7 @@ from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
 RAPID_MOVES = "removed by rapid moves"
-MOST_LINES = 10  #: of the program that the line about rapid moves names
+MOST_LINES = 10  #: lines of the program in the text about rapid moves
 
 __all__ = ["RAPID_MOVES", "Checked", "check"]
 
@@ -80,7 +80,7 @@ class Checked:
 
     @property
     def summary(self) -> str:
-        """One line: points, counts, and whether the path may be run."""
+        """Return points, counts, and the statement about the run, in one line."""
         verdict = "may be run, after a test in T1" if self.may_be_run else "must not be run"
         return f"{self.counts}: the path {verdict}"
 
@@ -91,13 +91,13 @@ class Checked:
         return f"{self.points} points, {counts}"
 
     def lines(self) -> list[str]:
-        """One line a finding, then the summary."""
+        """Return a line for each finding, then the summary."""
         return [*self.findings_lines(), self.summary]
 
     def findings_lines(self) -> list[str]:
-        """One line a finding, and what the path does beside."""
+        """Return a line for each finding, and those about the whole path."""
         read_over = [self.program.summary] if self.program.summary else []
-        stability = [one.text for one in (self.stability, self.residue, self.exchange, self.blocks) if one]
+        stability = [part.text for part in (self.stability, self.residue, self.exchange, self.blocks) if part]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
         return [*read_over, *findings, self.rapid_text, *stability]
 
@@ -108,7 +108,7 @@ class Checked:
 
     @property
     def rapid_text(self) -> str:
-        """One line: the volume, and the lines of the program where there are some."""
+        """Return the volume, and the lines of the program that remove it, in one line."""
         if self.rapid_moves is None:
             return f"{RAPID_MOVES}: not known, the arm cannot make the path"
         lines = list(dict.fromkeys(str(f.where.line) for f in self.rapid_moves if f.where.line))
@@ -118,9 +118,13 @@ class Checked:
 
 
 def check(
-    cell: Cell, reference: Trajectory | None = None, motion: str | None = None, ran: ScoredPass | None = None,
-    progress: Callable = lambda *_: contextlib.nullcontext(), more: Iterable[Violation] = (),
-) -> Checked:  # fmt: skip
+    cell: Cell,
+    reference: Trajectory | None = None,
+    motion: str | None = None,
+    ran: ScoredPass | None = None,
+    progress: Callable = lambda *_: contextlib.nullcontext(),
+    more: Iterable[Violation] = (),
+) -> Checked:
     """Check the cell's own path, or a corrected one; motion: LIN or SPLINE.
 
     Default: LIN for a correction in straight lines of a smooth path, as compensate writes it, else that of ``program``.
@@ -189,7 +193,7 @@ def _cut(
     try:
         if ran is None:
             with progress("milling") as report:
-                most_rows = 2**19  # of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
+                most_rows = 2**19  # rows of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
                 ran = simulate(cell, run, "checked", report, most_rows=most_rows)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1

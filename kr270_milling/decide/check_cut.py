@@ -65,7 +65,7 @@ class Engagement:
     position: np.ndarray  #: tool tip [m], (m, 3)
     time: np.ndarray  #: [s], (m,)
     rapid: np.ndarray  #: on a rapid move, (m,)
-    block: np.ndarray  #: of the tool path that leads to the place, (m,)
+    block: np.ndarray  #: block of the tool path that leads to the place, (m,)
     series: np.ndarray  #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move; (m,)
     depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
     inner: np.ndarray  #: deepest material that a rapid move meets within a smaller radius, see ``engagement`` [m], (m,)
@@ -73,7 +73,7 @@ class Engagement:
     shank: np.ndarray  #: depth of the shank in material [m], (m,)
     holder: np.ndarray  #: depth of the holder in material [m], (m,)
     margin: np.ndarray  #: [m], (m,), up to which ``inner`` is no contact
-    volume: np.ndarray  #: that rapid moves remove on the way to the place [m^3], (m,)
+    volume: np.ndarray  #: volume that rapid moves remove on the way to the place [m^3], (m,)
 
 
 def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Engagement:
@@ -117,7 +117,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
 
 
 def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where a rapid move leaves along the tool axis, and where it goes down again along an earlier cut, (m,) each.
+    """Return the places where a rapid move leaves along the tool axis, and where it returns along an earlier cut, (m,).
 
     position: of the programmed path; near [m]: from a place of the move to the places of the cut.
     """
@@ -205,7 +205,7 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
 
 
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
-    """What the simulated pass along ``run``, and the programmed path in the stock, show; by the points of ``run``."""
+    """Check the simulated pass along ``run`` and the programmed path in the stock, by the points of ``run``."""
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
     return _spindle(cell, run, ran) + _tool(cell, run, ran) + contact_violations(cell, run, ran)
@@ -249,7 +249,7 @@ def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
 
 
 def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
-    """What the tool meets along the programmed path: material at rapid, below the stock, fixtures.
+    """Check the contacts along the programmed path: material at rapid, below the stock, fixtures.
 
     Where its rapid moves meet no material, the simulated pass ``ran`` decides: its rapid moves must not enter the
     material that its cutting moves leave, further than the arm springs back.
@@ -288,7 +288,7 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         results += violations(
             "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
-        )  # fmt: skip
+        )
     if flutes:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
     for body, depth in (("shank", met.shank), ("holder", met.holder)):
@@ -332,7 +332,7 @@ def _points(run: Trajectory, met: Engagement) -> np.ndarray:
 
 
 def rapid_violations(run: Trajectory, met: Engagement) -> list[Violation]:
-    """One violation for each rapid move through material, by the points of ``run``: deepest contact, length of the
+    """Return a violation for each rapid move through material, by the points of ``run``: deepest contact, length of the
     contact, removed volume.
 
     The last move of a series counts what the moves without such a contact remove at the rim.
@@ -355,7 +355,7 @@ def rapid_violations(run: Trajectory, met: Engagement) -> list[Violation]:
 
 
 def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> np.ndarray:
-    """Where the tool is over or in a box, seen from above, (m,)."""
+    """Return the places where the tool is over or in a box, seen from above, (m,)."""
     beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])
     return np.hypot(*beside.T) < radius
 
@@ -398,7 +398,7 @@ class Residue:
 
     @property
     def text(self) -> str:
-        """One line."""
+        """Return one line."""
         if not self.teeth:
             return "simulated pass (arm only): no statement about vibration, the mean force has no teeth"
         if self.word == "no statement":

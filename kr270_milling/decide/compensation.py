@@ -44,14 +44,14 @@ __all__ = [
 class JudgedCompensation:
     """Both passes and the decision on them."""
 
-    original: ScoredPass  #: of the original program as written
-    planned: Scores  #: of the pass along the planned reference
-    revised: ScoredPass  #: of the program as written; its reference is the planned one
+    original: ScoredPass  #: pass of the original program as written
+    planned: Scores  #: scores of the pass along the planned reference
+    revised: ScoredPass  #: pass of the program as written; its reference is the planned one
     by: Compensator
-    parts: tuple[PartAssessment, ...]  #: of both passes along a tool path
-    checked: Checked  #: of the revised path
+    parts: tuple[PartAssessment, ...]  #: both passes along a tool path
+    checked: Checked  #: findings of the revised path
     decision: Decision
-    motions: tuple[str, ...]  #: of the robot programs
+    motions: tuple[str, ...]  #: motions of the robot programs
 
     def lines(self) -> list[str]:
         """The decision and the findings, as terminal, manifest and programs print them."""
@@ -107,9 +107,13 @@ def compensate(
         for p in by.limited
     ]
     checked = check(
-        cell, revised.reference, motion, revised, progress,
+        cell,
+        revised.reference,
+        motion,
+        revised,
+        progress,
         [*limited, *unlike(plan, revised.scores, cell.krl.tolerance)],
-    )  # fmt: skip
+    )
     judged: Verdict | None = None
     if robots:
         with progress("verdict") as report:
@@ -160,7 +164,7 @@ def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation
 
 
 def limit_sentence(part: Limited, by: Compensator) -> str:
-    """What was not let through and, where most of it is for the arm's own inertia, at which feed it would be."""
+    """Return the part of a correction that was cut off; if inertia dominates, also the feed at which it would fit."""
     if by.learner is None or by.learner.inertia(part.time) < 0.5 * part.wanted:
         return part.sentence
     return f"{part.sentence}; in reach at about {100 * part.feed_share:.0f} % of the programmed feed there"

@@ -1,4 +1,4 @@
-"""Whether the exchange between arm and cut was fine enough in a simulated pass."""
+"""Check that the exchange between arm and cut was fine enough in a simulated pass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WINDOW = 0.1  #: [s], over which the corrections of the mean force count: one pe
 class ExchangeShare:
     """The largest correction of a predicted pose, by which the chip geometry of one period was wrong."""
 
-    share: float  #: of the scale
+    share: float  #: share of the scale
     scale: str  #: name of the length that the corrections are compared with
     warn: float  #: share above which it is reported
     stop: float  #: share above which the pass has no meaning
@@ -29,7 +29,7 @@ class ExchangeShare:
 
     @property
     def text(self) -> str:
-        """One line."""
+        """Return one line."""
         above = f": above {100 * self.warn:g} %, use a shorter {self.period}" if self.share > self.warn else ""
         return (
             f"exchange: largest correction of a predicted pose is {100 * self.share:.1f} % of the {self.scale}{above}"

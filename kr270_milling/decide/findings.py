@@ -1,4 +1,4 @@
-"""Findings: what a check says, where, how far beyond which limit, and what to do about it.
+"""Findings: kind, place, value and limit of each violation, with advice.
 
 ``KINDS`` describes every check once; checks make violations of it, and ``gathered`` makes findings of those. Terminal,
 JSON, report and the header of every robot program print the same findings.
@@ -16,8 +16,19 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gathered", "separate", "stretches",
-           "violation", "violations"]  # fmt: skip
+__all__ = [
+    "KINDS",
+    "SEVERITIES",
+    "Finding",
+    "Kind",
+    "Place",
+    "Violation",
+    "gathered",
+    "separate",
+    "stretches",
+    "violation",
+    "violations",
+]
 
 DEG = 180.0 / math.pi
 EXCEEDS = " exceeds {limit:.4g} {unit} ({where}): {value:.4g} {unit} at point {point}"
@@ -31,9 +42,9 @@ SCALES = {"mm": 1e3, "um": 1e6, "mm3": 1e9, "deg": DEG, "deg/s": DEG, "deg/s^2":
 
 @dataclass(frozen=True)
 class Kind:
-    """One check. The sentence is a format string with the keys that ``violation`` names."""
+    """A check. The sentence is a format string with the keys that ``violation`` names."""
 
-    unit: str  #: of the shown value and limit
+    unit: str  #: unit of the shown value and limit
     sentence: str
     advice: str
     severity: str = "stop"
@@ -176,27 +187,42 @@ class Violation:
     limit: float
     severity: str
     sentence: str
-    subject: str = ""  #: of what kind there are several: an axis, a singularity
+    subject: str = ""  #: which axis or singularity, if the kind concerns one of several
     amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the sentence, units in their names
-    block: int | None = None  #: of the tool path; None: that of the point
-    line: int | None = None  #: of the program, of a finding that belongs to no point
+    block: int | None = None  #: block of the tool path; None: that of the point
+    line: int | None = None  #: line of the program, for a finding that belongs to no point
 
 
 def violation(
-    kind: str, value: float, limit: float, point: int | None = None, *, severity: str = "", subject: str = "",
-    block: int | None = None, line: int | None = None, amounts: dict[str, float] | None = None, **words,
-) -> Violation:  # fmt: skip
+    kind: str,
+    value: float,
+    limit: float,
+    point: int | None = None,
+    *,
+    severity: str = "",
+    subject: str = "",
+    block: int | None = None,
+    line: int | None = None,
+    amounts: dict[str, float] | None = None,
+    **words,
+) -> Violation:
     """value and limit in SI units; severity: default that of the kind; words, amounts: what else its sentence names.
 
     block: of the tool path, default: the block that leads to the point; line: of the program.
     """
     known, amounts = KINDS[kind], amounts or {}
     sentence = known.sentence.format(
-        value=value * known.scale, limit=limit * known.scale, unit=known.unit, point=point, subject=subject, **amounts,
+        value=value * known.scale,
+        limit=limit * known.scale,
+        unit=known.unit,
+        point=point,
+        subject=subject,
+        **amounts,
         **words,
-    )  # fmt: skip
-    return Violation(kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts,
-                     block, line)  # fmt: skip
+    )
+    return Violation(
+        kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts, block, line
+    )
 
 
 def violations(
@@ -209,7 +235,7 @@ def violations(
     points: np.ndarray | None = None,
     **words,
 ) -> list[Violation]:
-    """One violation for each stretch of True in ``over`` (n,), named by its worst place.
+    """Return a violation for each stretch of True in ``over`` (n,), named by its worst place.
 
     value (n,) and limit, a number or (n,): of the places in SI units. over: default: value above limit, or NaN; worst
     (n,): is largest at the worst place, default: value, NaN the worst; points (n,): of the program, default 1 to n;
@@ -239,12 +265,12 @@ def stretches(flags: np.ndarray) -> list[list[int]]:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a finding is; None where it belongs to no point of the path."""
+    """Place of a finding; None where it belongs to no point of the path."""
 
     point: int | None = None  #: number in the robot program, from 1
     line: int | None = None  #: in the file of the tool path
-    feature: str | None = None  #: of the part
-    position_mm: tuple[float, float, float] | None = None  #: of the tool tip, workpiece frame
+    feature: str | None = None  #: feature of the part
+    position_mm: tuple[float, float, float] | None = None  #: place of the tool tip, workpiece frame
 
 
 @dataclass(frozen=True)
@@ -258,30 +284,30 @@ class Finding:
     limit: float
     unit: str
     advice: str
-    sentence: str  #: of the worst one
+    sentence: str  #: sentence of the worst violation
     count: int = 1
     amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the worst one, units in their names
 
     @property
     def text(self) -> str:
-        """One line, as every output prints it."""
+        """Return one line, as every output prints it."""
         times = "" if self.count == 1 else f", and {self.count - 1} more of the kind"
         line = "" if self.where.line is None else f" (line {self.where.line})"
         return f"{self.sentence}{line}{times}. {self.advice}"
 
 
 def gathered(path: CellPath, run: Trajectory, results: Iterable[Violation]) -> tuple[Finding, ...]:
-    """One finding for all violations of a kind, severity and subject, named by the worst; the worst severity first."""
+    """Return one finding for all violations of a kind, severity and subject, the worst severity first."""
     groups: dict[tuple[str, str, str], list[Violation]] = {}
-    for one in results:
-        groups.setdefault((one.severity, one.kind, one.subject), []).append(one)
+    for result in results:
+        groups.setdefault((result.severity, result.kind, result.subject), []).append(result)
     findings = [_finding(path, run, group) for group in groups.values()]
     return tuple(sorted(findings, key=lambda f: (SEVERITIES.index(f.severity), f.where.point or 0)))
 
 
 def separate(path: CellPath, run: Trajectory, kind: str, results: Iterable[Violation]) -> tuple[Finding, ...]:
-    """One finding for each violation of a kind, in the order of the path."""
-    return tuple(_finding(path, run, [one]) for one in results if one.kind == kind)
+    """Return a finding for each violation of a kind, in the order of the path."""
+    return tuple(_finding(path, run, [result]) for result in results if result.kind == kind)
 
 
 def _finding(path: CellPath, run: Trajectory, group: Sequence[Violation]) -> Finding:
@@ -289,8 +315,18 @@ def _finding(path: CellPath, run: Trajectory, group: Sequence[Violation]) -> Fin
     kind = KINDS[worst.kind]
     value, limit = worst.value * kind.scale, worst.limit * kind.scale
     place = _place(path, run, worst)
-    return Finding(worst.severity, worst.kind, place, value, limit, kind.unit, kind.advice, worst.sentence, len(group),
-                   worst.amounts)  # fmt: skip
+    return Finding(
+        worst.severity,
+        worst.kind,
+        place,
+        value,
+        limit,
+        kind.unit,
+        kind.advice,
+        worst.sentence,
+        len(group),
+        worst.amounts,
+    )
 
 
 def _place(path: CellPath, run: Trajectory, worst: Violation) -> Place:

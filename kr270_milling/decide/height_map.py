@@ -58,8 +58,11 @@ def height_map(stock: Stock, step: float, position: np.ndarray, radius: float) -
         np.zeros((columns, rows), np.float32),
         np.clip(np.ceil((least - origin[1]) / step), 0, rows).astype(np.int32),
         np.clip(np.floor((most - origin[1]) / step) + 1, 0, rows).astype(np.int32),
-        float(origin[0]), float(origin[1]), step, float(high[2]),
-    )  # fmt: skip
+        float(origin[0]),
+        float(origin[1]),
+        step,
+        float(high[2]),
+    )
 
 
 @njit(cache=True, inline="always")

@@ -113,7 +113,7 @@ def _material(cell: Cell) -> list[Violation]:
 
 
 def _program(cell: Cell) -> list[Violation]:
-    """What contradicts the program of ``path.file``."""
+    """Return contradictions between the cell and the program of ``path.file``."""
     fed = path_of(cell).fed
     if fed is None:
         return []
@@ -136,8 +136,11 @@ def _program(cell: Cell) -> list[Violation]:
         reground = 0.02  # share of the diameter that regrinding takes; a larger difference is another tool
         other = abs(tool.diameter - cell.tool.diameter) > reground * tool.diameter
         severity = "stop" if other else "warning"
-        findings.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
-                               label=tool.label))  # fmt: skip
+        findings.append(
+            violation(
+                "tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line, label=tool.label
+            )
+        )
     if cell.stage and cell.stage.same_tip and not tool.length_offset:
         x, y, z = 1e3 * cell.mount.xyz
         tip = f"[{x:g}, {y:g}, {z:g}]"
@@ -159,7 +162,7 @@ def _program(cell: Cell) -> list[Violation]:
 
 
 def _along_axis(cell: Cell, path: Toolpath) -> bool:
-    """Whether the tool makes no sideways feed move below the top of the stock."""
+    """Return whether the tool makes no sideways feed move below the top of the stock."""
     sideways = np.hypot(*np.diff(path.position[:, :2], axis=0).T) > 1e-6
     low = np.minimum(path.position[1:, 2], path.position[:-1, 2]) < cell.stock.max[2] - 1e-6
     return not (sideways & low & ~path.rapid[1:]).any()

@@ -53,6 +53,6 @@ def backlash_statement(backlash: np.ndarray, share: float, reversals: Sequence[F
         return f"backlash: in the verdict only, 0 to {width.max():.3g} arcsec"
     if not reversals:
         return f"backlash: not included{'' if reversals is None else ', no load reverses'}"
-    largest = max(one.value for one in reversals)
+    largest = max(finding.value for finding in reversals)
     places = f"{len(reversals)} place{'s' * (len(reversals) > 1)}"
     return f"backlash: not included, up to {largest:.3g} um where the load on an axis reverses ({places})"

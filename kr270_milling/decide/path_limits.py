@@ -61,9 +61,15 @@ def _joint_limits(arm: Arm, joints: np.ndarray) -> list[Violation]:
         angle = joints[:, axis]
         beyond = np.maximum(angle - high, low - angle)
         results += violations(
-            "joint limit", angle, np.where(angle > high, high, low), beyond > 1e-12, worst=beyond,
-            subject=f"axis {axis + 1}", low=np.degrees(low), high=np.degrees(high),
-        )  # fmt: skip
+            "joint limit",
+            angle,
+            np.where(angle > high, high, low),
+            beyond > 1e-12,
+            worst=beyond,
+            subject=f"axis {axis + 1}",
+            low=np.degrees(low),
+            high=np.degrees(high),
+        )
     return results
 
 
@@ -108,7 +114,7 @@ def _joint_rates(time, joints, speed_limit, acceleration_limit, at_rest: bool) -
 
 
 def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
-    """Where the correction [m] is larger than allowed, at a knot or at a tick on the way to it."""
+    """Check the size of the correction [m] at a knot or at a tick on the way to it."""
     time_ns, shift, _ = offsets(original, revised, tick_ns)
     size = np.linalg.norm(revised.position - original.position, axis=1)
     size = np.fmax(size, _on_the_way(original, time_ns, np.linalg.norm(shift, axis=1)))
@@ -116,7 +122,7 @@ def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, lim
 
 
 def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
-    """Where the correction [m] changes by more from one tick to the next than the controller takes."""
+    """Check the change of the correction [m] from one tick to the next."""
     time_ns, shift, _ = offsets(original, revised, tick_ns)
     change = np.linalg.norm(np.diff(shift, axis=0), axis=1)
     return violations("correction per tick", _on_the_way(original, time_ns[1:], change), limit)
@@ -132,7 +138,7 @@ def _on_the_way(original: Trajectory, time_ns: np.ndarray, values: np.ndarray) -
 def corner_blending(
     original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5, points: np.ndarray | None = None
 ) -> list[Violation]:
-    """Where the controller's blending of LIN motions rounds off more than a share of the correction at the point [m].
+    """Check the share of the correction [m] at a point that the controller's blending of LIN motions rounds off.
 
     A parabola that leaves the corner's legs at the distance d, at most half a leg, misses the corner by d sin(t/2) / 2
     for a turn by t. Points where the tool stops are not blended. points: the knots that are points; None: all.

@@ -27,7 +27,7 @@ __all__ = ["FeatureLimit", "Stability", "chatter_violations", "feature_limits", 
 ANGLE = math.radians(10.0)  #: to which angles of engagement are rounded
 FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
 DIRECTION = math.radians(30.0)  #: to which feed directions are rounded
-FEWEST_TEETH = 10  #: of an engagement; vibration has no time to grow in fewer
+FEWEST_TEETH = 10  #: teeth of an engagement; vibration has no time to grow in fewer
 POSTURES = 0.025  #: [m], between two places whose postures are modelled; the modes change little in between
 
 
@@ -84,7 +84,7 @@ class Stability:
     @property
     def worst(self) -> FeatureLimit | None:
         """The feature with the largest depth against its limit; None where nothing is milled."""
-        return max(self.features, key=lambda one: one.share_of_limit, default=None)
+        return max(self.features, key=lambda limit: limit.share_of_limit, default=None)
 
     @computed("word")
     def word(self) -> str:
@@ -96,7 +96,7 @@ class Stability:
         timed, name = path.timed, "straight cut"
         if timed:
             name = timed.toolpath.features[timed.toolpath.feature[int(timed.block_at(round(1e9 * time)))]] or "unnamed"
-        return next((one.word for one in self.features if one.name == name), self.word)
+        return next((limit.word for limit in self.features if limit.name == name), self.word)
 
     @computed("text")
     def text(self) -> str:
@@ -121,17 +121,25 @@ def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None 
 def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation]:
     """A stop for each feature above its limit, a warning for each within 20 % below; time: of the points [s], (n,)."""
     offences = []
-    for one in stability.features:
-        if one.word == "stable":
+    for milled in stability.features:
+        if milled.word == "stable":
             continue
-        point = int(np.clip(np.searchsorted(time, one.time - 1e-6), 0, len(time) - 1)) + 1
-        above = one.word == "chatter"
+        point = int(np.clip(np.searchsorted(time, milled.time - 1e-6), 0, len(time) - 1)) + 1
+        above = milled.word == "chatter"
         words = "above the stability limit" if above else "less than 20 % below the stability limit"
-        hertz = one.limit.chatter_frequency / (2.0 * math.pi)
+        hertz = milled.limit.chatter_frequency / (2.0 * math.pi)
         offences.append(
-            violation("chatter", one.depth, one.limit.depth_limit, point, severity="stop" if above else "warning",
-                      subject=one.name, words=words, hertz=hertz)
-        )  # fmt: skip
+            violation(
+                "chatter",
+                milled.depth,
+                milled.limit.depth_limit,
+                point,
+                severity="stop" if above else "warning",
+                subject=milled.name,
+                words=words,
+                hertz=hertz,
+            )
+        )
     return offences
 
 
@@ -225,9 +233,13 @@ def _angles(arcs: Arcs, place: int) -> tuple[float, float]:
 
 
 def _limit_at(
-    cell: Cell, arm: bool, arcs: Arcs, place: int, models: dict[tuple, ModalModel] | None = None,
+    cell: Cell,
+    arm: bool,
+    arcs: Arcs,
+    place: int,
+    models: dict[tuple, ModalModel] | None = None,
     deepest: float = DEEPEST,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """``stability_limit`` of arm, tool and cut at one place.
 
     models: of the arm, by place in steps of ``POSTURES``; the first place of a step is modelled.

@@ -18,7 +18,7 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
-from kr270_milling.decide.part.course import Course, course
+from kr270_milling.decide.part.stations import Stations, stations_of
 from kr270_milling.decide.part.surface import IdealPart, ideal_part
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
@@ -51,7 +51,7 @@ class Judgement:
 
     @property
     def words(self) -> str:
-        """One sentence."""
+        """Return one sentence."""
         return self.sentence()
 
     def sentence(self, where: str = "") -> str:
@@ -79,7 +79,7 @@ class Gauge:
 
     cell: Cell
     ideal: IdealPart | None  #: the part of a rigid arm; None: a straight cut
-    path: Course | None = None  #: of a pass of the target; None: a straight cut
+    path: Stations | None = None  #: a pass of the target; None: a straight cut
 
     @classmethod
     def of(cls, cell: Cell) -> Gauge:
@@ -88,7 +88,7 @@ class Gauge:
             return cls(cell, None)
         path = path_of(cell)
         stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
-        along = course(path, stamps)
+        along = stations_of(path, stamps)
         return cls(cell, ideal_part(cell, along, path.target.sample(stamps)), along)
 
     def measure(self, result: PassResult) -> Judgement:

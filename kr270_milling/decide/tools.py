@@ -34,8 +34,8 @@ def in_turn(
     """
     done: list[tuple[Cell, Done]] = []
     earlier: tuple[Removal, ...] = cells[0].stage.earlier if cells[0].stage else ()
-    for one in cells:
-        cell = one.after(earlier)
+    for next_cell in cells:
+        cell = next_cell.after(earlier)
         result = job(cell)
         done.append((cell, result))
         if cell is not cells[-1] and len(done) < len(cells):
@@ -44,22 +44,22 @@ def in_turn(
 
 
 def _removal(cell: Cell, ran: ScoredPass | None) -> Removal:
-    """What the tool of a cell removes in a pass; None: on its programmed path."""
+    """Return the material that the tool of a cell removes in a pass; None: on its programmed path."""
     programmed = removal_of(cell)
     if ran is None:
         return programmed
-    way = ran.result.actual
+    actual = ran.result.actual
     same_place = 1e-9  # [m]
-    moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > same_place
-    way = np.ascontiguousarray(way[np.concatenate([[True], moved])])
-    return dataclasses.replace(programmed, actual=way, spring_back=spring_back(cell, ran))
+    moved = np.linalg.norm(np.diff(actual, axis=0), axis=1) > same_place
+    actual = np.ascontiguousarray(actual[np.concatenate([[True], moved])])
+    return dataclasses.replace(programmed, actual=actual, spring_back=spring_back(cell, ran))
 
 
 @dataclass(frozen=True)
 class DecisionOnTools:
-    """One decision on a program with several tools: that of the worst tool."""
+    """The decision on a program with several tools: that of the worst tool."""
 
-    tools: tuple[tuple[str, Decision], ...]  #: by name, in the order of the program
+    tools: tuple[tuple[str, Decision], ...]  #: decisions by name of the tool, in the order of the program
 
     @classmethod
     def of(cls, jobs: Sequence[tuple[Cell, JudgedCompensation]]) -> DecisionOnTools:
@@ -69,14 +69,14 @@ class DecisionOnTools:
     @computed("decision")
     def level(self) -> str:
         """``yes``, ``caution`` or ``no``. A tool without a wall or floor that stays is judged by its stops alone."""
-        levels = [one.level for _, one in self.tools if one.level == NO or not math.isnan(one.compensated.error)]
+        levels = [tool.level for _, tool in self.tools if tool.level == NO or not math.isnan(tool.compensated.error)]
         return next((level for level in (NO, CAUTION, YES) if level in levels), CAUTION)
 
     @property
     def worst(self) -> tuple[str, Decision]:
         """The tool that decides: of those of this level the first with a stop, else that with the largest share."""
         same = [pair for pair in self.tools if pair[1].level == self.level]
-        shares = [math.inf if one.stops else np.nan_to_num(one.compensated.share, nan=-1.0) for _, one in same]
+        shares = [math.inf if tool.stops else np.nan_to_num(tool.compensated.share, nan=-1.0) for _, tool in same]
         return same[int(np.argmax(shares))]
 
     @property
@@ -87,7 +87,7 @@ class DecisionOnTools:
     @computed("may_be_run")
     def may_be_run(self) -> bool:
         """Return whether no tool has a stop."""
-        return all(one.may_be_run for _, one in self.tools)
+        return all(tool.may_be_run for _, tool in self.tools)
 
     @computed("deciding_tool")
     def _deciding_tool(self) -> str:
@@ -101,7 +101,7 @@ class DecisionOnTools:
 
     @property
     def text(self) -> str:
-        """One line: level and sentence."""
+        """Return level and sentence in one line."""
         return f"decision: {self.level}: {self.sentence}"
 
     def lines(self, tool: str = "") -> list[str]:

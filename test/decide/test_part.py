@@ -14,7 +14,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface
-from kr270_milling.decide.part.course import Course, course, deviations
+from kr270_milling.decide.part.stations import Stations, deviations, stations_of
 from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
 from kr270_milling.decide.part.workpiece import write_part
 from kr270_milling.physics.motion.arm_model import modal_models
@@ -74,7 +74,7 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
     target = path_of(cell).target
     end = target.duration_ns
     stamps = np.arange(0, end, 500_000)
-    path, velocity = course(path_of(cell), np.append(stamps, [end, end + 10**9])), target.sample_velocity(stamps)
+    path, velocity = stations_of(path_of(cell), np.append(stamps, [end, end + 10**9])), target.sample_velocity(stamps)
     speed = np.linalg.norm(velocity, axis=1)
     moving = np.flatnonzero(speed > 5e-3)
     assert moving.size > 500
@@ -83,7 +83,7 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
     assert path.distance[-1] == pytest.approx(path_of(cell).timed.toolpath.length, abs=1e-12)
     upright = np.abs(path.tangent[:, 2]) > 0.999  # a move along the spindle keeps the side of the last horizontal move
     assert upright.any() and not upright[np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1].any()
-    straight = course(path_of(read_cell(CONFIG / "paper.yaml")), np.array([0, 10**9, 2 * 10**9]))
+    straight = stations_of(path_of(read_cell(CONFIG / "paper.yaml")), np.array([0, 10**9, 2 * 10**9]))
     np.testing.assert_allclose(straight.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
     assert straight.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
 
@@ -91,7 +91,7 @@ def test_the_tangent_is_the_direction_of_the_motion_and_is_there_while_the_tool_
 def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
     cell = small_cell(tmp_path, HEAD + "G0 X-28 Y0 Z-1\nG1 X20 F3000\nG1 X20 Y28\nG0 Z2\n")
     stamps = np.linspace(0, path_of(cell).target.duration_ns, 200).astype(np.int64)
-    path = course(path_of(cell), stamps)
+    path = stations_of(path_of(cell), stamps)
     shifted = deviations(path, np.tile([-1.0, 2.0, 3.0], (stamps.size, 1)))
     flat = np.abs(path.tangent[:, 2]) < 0.5
     along_x, along_y = flat & (path.tangent[:, 0] > 0.9), flat & (path.tangent[:, 1] > 0.9)
@@ -157,10 +157,10 @@ MM, UM = 1e-3, 1e-6
 
 
 def planned(cell):
-    """Stamps, course and target (n + 1, 3) of a cell."""
+    """Stamps, stations and target (n + 1, 3) of a cell."""
     clock = path_of(cell).clock
     stamps = clock.stamp(np.arange(clock.steps(path_of(cell).target.duration_ns) + 1))
-    return course(path_of(cell), stamps), path_of(cell).target.sample(stamps)
+    return stations_of(path_of(cell), stamps), path_of(cell).target.sample(stamps)
 
 
 def errors(cell, shift, feature: str = ""):
@@ -270,7 +270,7 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
     normal = np.array([[0.0, 1.0]] * other + [[1.0, 0.0]] * mine)
     centre = np.column_stack([-radius * normal, np.full(other + mine, -1e-3)])  # all teeth point at the origin
     marks = Marks(centre, normal, np.full(61, radius), np.zeros(61, np.int64), np.full(61, 0.5))
-    path = Course(
+    path = Stations(
         np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",), np.zeros(2, bool)
     )
     walls = remaining_walls(IdealWalls(marks, np.array([60]), np.array([1e-3])), path, np.full((2, 3), 1e-5), 1e-9)

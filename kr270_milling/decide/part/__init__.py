@@ -4,5 +4,15 @@ from kr270_milling.decide.part.assessment import FeatureRow, PartAssessment, ass
 from kr270_milling.decide.part.surface import ideal_part, surface
 from kr270_milling.decide.part.workpiece import heights_at, machined, write_part, write_stl
 
-__all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all", "heights_at", "ideal_part", "machined", "surface",
-           "write_part", "write_stl"]  # fmt: skip
+__all__ = [
+    "FeatureRow",
+    "PartAssessment",
+    "assess",
+    "assess_all",
+    "heights_at",
+    "ideal_part",
+    "machined",
+    "surface",
+    "write_part",
+    "write_stl",
+]

@@ -1,4 +1,4 @@
-"""What a pass does to the part, feature by feature: path deviation, force, torque, power, surface errors."""
+"""Results of a pass for the part, feature by feature: path deviation, force, torque, power, surface errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kr270_milling.base.column import CONVERGED, as_dict, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
-from kr270_milling.decide.part.course import Course, course, deviations
+from kr270_milling.decide.part.stations import Stations, deviations, stations_of
 from kr270_milling.decide.part.surface import IdealPart, Surface, ideal_part, surface
 from kr270_milling.physics.motion.milling_pass import PassResult
 
@@ -26,7 +26,7 @@ def _deviation(key: str, title: str, short: str):
 
 @dataclass(frozen=True)
 class FeatureRow:
-    """One feature, or the whole part. Magnitudes in SI units; NaN where there is nothing to measure.
+    """A feature, or the whole part. Magnitudes in SI units; NaN where there is nothing to measure.
 
     The deviation is that of the tool while it cuts. A deviation on ground that is cut away later does not stay on the
     part: walls and floor only count what remains.
@@ -58,11 +58,11 @@ class PartAssessment:
     """Series at the ends of the n exchange periods of a pass (first row: the start), workpiece frame."""
 
     name: str
-    path: Course
+    path: Stations
     deviation: np.ndarray  #: actual minus target: tangential, normal to the left, vertical [m], (n + 1, 3)
     cutting: np.ndarray  #: material was removed in the period that ends here, (n + 1,)
     force: np.ndarray  #: magnitude of the mean over each period [N], (n + 1,)
-    torque: np.ndarray  #: of the spindle [N m], (n + 1,)
+    torque: np.ndarray  #: torque of the spindle [N m], (n + 1,)
     power: np.ndarray  #: [W], (n + 1,)
     surface: Surface = column("*")
 
@@ -107,18 +107,16 @@ def _of(measure, values: np.ndarray) -> float:
     return float(measure(values)) if values.size else np.nan
 
 
-def assess(
-    cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None, path: Course | None = None
-) -> PartAssessment:  # fmt: skip
-    """Assess a pass of a cell; ideal: the part that the target itself leaves, path: its course, if known already."""
+def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None, path: Stations | None = None) -> PartAssessment:
+    """Assess a pass of a cell; ideal: the part that the target itself leaves, path: its stations, if known already."""
     return assess_result(cell, ran.name, ran.result, ideal, path)
 
 
 def assess_result(
-    cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None, path: Course | None = None
-) -> PartAssessment:  # fmt: skip
+    cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None, path: Stations | None = None
+) -> PartAssessment:
     """Assess the series of a pass along the path of a cell, also of a plant that is not the cell."""
-    path = path or course(path_of(cell), result.time_ns)
+    path = path or stations_of(path_of(cell), result.time_ns)
     return PartAssessment(
         name,
         path,
@@ -132,9 +130,9 @@ def assess_result(
 
 
 def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
-    """Several passes of one cell, two at a time; course and part of the rigid arm are made once."""
+    """Several passes of one cell, two at a time; stations and part of the rigid arm are computed once."""
     first = passes[0].result
-    path = course(path_of(cell), first.time_ns)
+    path = stations_of(path_of(cell), first.time_ns)
     ideal = ideal_part(cell, path, first.target)
 
     def assessed(ran: ScoredPass) -> PartAssessment:

@@ -22,7 +22,7 @@ from kr270_milling.base.column import column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.cell.stage import Removal, cleared, swept
-from kr270_milling.decide.part.course import Course
+from kr270_milling.decide.part.stations import Stations
 from kr270_milling.decide.part.workpiece import heights_at, machined
 from kr270_milling.physics.cutting import CutModel, Stock, Tool
 
@@ -38,11 +38,11 @@ CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
 class Marks:
     """m passages of a tooth by the left or right of the path of a rigid arm, in the order of time for each side."""
 
-    centre: np.ndarray  #: of the rigid tool tip [m], (m, 3)
+    centre: np.ndarray  #: centre of the rigid tool tip [m], (m, 3)
     normal: np.ndarray  #: direction in which the tooth points, into the material, (m, 2)
-    radius: np.ndarray  #: of the tooth [m], (m,)
+    radius: np.ndarray  #: radius of the tooth [m], (m,)
     period: np.ndarray  #: number of the exchange period, (m,)
-    share: np.ndarray  #: of it that had passed, (m,)
+    share: np.ndarray  #: elapsed fraction of that period, (m,)
 
     def __len__(self) -> int:
         return self.period.size
@@ -62,7 +62,7 @@ class IdealWalls:
 
     marks: Marks  #: all below the stock's top
     staying: np.ndarray  #: indices of those on a wall that stays, (k,)
-    height: np.ndarray  #: of the wall [m], (k,)
+    height: np.ndarray  #: height of the wall [m], (k,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +71,12 @@ class Walls:
 
     position: np.ndarray  #: on the wall of a rigid arm, at the bottom of the tool that made it [m], (m, 3)
     normal: np.ndarray  #: out of the material, (m, 2)
-    height: np.ndarray  #: of the wall there [m], (m,)
+    height: np.ndarray  #: height of the wall there [m], (m,)
     error: np.ndarray  #: [m], (m,)
     feature: np.ndarray  #: index into the features of the path, (m,)
 
 
-def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
+def marks(tool: Tool, path: Stations, period: float, rigid: np.ndarray) -> Marks:
     """All marks of a pass with tool centres (n + 1, 3) [m] every ``period`` [s]."""
     heading = np.unwrap(path.heading)
     first, last = heading[:-1], heading[1:]
@@ -100,7 +100,7 @@ def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
 
 
 def ideal_walls(cut: CutModel, hits: Marks) -> IdealWalls:
-    """Which marks remain as walls on the finished workpiece of the rigid arm."""
+    """Return the marks that remain as walls on the finished workpiece of the rigid arm."""
     stock, beyond = cut.stock, 2.0 * cut.stock.grid_step
     hits = hits[hits.centre[:, 2] < stock.max[2] - cut.params.level_step]
     outside = heights_at(cut, hits.point + beyond * hits.normal)
@@ -123,7 +123,7 @@ def _not_passed(after: CutModel, walls: IdealWalls) -> IdealWalls:
     return IdealWalls(walls.marks, walls.staying[stays], walls.height[stays])
 
 
-def remaining_walls(ideal: IdealWalls, path: Course, error: np.ndarray, level: float) -> Walls:
+def remaining_walls(ideal: IdealWalls, path: Stations, error: np.ndarray, level: float) -> Walls:
     """The walls of the finished part, given actual minus target tool centres (n + 1, 3) [m]; level [m] of the grid."""
     hits = ideal.marks
     k, staying = hits.period, hits[ideal.staying]
@@ -134,10 +134,10 @@ def remaining_walls(ideal: IdealWalls, path: Course, error: np.ndarray, level: f
 
 
 def _reach(hits: Marks, error: np.ndarray, staying: Marks, own: np.ndarray, level: float) -> np.ndarray:
-    """How much farther than rigid ones teeth reached at each staying mark [m], (k,); error (m, 2) [m]: their shifts.
+    """Return the reach of the teeth beyond that of rigid ones at each staying mark [m], (k,).
 
-    own: how much farther the tooth of the mark itself did [m], (k,); it counts alone where a tool rests so long
-    that all the nearest marks are of other walls.
+    error (m, 2) [m]: shifts of the teeth. own: reach of the tooth of the mark itself [m], (k,); it counts
+    alone where a tool rests so long that all the nearest marks are of other walls.
     """
     out = np.array(own)
     if not out.size:
@@ -173,7 +173,7 @@ class Floors:
 
     x: np.ndarray  #: [m], (a,)
     y: np.ndarray  #: [m], (b,)
-    height: np.ndarray  #: of the rigid arm's part [m], (a, b), everywhere
+    height: np.ndarray  #: height of the rigid arm's part [m], (a, b), everywhere
     error: np.ndarray  #: machined minus rigid height [m], (a, b)
     feature: np.ndarray  #: index into the features of the path, (a, b); -1: none
 
@@ -198,22 +198,22 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class IdealPart:
-    """What a rigid arm would leave: thinned, so that a large workpiece takes little memory."""
+    """The part of a rigid arm: thinned, so that a large workpiece takes little memory."""
 
     x: np.ndarray  #: [m], (a,)
     y: np.ndarray  #: [m], (b,)
     height: np.ndarray  #: [m], (a, b)
     owner: np.ndarray  #: index of the feature that made each floor, (a, b); -1: none
     walls: IdealWalls
-    level: float  #: of the height map [m]
+    level: float  #: level step of the height map [m]
     thinning: int
     unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool
 
 
-def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
+def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
     """The part after a rigid arm moved the tool tip through ``target`` (n + 1, 3) [m].
 
-    Of a program with several tools: after the rigid arm made the paths of the tools before, too. Walls and floors
+    In a program with several tools, the rigid arm made the paths of the earlier tools before. Walls and floors
     belong to the last tool that passes there.
     """
     cut = machined(cut_of(cell, rigid=True), target, path_of(cell).clock)
@@ -236,9 +236,13 @@ def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
 
 
 def surface(
-    cell: Cell, path: Course, target: np.ndarray, actual: np.ndarray, ideal: IdealPart | None = None,
+    cell: Cell,
+    path: Stations,
+    target: np.ndarray,
+    actual: np.ndarray,
+    ideal: IdealPart | None = None,
     heights: np.ndarray | None = None,
-) -> Surface:  # fmt: skip
+) -> Surface:
     """Surface errors of a pass with tool centres ``actual`` where ``target`` was wanted, (n + 1, 3) [m].
 
     ideal: the part that the target itself leaves; heights (a, b) [m]: of the pass's own finished workpiece. Each is
@@ -267,7 +271,7 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner)
 
 
-def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level: float, top: float) -> np.ndarray:
+def _owners(x, y, height, path: Stations, target: np.ndarray, radius: float, level: float, top: float) -> np.ndarray:
     """(a, b): the feature that was last at the height of each node, -1 where none was; top [m]: of the stock."""
     owner = np.full(height.shape, -1, np.int64)
     reach = 0.25 * radius
@@ -296,9 +300,9 @@ def _drilled(x, y, height, bottoms: np.ndarray, radius: float, slack: float) -> 
     return out
 
 
-def _stations(path: Course, target: np.ndarray, reach: float) -> np.ndarray:
-    """Rows of the series at most ``reach`` [m] apart on the way, and those where the path turns or ends."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target, axis=0), axis=1))])
-    even = np.searchsorted(way, np.arange(0.0, way[-1], reach))
+def _stations(path: Stations, target: np.ndarray, reach: float) -> np.ndarray:
+    """Rows of the series at most ``reach`` [m] apart, and those where the path turns or ends."""
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target, axis=0), axis=1))])
+    even = np.searchsorted(distance, np.arange(0.0, distance[-1], reach))
     turns = np.flatnonzero(np.sum(path.tangent[1:] * path.tangent[:-1], axis=1) < 0.99)
-    return np.unique(np.concatenate([even, turns, turns + 1, [way.size - 1]]))
+    return np.unique(np.concatenate([even, turns, turns + 1, [distance.size - 1]]))

@@ -74,7 +74,7 @@ def write_stl(path, cut: CutModel, lattice: tuple[np.ndarray, ...] = ()) -> int:
 
 
 def _thinning(cut: CutModel) -> int:
-    """One node in so many each way: 0.25 mm apart, or as far as a large part needs."""
+    """Return the number of nodes between two that are shown: 0.25 mm, or as many as a large part needs."""
     fine = 0.25e-3  # [m]
     thinning = max(1, round(fine / cut.stock.grid_step))
     most_triangles = 4_000_000  # 200 MB

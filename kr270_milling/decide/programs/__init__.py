@@ -1,1 +1,1 @@
-"""What a controller runs: KRL, RSI tables, joint tables."""
+"""Programs for a controller: KRL, RSI tables, joint tables."""

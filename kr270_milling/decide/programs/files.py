@@ -1,4 +1,4 @@
-"""What a controller runs, from a cell and its original and revised trajectory: programs, offsets, joint positions.
+"""Files for a controller, from a cell and its original and revised trajectory: programs, offsets, joint positions.
 
 The manifest beside them says which file goes where, and in which order to try them.
 """
@@ -54,10 +54,19 @@ PROGRAMS = re.compile(rf"(krl|rsi|joints|gcode)_\w.*_\d{{8}}_[0-9a-f]{{8}}(\.\w+
 
 
 def write_programs(
-    directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
-    motions: Sequence[str] | None = (), source: str = "", decision: Sequence[str] = (),
-    findings: Sequence[str] = (), released: bool = True,
-) -> dict[str, list[Path]]:  # fmt: skip
+    directory,
+    cell: Cell,
+    original: Trajectory,
+    revised: Trajectory,
+    *,
+    method: str,
+    date: str,
+    motions: Sequence[str] | None = (),
+    source: str = "",
+    decision: Sequence[str] = (),
+    findings: Sequence[str] = (),
+    released: bool = True,
+) -> dict[str, list[Path]]:
     """Write all files for a controller or a planner; return the paths by kind.
 
     "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
@@ -69,9 +78,18 @@ def write_programs(
     findings: lines of the check, both for every header. A program that is not released has NOT_RELEASED for its name.
     """
     files, text = write_tool_programs(
-        directory, cell, original, revised, method=method, date=date, motions=motions, source=source,
-        decision=decision, findings=findings, released=released,
-    )  # fmt: skip
+        directory,
+        cell,
+        original,
+        revised,
+        method=method,
+        date=date,
+        motions=motions,
+        source=source,
+        decision=decision,
+        findings=findings,
+        released=released,
+    )
     files["manifest"] = [write_manifest(directory, [text], decision, released)]
     return files
 
@@ -94,8 +112,10 @@ def set_aside(directory) -> list[str]:
 
 def kuka_frames(cell: Cell) -> tuple[str, str]:
     """$TOOL and $BASE that the programs set, as the display of the controller has them."""
-    frames = (("TOOL", cell.krl.tool_number, _tool_in_flange(cell)),
-              ("BASE", cell.krl.base_number, cell.workpiece.pose))  # fmt: skip
+    frames = (
+        ("TOOL", cell.krl.tool_number, _tool_in_flange(cell)),
+        ("BASE", cell.krl.base_number, cell.workpiece.pose),
+    )
     rows = [(name, f"[{index}]" if index else "", krl_motion.frame_row(frame)) for name, index, frame in frames]
     tool, base = (
         f"${name}={{{krl_motion.frame_text(row)}}}, to compare with {name}_DATA{index}" for name, index, row in rows
@@ -117,10 +137,20 @@ def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = ()
 
 
 def write_tool_programs(
-    directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
-    motions: Sequence[str] | None = (), source: str = "", decision: Sequence[str] = (),
-    findings: Sequence[str] = (), released: bool = True, rsi: tuple[str, int] | None = None,
-) -> tuple[dict[str, list[Path]], str]:  # fmt: skip
+    directory,
+    cell: Cell,
+    original: Trajectory,
+    revised: Trajectory,
+    *,
+    method: str,
+    date: str,
+    motions: Sequence[str] | None = (),
+    source: str = "",
+    decision: Sequence[str] = (),
+    findings: Sequence[str] = (),
+    released: bool = True,
+    rsi: tuple[str, int] | None = None,
+) -> tuple[dict[str, list[Path]], str]:
     """``write_programs`` without its manifest; return the paths by kind, and the text for the manifest.
 
     In a program with several tools the name of the tool is in every name. rsi: address of the host of RSI, for
@@ -163,10 +193,17 @@ def write_tool_programs(
         write_joint_table(path, run, q)
     write_csv(files["trajectory"][0], revised, joints[1])
     text = krl.filled(
-        "manifest_tool.txt", stage=cell.stage, programs=programs, name=program.name, files=files,
-        tick_ms=f"{tick_ns / 1e6:g}", findings=findings, limits=limits, turning=_turning(program, original),
+        "manifest_tool.txt",
+        stage=cell.stage,
+        programs=programs,
+        name=program.name,
+        files=files,
+        tick_ms=f"{tick_ns / 1e6:g}",
+        findings=findings,
+        limits=limits,
+        turning=_turning(program, original),
         frames=kuka_frames(cell),
-    )  # fmt: skip
+    )
     return files, text
 
 
@@ -217,7 +254,7 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
 
 
 def timed_by_cell(path: CellPath) -> bool:
-    """Whether ``timing`` decides about the times of the points."""
+    """Return whether ``timing`` decides about the times of the points."""
     return path.timed is not None and not path.timed.timed_by_source
 
 
@@ -256,9 +293,12 @@ def source_of(path: CellPath, count: int) -> krl_motion.Source | None:
 
 
 def write_rsi_table(
-    path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0],
+    path,
+    original: Trajectory,
+    revised: Trajectory,
+    tick_ns: int = RSI_TICKS_NS[0],
     air: tuple[float, float, float] | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Write the offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg], X, Y, Z [mm].
 
     X, Y, Z: the programmed point, from which the command ``rsi`` takes the progress on the path. air: top of the stock

@@ -76,9 +76,14 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
 
 
 def write_gcode(
-    directory, jobs: Sequence[tuple[Cell, Trajectory]], *, method: str, date: str, decision: Sequence[str] = (),
+    directory,
+    jobs: Sequence[tuple[Cell, Trajectory]],
+    *,
+    method: str,
+    date: str,
+    decision: Sequence[str] = (),
     released: bool = True,
-) -> tuple[Path, list[WrittenGcode]]:  # fmt: skip
+) -> tuple[Path, list[WrittenGcode]]:
     """Write the program of the cells, one cell a tool, along their revised trajectories; return its path and what was
     read back of each tool that mills.
 
@@ -138,7 +143,7 @@ class _Plan:
         points = _point_times(cell, run, times[np.append(feed, False) | np.append(False, feed)])
         after = np.searchsorted(points, times, side="right")
         ends: dict[int, list] = {}
-        rows: list[tuple] = []  #: of each move: number of its row, times, whether these are ends of blocks
+        rows: list[tuple] = []  #: number of the row of each move, its times, and whether these are ends of blocks
         same_place = 0.05e-6  # [m], half of the last digit in mm
         for move in np.flatnonzero(feed).tolist():
             inside = points[after[move] : after[move + 1]]
@@ -156,10 +161,14 @@ class _Plan:
             rows.append((number, inside, True))
         count = [len(time_ns) for _, time_ns, _ in rows]
         return cls(
-            cell, run, np.concatenate([time_ns for _, time_ns, _ in rows]),
-            np.repeat([number for number, _, _ in rows], count), np.repeat([block for _, _, block in rows], count),
-            {number: np.concatenate(parts) for number, parts in ends.items()}, len(set(np.array(line)[feed])),
-        )  # fmt: skip
+            cell,
+            run,
+            np.concatenate([time_ns for _, time_ns, _ in rows]),
+            np.repeat([number for number, _, _ in rows], count),
+            np.repeat([block for _, _, block in rows], count),
+            {number: np.concatenate(parts) for number, parts in ends.items()},
+            len(set(np.array(line)[feed])),
+        )
 
     def compared(self, file: Path) -> WrittenGcode:
         """Read the program back and compare its path with the planned one; raise InputError for another program."""
@@ -173,9 +182,13 @@ class _Plan:
         starts = np.flatnonzero(~self.block)
         places[starts] = read.position[ends[np.cumsum(self.block)[starts]] - 1]
         return WrittenGcode(
-            tool, self.source_blocks, len(ends), self._error(places), _duration(cell, read),
+            tool,
+            self.source_blocks,
+            len(ends),
+            self._error(places),
+            _duration(cell, read),
             _duration(cell, _timed(cell).toolpath),
-        )  # fmt: skip
+        )
 
     def _error(self, places: np.ndarray) -> float:
         """Return the largest distance [m] of the planned path from the straight lines between places (p, 3)."""

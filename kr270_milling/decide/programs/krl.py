@@ -56,17 +56,17 @@ class Approach:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What the controller must know of the cell beside the points."""
+    """Data of the cell that the controller needs beside the points."""
 
     tool: Pose  #: tcp in $FLANGE, whose z points out of the flange ($TOOL)
     base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
-    approaches: tuple[Approach, Approach]  #: of the original and of the compensated program
+    approaches: tuple[Approach, Approach]  #: names of the original and of the compensated program
     safe_z: float  #: [m], height of the retract in the workpiece frame
     load_mass: float = 0.0  #: [kg], spindle and tool
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
-    acceleration: float = 0.0  #: of the time law [m/s2]; 0: the times of the points come from elsewhere
-    jerk: float = 0.0  #: of the time law [m/s3]
+    acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
+    jerk: float = 0.0  #: jerk of the time law [m/s3]
 
 
 @dataclass(frozen=True)
@@ -86,14 +86,17 @@ class Heading:
 
     def lines(self, program: Program, kind: str, run: Trajectory) -> list[str]:
         """Comment lines."""
-        return comments([
-            f"{KINDS[kind]}, points 1 to {len(run)}, {program.motion}" + (f", method {self.method}" * (kind == "CMP")),
-            "SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
-            f"kr270_milling {self.version}, {self.date}",
-            f"sha256 of this trajectory {trajectory_hash(run)}",
-            f"sha256 of its source {self.source_hash or 'not given'}",
-            *self.findings,
-        ])  # fmt: skip
+        return comments(
+            [
+                f"{KINDS[kind]}, points 1 to {len(run)}, {program.motion}"
+                + (f", method {self.method}" * (kind == "CMP")),
+                "SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
+                f"kr270_milling {self.version}, {self.date}",
+                f"sha256 of this trajectory {trajectory_hash(run)}",
+                f"sha256 of its source {self.source_hash or 'not given'}",
+                *self.findings,
+            ]
+        )
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:
@@ -105,9 +108,14 @@ def trajectory_hash(trajectory: Trajectory) -> str:
 
 
 def write_krl(
-    directory, program: Program, setup: Setup, original: Trajectory, revised: Trajectory, heading: Heading,
+    directory,
+    program: Program,
+    setup: Setup,
+    original: Trajectory,
+    revised: Trajectory,
+    heading: Heading,
     source: Source | None = None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Write all modules of both programs, or none; returns their paths.
 
     source: line and feature of each knot, for comments. Raises TrajectoryError for trajectories of different knots,

@@ -18,9 +18,19 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "WIDEST", "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
-    "point_speeds", "position_text", "printable_ascii",
-]  # fmt: skip
+    "WIDEST",
+    "Source",
+    "axis_text",
+    "comments",
+    "frame_row",
+    "frame_text",
+    "modules_of",
+    "motion_lines",
+    "number",
+    "point_speeds",
+    "position_text",
+    "printable_ascii",
+]
 
 WIDEST = 100  #: characters of a comment line
 EXTERNAL_AXES = ",".join(f"E{i} 0.0" for i in range(1, 7))
@@ -69,10 +79,10 @@ GAUSS = np.polynomial.legendre.leggauss(4)
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where the n knots come from."""
+    """Sources of the n knots."""
 
     line: np.ndarray  #: in the file of the tool path, (n,), 0: none
-    feature: tuple[str, ...]  #: of the part, (n,), "": none
+    feature: tuple[str, ...]  #: feature of the part, (n,), "": none
 
     def comment(self, k: int, before: int) -> list[str]:
         """The comment before point k, where line or feature are not those of the point before."""

@@ -27,7 +27,7 @@ class KrlPath:
     pose: Pose  #: in $BASE, (p, 3), (p, 3, 3)
     stops: np.ndarray  #: (p,) bool: exact stops; the first point is the end of the approach
     spline: bool  #: SPL motions; else LIN
-    limits: dict[str, float]  #: of the controller as the program sets them, such as $ACC.CP [m/s2]
+    limits: dict[str, float]  #: variables of the controller as the program sets them, such as $ACC.CP [m/s2]
 
 
 def read_krl(directory, main: str) -> KrlPath:

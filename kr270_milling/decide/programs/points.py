@@ -116,9 +116,14 @@ def program_blocks(program: Program, original: Trajectory, revised: Trajectory) 
     length = math.dist(*revised.position[points[shortest : shortest + 2]])
     error = _errors(program, [original, revised], points).max()
     return ProgramBlocks(
-        len(points), original.duration_ns * 1e-9, int(ahead.max()), 1e-9 * int(step[shortest]), length,
-        int((step < SHORT_NS).sum()), float(error),
-    )  # fmt: skip
+        len(points),
+        original.duration_ns * 1e-9,
+        int(ahead.max()),
+        1e-9 * int(step[shortest]),
+        length,
+        int((step < SHORT_NS).sum()),
+        float(error),
+    )
 
 
 @njit(cache=True)
@@ -163,7 +168,7 @@ def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.
     return worst
 
 
-def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _angle(first: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the small angle [rad], (n,), between quaternions (n, 4)."""
-    sign = np.where(np.sum(one * other, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-    return 2.0 * np.linalg.norm(one - sign * other, axis=1)
+    sign = np.where(np.sum(first * other, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    return 2.0 * np.linalg.norm(first - sign * other, axis=1)

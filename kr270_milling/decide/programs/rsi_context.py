@@ -21,7 +21,7 @@ from kr270_milling.decide.programs.krl_motion import frame_row, frame_text
 __all__ = ["rsi_address", "write_rsi_context"]
 
 AXES = "XYZABC"
-PORT = 49152  #: of the command ``rsi`` by default
+PORT = 49152  #: default port of the command ``rsi``
 SCHEMA = "/Roboter/Config/System/Common/Schemes/RSIContext.xsd"
 
 
@@ -80,9 +80,10 @@ def _ethernet(host: str, port: int) -> Xml.Element:
 
 
 def _context(name: str, limit_mm: float) -> Xml.Element:
-    root = Xml.Element("RSIObjects", {
-        "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance", "xsi:noNamespaceSchemaLocation": SCHEMA,
-    })  # fmt: skip
+    root = Xml.Element(
+        "RSIObjects",
+        {"xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance", "xsi:noNamespaceSchemaLocation": SCHEMA},
+    )
     correction = Xml.SubElement(root, "RSIObject", ObjType="POSCORR", ObjTypeID="27", ObjID="POSCORR1")
     inputs = Xml.SubElement(correction, "Inputs")
     for index in range(1, 7):
@@ -108,16 +109,21 @@ def _parameters(owner: Xml.Element, rows: list[tuple[str, int, str]], **more: st
 
 def _model(context: Xml.Element) -> Xml.Element:
     """The same objects as RSI Visual reads them."""
-    root = Xml.Element("rSIModel", {
-        "dslVersion": "1.0.0.0", "name": "", "xmlns": "http://schemas.microsoft.com/dsltools/RSIVisual",
-    })  # fmt: skip
+    root = Xml.Element(
+        "rSIModel", {"dslVersion": "1.0.0.0", "name": "", "xmlns": "http://schemas.microsoft.com/dsltools/RSIVisual"}
+    )
     objects = Xml.SubElement(root, "rSIObjects")
     for one in context:
         kind, most = one.attrib["ObjType"], "64" if one.attrib["ObjType"] == "ETHERNET" else "0"
         element = Xml.SubElement(
-            objects, "rSIElement", name=one.attrib["ObjID"], objType=kind, objTypeID=one.attrib["ObjTypeID"],
-            maxInputs=most, maxOutputs=most,
-        )  # fmt: skip
+            objects,
+            "rSIElement",
+            name=one.attrib["ObjID"],
+            objType=kind,
+            objTypeID=one.attrib["ObjTypeID"],
+            maxInputs=most,
+            maxOutputs=most,
+        )
         inputs = Xml.SubElement(element, "rSIInPorts")
         outputs = Xml.SubElement(element, "rSIOutPorts")
         if kind == "ETHERNET":
@@ -152,7 +158,17 @@ def _model_parameter(parent: Xml.Element, key: dict[str, str]) -> None:
     kind, least, most = TYPES.get(name, ("System.Double", "-2147483648", "2147483647"))
     runtime = {"isRuntime": "false"} if "IsRuntime" in key else {}
     value = "Base" if chosen else key["ParamValue"]
-    Xml.SubElement(parent, "rSIParameter", {
-        "name": name, "value": value, "paramType": kind, "minVal": least, "maxVal": most,
-        "isEnum": str(chosen).lower(), **runtime, "index": key["ParamID"],
-    })  # fmt: skip
+    Xml.SubElement(
+        parent,
+        "rSIParameter",
+        {
+            "name": name,
+            "value": value,
+            "paramType": kind,
+            "minVal": least,
+            "maxVal": most,
+            "isEnum": str(chosen).lower(),
+            **runtime,
+            "index": key["ParamID"],
+        },
+    )

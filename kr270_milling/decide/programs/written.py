@@ -53,9 +53,14 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
 
 
 def _as_run(
-    planned: Trajectory, target: Trajectory, knots: np.ndarray, position: np.ndarray, quaternion: np.ndarray,
-    stops: np.ndarray, spline: bool,
-) -> Trajectory:  # fmt: skip
+    planned: Trajectory,
+    target: Trajectory,
+    knots: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    stops: np.ndarray,
+    spline: bool,
+) -> Trajectory:
     """The motion through the points of a program, with the time law of the plan."""
     place = places_on_program(planned, knots, position, stops, spline)
     turned = Trajectory(planned.time_ns[knots], position, quaternion).sample_orientation(planned.time_ns)
@@ -102,5 +107,5 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
         stops = path_of(cell).target.standing[keep]
         stops[[0, -1]] = True
         points = controller_motion(points, path_of(other).target, stops)
-    most_rows = 2**19  # of the series of that pass, of which only the scores are used
+    most_rows = 2**19  # rows of the series of that pass; only its scores are used
     return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=most_rows)

@@ -16,7 +16,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course, perturbed
-from kr270_milling.decide.part.course import course
+from kr270_milling.decide.part.stations import stations_of
 from kr270_milling.decide.part.surface import IdealPart, Walls, ideal_part, remaining_walls
 from kr270_milling.decide.verdict import coarser
 from kr270_milling.path.trajectory import Trajectory
@@ -85,14 +85,14 @@ def compare_wall(
     Raises InputError where a place is farther than 2 mm from every predicted wall.
     """
     result = simulate(cell, reference).result
-    ideal = ideal_part(cell, course(path_of(cell), result.time_ns), result.target)
+    ideal = ideal_part(cell, stations_of(path_of(cell), result.time_ns), result.target)
     predicted = _errors_at(measured, _walls(cell, result, ideal))
     nominal, rng = coarser(cell), np.random.default_rng(seed)
     drawn = [perturbed(nominal, rng) for _ in range(plants)]
     path, target = path_of(nominal), path_of(nominal).target
     known = target if reference is None else reference
     stamps = path.clock.stamp(np.arange(path.clock.steps(target.duration_ns) + 1))
-    coarse = ideal_part(nominal, course(path, stamps), target.sample(stamps))
+    coarse = ideal_part(nominal, stations_of(path, stamps), target.sample(stamps))
     rows: list[np.ndarray] = []
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for row in pool.map(lambda plant: _plant_errors(plant, nominal, known, measured, coarse), drawn):
@@ -118,7 +118,7 @@ def _plant_errors(plant: Cell, nominal: Cell, reference: Trajectory, measured: W
 
 
 def _walls(cell: Cell, result: PassResult, ideal: IdealPart) -> Walls:
-    path = course(path_of(cell), result.time_ns)
+    path = stations_of(path_of(cell), result.time_ns)
     return remaining_walls(ideal.walls, path, result.actual - result.target, ideal.level)
 
 

@@ -1,4 +1,4 @@
-"""Where a pass was on its tool path: directions, distances and features of its exchange periods."""
+"""Stations of a pass on its tool path: directions, distances and features of its exchange periods."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from kr270_milling.cell.paths import CellPath
 
-__all__ = ["Course", "course", "deviations"]
+__all__ = ["Stations", "deviations", "stations_of"]
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Stations:
     """The target of a pass at the ends of its n exchange periods (first row: the start), workpiece frame."""
 
     distance: np.ndarray  #: [m], (n + 1,), along the tool path
@@ -28,21 +28,27 @@ class Course:
         return np.column_stack([-np.sin(self.heading), np.cos(self.heading)])
 
 
-def course(programmed: CellPath, time_ns: np.ndarray) -> Course:
-    """The course of the programmed path at times [ns], (n + 1,)."""
+def stations_of(programmed: CellPath, time_ns: np.ndarray) -> Stations:
+    """Return the stations of the programmed path at times [ns], (n + 1,)."""
     timed = programmed.timed
     if timed is None:
         target = programmed.target
-        way = np.linalg.norm(target.sample(time_ns) - target.position[0], axis=1)
+        distance = np.linalg.norm(target.sample(time_ns) - target.position[0], axis=1)
         along = target.position[-1] - target.position[0]
         tangent = np.tile(along / np.linalg.norm(along), (time_ns.size, 1))
-        return Course(way, tangent, _headings(tangent), np.zeros(time_ns.size, np.int64), ("straight cut",),
-                      np.zeros(time_ns.size, bool))  # fmt: skip
+        return Stations(
+            distance,
+            tangent,
+            _headings(tangent),
+            np.zeros(time_ns.size, np.int64),
+            ("straight cut",),
+            np.zeros(time_ns.size, bool),
+        )
     path, distance = timed.toolpath, timed.distance_at(time_ns)
     _, tangent, _ = path.on_path(distance)
     feature = path.feature[path.block_at(distance)]
     names = tuple(name or "unnamed" for name in path.features)
-    return Course(distance, tangent, _headings(tangent), feature, names, programmed.drilling_at(time_ns))
+    return Stations(distance, tangent, _headings(tangent), feature, names, programmed.drilling_at(time_ns))
 
 
 def _headings(tangent: np.ndarray) -> np.ndarray:
@@ -55,7 +61,7 @@ def _headings(tangent: np.ndarray) -> np.ndarray:
     return np.arctan2(rows[:, 1], rows[:, 0])
 
 
-def deviations(path: Course, error: np.ndarray) -> np.ndarray:
+def deviations(path: Stations, error: np.ndarray) -> np.ndarray:
     """Tangential, normal (to the left) and vertical part of actual minus target, both (n + 1, 3) [m]."""
     normal = np.sum(error[:, :2] * path.left, axis=1)
     return np.column_stack([np.sum(error * path.tangent, axis=1), normal, error[:, 2]])
