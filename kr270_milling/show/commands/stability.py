@@ -57,7 +57,6 @@ def run_stability(args) -> Answer:
 
 def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
     """Table and page."""
-
     with staged(args.out) as (draft, final):
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
