@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shlex
 import signal
 import sys
 import warnings
@@ -118,7 +119,8 @@ def _complete() -> None:
     with contextlib.suppress(ImportError, ValueError):  # not installed; a quote that is still open
         import argcomplete
 
-        argcomplete.autocomplete(make_parser())
+        words = shlex.split(os.environ.get("COMP_LINE", ""))[1:]
+        argcomplete.autocomplete(make_parser(words))
 
 
 def _cannot_end(frame) -> bool:
@@ -136,7 +138,7 @@ def _run(argv: list[str]) -> int:
     argv = _join_negative(argv)
     if any("\0" in word for word in argv):  # a caller of main can pass one, a shell cannot
         raise UsageError("an argument contains a zero byte")
-    parser = make_parser()
+    parser = make_parser(argv)
     if not argv:
         parser.print_help()
         return 0

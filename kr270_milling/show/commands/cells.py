@@ -80,7 +80,6 @@ def default_text(default) -> str:
 
 def run_stiffness(args) -> Answer:
     """Pose, Jacobian, Cartesian stiffness (17) and natural frequencies at one posture."""
-
     arm, mount = read_arm(find_file(args.arm))
     result = analyse(arm, mount, np.radians(args.joints_deg), np.array(args.wrench), args.frame, args.gravity)
     x, y, z = (f"{v:.6f}" for v in result["position_m"])

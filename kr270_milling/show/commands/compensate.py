@@ -83,7 +83,6 @@ def run_compensate(args) -> Answer:
 
 def _values(cell, result) -> dict:
     """Return the values for ``--json`` without the files."""
-
     original, revised = result.original, result.revised
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     values |= {k: v for k, v in revised.row().items() if k != "name"}
@@ -101,7 +100,6 @@ def _values(cell, result) -> dict:
 
 def _correction(cell, revised, by) -> dict:
     """Return the size of the correction and the parts that a limit removed."""
-
     size = np.linalg.norm(revised.reference.position - path_of(cell).target.position, axis=1)
     limited = [
         {
@@ -128,7 +126,6 @@ def _correction(cell, revised, by) -> dict:
 
 def _write(draft, final, jobs, decision, args, source, whole) -> dict:
     """Write all files of all tools and return the values for ``--json``; jobs: cell and compensation of each tool."""
-
     date, released = now(), decision.level != NO
     tools, texts, pages = [], [], []
     for cell, result in jobs:
@@ -164,7 +161,6 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
 
 def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dict, str]:
     """Write the G-code of all tools; return its path with the figures read back, and the text for the manifest."""
-
     path, tools = write_gcode(
         draft,
         [(cell, result.revised.reference) for cell, result in jobs],
@@ -187,7 +183,6 @@ def _gcode_lines(values: dict):
 
 def _write_programs(draft, final, cell, result, lines, released, args, date: str) -> tuple[dict, str]:
     """Write programs and tables of one tool; return their final paths by kind, and the text for the manifest."""
-
     files, text = write_tool_programs(
         draft,
         cell,
@@ -209,7 +204,6 @@ def _write_programs(draft, final, cell, result, lines, released, args, date: str
 
 def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
     """Return the report of one tool as text."""
-
     revised = result.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
     return report_text(
@@ -228,7 +222,6 @@ def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
 
 def _joints_table(cell, revised):
     """Return the table of commanded joints for the report."""
-
     columns = [
         *joint_ranges(cell, revised.reference).values(),
         *np.degrees([cell.arm.joint_lower, cell.arm.joint_upper]),
@@ -240,7 +233,6 @@ def _joints_table(cell, revised):
 
 def _time_law_table(cell, result, whole):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
-
     with whole.under(title_of(cell))("lower acceleration") as report:
         softer = softer_pass(cell, result.revised.reference, progress=report)
     rows = [("plan", result.planned), ("written program", result.revised.scores)]
@@ -251,7 +243,6 @@ def _time_law_table(cell, result, whole):
 
 def _shown_tools(jobs, decision, values: dict, args):
     """Yield the output for the terminal: the decision, then each tool."""
-
     yield Colored(decision.text, COLORS[decision.level])
     for (cell, result), tool_values in zip(jobs, values["tools"], strict=True):
         yield f"\n{cell.stage}: {cell.tool.diameter * 1e3:g} mm, {cell.tool.teeth} teeth"
@@ -269,7 +260,6 @@ def _shown_tools(jobs, decision, values: dict, args):
 
 def _shown(cell, result, decision, values: dict, args):
     """Yield the output for the terminal, the decision first."""
-
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
     yield from _details(cell, result, values)
@@ -287,7 +277,6 @@ def _files(values: dict):
 
 def _details(cell, result, values: dict):
     """Yield tables and lines of one tool after its decision."""
-
     if result.parts:
         yield _features(values["features"], values["method"])
     else:
@@ -321,7 +310,6 @@ def _details(cell, result, values: dict):
 
 def _features(features: dict, method: str) -> TextTable:
     """Before and after, side by side."""
-
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
     keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
     texts = {column.key: column.text for column in columns(FeatureRow)}

@@ -71,7 +71,6 @@ def _plain(whole, cell, methods, plant, suffix: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
-
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = TextTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     report = write_report(

@@ -58,7 +58,6 @@ def _answer(args, outcome) -> Answer:
 
 def identify_compliance(args) -> Answer:
     """Identify compliances from load tests, or plan load tests for a cell."""
-
     arm, mount = read_arm(find_file(args.arm))
     where = find_file(args.cell or args.arm)
     if args.cell:
@@ -78,7 +77,6 @@ def identify_compliance(args) -> Answer:
 
 def _plan(args, arm, mount, pose) -> Answer:
     """Plan load tests; write their table and program."""
-
     if pose is None:
         raise InputError(
             "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
@@ -110,7 +108,6 @@ def _plan(args, arm, mount, pose) -> Answer:
 
 def identify_forces(args) -> Answer:
     """Identify force coefficients from mean forces of cuts."""
-
     tool, down = _tool(args)
     turn = turn_of(args.sensor_abc)
     sensor = Sensor(args.topic, turn, args.sensor_on == "part", args.tare, args.sensor_mass_kg, down)
@@ -126,7 +123,6 @@ def identify_forces(args) -> Answer:
 
 def _tool(args):
     """Return the tool, and the direction of gravity in workpiece axes."""
-
     tree: dict = {}
     down = np.array([0.0, 0.0, -1.0])
     if args.cell:
@@ -151,7 +147,6 @@ def _tool(args):
 
 def identify_damping(args) -> Answer:
     """Identify frequency and damping of the modes from a ring-down or an impact."""
-
     source = find_file(args.recording) if args.recording.lower().endswith(".csv") else args.recording
     low, high = args.band
     signals = read_signals(source, args.topic).window(args.start, args.stop)
@@ -177,7 +172,6 @@ def identify_damping(args) -> Answer:
 
 def identify_material(args) -> Answer:
     """Print published force coefficients, or write a file to include."""
-
     rows = find_material(args.name) if args.name else materials()
     if args.out and (not args.name or not 1 <= args.row <= len(rows)):
         raise InputError("--out", f"needs one material, and a --row from 1 to {len(rows)}")
@@ -186,7 +180,6 @@ def identify_material(args) -> Answer:
 
 def run_compare(args) -> Answer:
     """Compare a measured pass with the simulated pass."""
-
     cell = read_cell(find_file(args.cell), args.set)
     reference = read_csv(Path(args.reference))[0] if args.reference else None
     if Path(args.recording).suffix.lower() == ".csv":
@@ -219,7 +212,6 @@ def run_compare(args) -> Answer:
 
 def _recorded_passes(args) -> list:
     """Return the passes of a recording of the nodes or of RSI; none of a recording of a sensor or a tracker alone."""
-
     remap = remapping(args.remap)
     with contextlib.suppress(RecordingError):
         return passes_from_recording(args.recording, remap=remap)
@@ -228,7 +220,6 @@ def _recorded_passes(args) -> list:
 
 def _series_of(args, recorded):
     """Return force and place of the tool in a recorded pass, a PassResult."""
-
     sign = -1.0 if args.sensor_on == "part" else 1.0
     force = comparison.VectorSeries(recorded.time, sign * recorded.wrench[:, :3] @ turn_of(args.sensor_abc).T)
     return comparison.ComparedSeries(
@@ -238,7 +229,6 @@ def _series_of(args, recorded):
 
 def _measured(args):
     """Read force and pose of the recording; None for a topic that it does not have."""
-
     with Recording(args.recording) as recording:
         names = {topic.rpartition("/")[2] for topic in recording.topics()}
     remap = {own.rpartition("/")[2]: name for own, name in remapping(args.remap).items()}

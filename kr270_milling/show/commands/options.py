@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch
 from kr270_milling.base.version import __version__
 from kr270_milling.live.nodes.play_arguments import PLAY
-from kr270_milling.physics.compensation.methods import BEST, METHODS
 
 if TYPE_CHECKING:
     from kr270_milling.show.commands.console import Answer
@@ -111,6 +110,13 @@ def _shared(parser, *names: str) -> None:
         parser.add_argument(name, **SHARED[name])
 
 
+def _methods() -> tuple[str, ...]:
+    """Return the names of all methods; other packages may add methods, which takes time and may fail."""
+    from kr270_milling.physics.compensation.methods import METHODS
+
+    return tuple(METHODS)
+
+
 def _example(parser, example: str, note: str = "") -> None:
     parser.epilog = f"example: kr270_milling {example}" + (f"\n{note}" if note else "")
 
@@ -149,7 +155,7 @@ def _add_compensate(parser) -> None:
     _shared(parser, "cell", "--set", "--plant", "--noise-um")
     add(
         "--method",
-        choices=(BEST, *METHODS),
+        choices=("best", *_methods()),
         help="default: the cell's compensation.method; best: compare the methods and run the best",
     )
     add("--out", metavar="DIR", default="out", help="where everything goes (default: %(default)s)")
@@ -418,7 +424,7 @@ def _add_replay(parser) -> None:
         "--compensate", action="store_true", help="no playback: the revised trajectory from the recorded pass"
     )
     _shared(parser, "--cell")
-    add("--method", choices=METHODS, help="with --compensate: in place of the recorded method")
+    add("--method", choices=_methods(), help="with --compensate: in place of the recorded method")
     add("--out", metavar="DIR", help="with --compensate: write reference_trajectory.csv there")
     _shared(parser, "--remap")
     group = parser.add_argument_group("playback (names as in ros2 bag play)")
@@ -485,7 +491,7 @@ def _add_run(parser) -> None:
         type=bounded(1, 1000, int),
         help="passes in all, with the original one (default: as many as needed)",
     )
-    add("--method", choices=METHODS, action="append", help="how to compensate; may be given several times")
+    add("--method", choices=_methods(), action="append", help="how to compensate; may be given several times")
     add("--out", metavar="DIR", default="out", help="for recordings, logs, cell.yaml (default: %(default)s)")
     add("--processes", action="store_true", help="one process a node; else two nodes share one, which is quicker")
     add("--namespace", metavar="NAME", default="", help="ROS namespace of the four nodes")
@@ -627,8 +633,9 @@ COMMANDS: dict[str, dict[str, tuple[str, Callable[[argparse.ArgumentParser], Non
 }
 
 
-def make_parser() -> Parser:
-    """Return the parser of the whole command line."""
+def make_parser(argv: Sequence[str] | None = None) -> Parser:
+    """Return the parser of the command line; only the command that ``argv`` names gets its options (default: all)."""
+    chosen = None if argv is None else next((word for word in argv if not word.startswith("-")), "")
     listing = [
         f"{title}:\n" + "".join(f"  {name:12}{text}\n" for name, (text, _) in group.items())
         for title, group in COMMANDS.items()
@@ -643,7 +650,10 @@ def make_parser() -> Parser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for group in COMMANDS.values():
         for name, (text, add) in group.items():
-            _add_command(commands, name, text, add)
+            if chosen in {name, None}:
+                _add_command(commands, name, text, add)
+            else:
+                commands.add_parser(name)
     return parser
 
 

@@ -111,7 +111,6 @@ def _line(whole: Progress) -> None:
 @contextlib.contextmanager
 def _bar(whole: Progress) -> Iterator[Callable[[], None]]:
     """Yield the function that updates the bar."""
-
     columns = SpinnerColumn(), BarColumn(bar_width=24), TextColumn("{task.description}", markup=False)
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(whole.label, total=None)

@@ -33,7 +33,6 @@ def run_info(args) -> Answer:
 
 def run_export(args) -> Answer:
     """Exit code 1 where a topic cannot be exported."""
-
     if not args.csv and not args.parquet:
         raise InputError("export", "give --csv DIR or --parquet DIR")
     if args.parquet:

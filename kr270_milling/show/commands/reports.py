@@ -68,7 +68,6 @@ def run_report(args) -> Answer:
 
 def _read(places: Sequence[Path], args, whole) -> tuple[list[tuple[ScoredPass, RecordedFacts]], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
-
     chosen = args.namespace, remapping(args.remap), args.cell
     paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
     names = unique_names(paths)
@@ -91,14 +90,12 @@ def _read(places: Sequence[Path], args, whole) -> tuple[list[tuple[ScoredPass, R
 
 def _other_path(about: RecordedFacts, other: RecordedFacts) -> bool:
     """Return whether two recordings have different targets."""
-
     same = np.array_equal(about.target.time_ns, other.target.time_ns)
     return not same or not np.allclose(about.target.position, other.target.position)
 
 
 def _same(scored: ScoredPass, known: ScoredPass) -> bool:
     """Return whether two recordings have the same pass: start, poses and wrenches; a copy, or a recovered recording."""
-
     alike = (np.array_equal(getattr(scored.result, k), getattr(known.result, k)) for k in ("time_ns", "tool", "wrench"))
     return scored.reference.start_ns == known.reference.start_ns and all(alike)
 
@@ -118,7 +115,6 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 
 def _recordings(path: Path) -> list[Path]:
     """The .mcap files of a file, a recording's directory or a directory of such, in the order of their writing."""
-
     if path.is_file():
         return [path]
     if (path / "metadata.yaml").is_file():

@@ -93,7 +93,6 @@ def run_rsi(args) -> Answer:
 
 def _table(name: str) -> Path:
     """Return the table of offsets: the file, or the only one of a directory."""
-
     path = Path(name)
     if not path.is_dir():
         return path

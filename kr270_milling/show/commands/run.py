@@ -79,7 +79,6 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
 
 def _compile(cell) -> None:
     """Compile once what the nodes run, so that no node of the graph waits; the disk keeps the compiled code."""
-
     above = np.array([0.0, 0.0, float(cell.stock.max[2]) + 1.0])
     cut_of(cell).sweep(above, above, 0, 1)
     CompliantArm(arm_model_of(cell, path_of(cell).target)).predict()

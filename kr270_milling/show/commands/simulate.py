@@ -42,7 +42,6 @@ def run_simulate(args) -> Answer:
 
 def _simulated(cell, args, draft, final, whole):
     """Return the pass of one tool, its values for ``--json``, and the output for the terminal."""
-
     reference = None if args.reference is None else _reference(cell, args.reference)
     suffix = cell.stage.suffix if cell.stage else ""
     name = f"original{suffix}" if reference is None else Path(args.reference).stem
@@ -90,7 +89,6 @@ def _simulated(cell, args, draft, final, whole):
 
 def run_check(args) -> Answer:
     """Exit code 1 if the path must not be run."""
-
     cells = read_cells(find_file(args.cell), args.set)
     _refuse_reference(args, cells)
     with steps() as whole:
@@ -118,7 +116,6 @@ def run_check(args) -> Answer:
 
 def _checked(cell, args, whole):
     """Return the check of one tool, its values for ``--json``, and the output for the terminal."""
-
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
     checked = decision.check(cell, reference, args.motion, progress=whole.under(title_of(cell)))
     tolerance = judge(cell, checked.ran) if checked.ran else None
@@ -198,7 +195,6 @@ def _summary(cell, scored) -> dict:
 
 def plant_of(args, cell):
     """Return the plant of ``--plant`` and ``--noise-um``; None: the model cuts, without imperfections."""
-
     chosen = [f"path.tool={cell.stage.tool}"] if cell.stage else []
     cuts = read_cell(find_file(args.plant), chosen) if args.plant else cell
     if cell.stage and not cuts.stage:

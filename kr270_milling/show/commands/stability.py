@@ -57,8 +57,7 @@ def run_stability(args) -> Answer:
 
 
 def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
-    """Table and page."""
-
+    """Write table and page; return their paths."""
     with staged(args.out) as (draft, final):
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]

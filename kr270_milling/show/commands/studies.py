@@ -99,7 +99,6 @@ def run_map(args) -> Answer:
 
 def _along(args) -> Answer:
     """Turn the tool about its axis along a path."""
-
     if any(axis is not None for axis in (args.x, args.y, args.z, args.turn)):
         raise ParameterError("--along", args.along, "without --x, --y, --z and --turn: the workpiece stays")
     source = find_file(args.cell).resolve()
@@ -151,7 +150,6 @@ def _along(args) -> Answer:
 
 def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
     """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
-
     changes = {
         "path": {"file": TURNED_RECORDING},
         "workpiece": place_of(cell.workpiece.pose, cell.workpiece.at_start_joints),

@@ -45,7 +45,7 @@ def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
 
 
 def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
-    """The rows that hold for this cell; with ``paper`` also those about the paper's text and Table 2."""
+    """Return the assumptions of this cell; with ``paper`` also those about the paper's text and Table 2."""
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
     rows = [Assumption(*texts) for texts in cell.cutting.active.assumptions(path_of(cell).feed_rate / passing)]
     modes = model_frequencies(cell).items()

@@ -105,7 +105,7 @@ def stations(series: Sequence[np.ndarray], most: int = 2000) -> np.ndarray:
 
 
 def moving_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Centred mean over ``window`` rows of values (n,), over what there is of them at the ends."""
+    """Centred mean over ``window`` rows of values (n,); at the ends over the rows that exist."""
     ones = np.ones(max(1, min(window, values.size)))
     return np.convolve(values, ones, "same") / np.convolve(np.ones(values.size), ones, "same")
 

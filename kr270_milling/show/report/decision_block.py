@@ -123,7 +123,7 @@ def _tile(label: str, judged: Judgement, quantity: str) -> Tile:
 
 
 def finding_rows(checked: Checked | None) -> list[dict]:
-    """The worst first; where: the place in words."""
+    """Return the findings as rows, the worst first; where: the place in words."""
     rows = []
     for finding in sorted(checked.findings if checked else (), key=lambda f: SEVERITIES.index(f.severity)):
         point, line = finding.where.point, finding.where.line

@@ -17,7 +17,7 @@ from kr270_milling.show.report.charts import envelope_index, stations
 __all__ = ["Linked", "PartSurface", "StationSeries", "SurfaceErrors", "SourceLine", "linked", "part_surface"]
 
 LONGEST = 160  #: characters of a source line
-MOST_LINES = 4000  #: lines of the source; of a longer one only those on which a station lies
+MOST_LINES = 4000  #: lines of the source; a longer source is cut to the lines with a station
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def _series(scored: ScoredPass, part: PartAssessment) -> np.ndarray:
 
 
 def _source(file: str, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
-    """Lines of the tool path file, or of its text: all of a short one, else those that are used."""
+    """Return the lines of the tool path file or its text: all of a short file, else the used lines."""
     if not used.any():
         return ()
     if program is None:

@@ -73,7 +73,7 @@ def _modes(cell: Cell, arm: bool) -> dict[str, list[tuple[float, float]]]:
 
 
 def _deepest(cell: Cell) -> float:
-    """Depth of cut [m]; of a program the largest."""
+    """Return the depth of cut [m], for a program the largest."""
     if path_of(cell).straight:
         return cell.path.depth_of_cut
     return float(arcs_along(path_of(cell), cell.earlier).depth.max(initial=0.0))

@@ -43,7 +43,7 @@ def _place(row: dict) -> str:
 
 
 def _gain(row: dict, present: dict) -> float:
-    """[%] of the error before compensation."""
+    """Return the gain [%] of the error before compensation."""
     return 100.0 * (1.0 - row["error_max_um"] / present["error_max_um"])
 
 

@@ -31,7 +31,7 @@ ZERO = ((0.0, ""),)  #: a level
 
 
 def charts_of(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> list[Chart]:
-    """All charts of a straight cut, the force law alone of a tool path."""
+    """Return all charts of a straight cut; for a tool path the force law alone."""
     path, target = path_of(cell), path_of(cell).target
     feed_per_tooth = path.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
     if not path.straight:
@@ -178,7 +178,7 @@ def micro_step_forces(cut: CutModel, tool: np.ndarray, micro_steps: int) -> np.n
 
 
 def _spectra(cell: Cell, scored: ScoredPass, force: np.ndarray, step: float, lateral: np.ndarray) -> Chart:
-    """force (n, 3) [N] every ``step`` [s]; lateral (m,) [m] every exchange period."""
+    """Return the spectra of force (n, 3) [N], every ``step`` [s], and lateral (m,) [m], every exchange period."""
     passing, low = cell.tool.teeth * cell.tool.spindle_speed / (2 * np.pi), low_frequency_of(cell)
     high = 4.0 * passing
 

@@ -75,7 +75,7 @@ def fragment(sentences: Sequence[str], tables: Sequence[TextTable]) -> str:
 
 
 def _capital(text: str) -> str:
-    """With a capital first letter, but for a key or a name of a file."""
+    """Return a text with a capital first letter, except a key or a name of a file."""
     return text if set("_.") & set(text.partition(" ")[0]) else text[:1].upper() + text[1:]
 
 

@@ -51,7 +51,7 @@ def fixed_text(value: float, digits: int, least: float = 0.0) -> str:
 
 
 def micro(text: str) -> str:
-    """With the signs of typography: µm, µrad, mm³ and ±."""
+    """Return a text with the signs of typography: µm, µrad, mm³ and ±."""
     text = re.sub(r"(?:(?<=\d )|(?<=/))(mm|m|s)[23]\b", _raised, text)
     return re.sub(r"\bu(?=m\b|rad\b)", "µ", text).replace("+-", "±")
 
@@ -61,7 +61,7 @@ def _raised(unit: re.Match) -> str:
 
 
 def shown(value, key: str = "") -> str:
-    """A value of the configuration; of a file only its name."""
+    """Return a value of the configuration as text; a file by its name alone."""
     if isinstance(value, list):
         return "[" + ", ".join(map(shown, value)) + "]"
     if isinstance(value, str):
@@ -70,7 +70,7 @@ def shown(value, key: str = "") -> str:
 
 
 def typographic(table: TextTable) -> TextTable:
-    """A table of others with the page's minus sign and micro sign, and no "-0.00"."""
+    """Return a table with the page's minus sign and micro sign, and no "-0.00"."""
     rows = tuple(tuple(map(typeset, row)) for row in table.rows)
     return TextTable(micro(table.title), tuple(map(micro, table.columns)), rows, micro(table.note))
 
@@ -103,7 +103,7 @@ def line_scores(passes: Sequence[ScoredPass], paper: bool) -> TextTable:
 
 
 def part_scores(parts: Sequence[PartAssessment]) -> TextTable:
-    """The whole part, one row a pass."""
+    """Return the table of the whole part, one row a pass."""
     note = (
         "Deviation: actual tool centre minus target, horizontal and across the path, while the tool cuts. Wall and "
         "floor: what remains on the finished part, against the part that a rigid arm would leave."
@@ -113,7 +113,7 @@ def part_scores(parts: Sequence[PartAssessment]) -> TextTable:
 
 
 def feature_table(parts: Sequence[PartAssessment]) -> TextTable:
-    """For each feature one row a pass."""
+    """Return the table of features, one row for each feature and pass."""
     known = [{row.name: row for row in (*part.rows, part.whole)} for part in parts]
     rows = tuple(
         (name, part.name, *_values(of[name]))
@@ -186,7 +186,7 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
 
 
 def warning(path: CellPath, passes: Sequence[ScoredPass]) -> str:
-    """The pass whose exchange was the coarsest, where that was too coarse."""
+    """Return a sentence about the pass with the coarsest exchange if the exchange was too coarse, else ""."""
     shares = [(scored.name, exchange_share(path, scored)) for scored in passes]
     name, worst = max(shares, key=lambda item: item[1].share)
     return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""

@@ -93,7 +93,7 @@ def sentences(fit: Fit, pose: Measurements | None = None, doubted: bool = False)
 
 
 def _as_dict(fit: Fit, pose: Measurements | None) -> dict:
-    """For JSON; infinite half widths become null there."""
+    """Return the values for JSON; infinite half widths become null there."""
     result = {
         "compliance_urad_per_n_m": (1e6 * fit.values[:6]).tolist(),
         "ci95_urad_per_n_m": (1e6 * fit.half_widths[:6]).tolist(),

@@ -83,7 +83,7 @@ def _text(name: str) -> str:
 
 
 def to_json(value) -> Markup:
-    """JSON for a ``<script>`` element: nothing in it can end the element; what is not finite is null.
+    """JSON for a ``<script>`` element: no text in it can end the element; numbers that are not finite are null.
 
     Long rows become ``{"f32": base64, "shape": [...]}``, whole numbers ``i32``: little-endian, read into typed arrays.
     """
