@@ -27,7 +27,6 @@ from kr270_milling.recordings.messages.viewer import (
     MARKERS,
     TRANSFORMS,
     Marker,
-    Placed,
     markers_bytes,
     transforms_bytes,
 )
@@ -108,14 +107,14 @@ class Scene:
             self._add_point(stamp, np.asarray(pose_from_bytes(data).position))
             yield Derived("/markers", MARKERS, markers_bytes(stamp, self._markers()), stamp)
 
-    def _frames(self, joints: Mapping[str, float], moving: bool) -> list[Placed]:
-        """Return the frames of the moving or of the fixed links; joints: positions by name [rad]."""
+    def _frames(self, joints: Mapping[str, float], moving: bool) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
+        """Return the frames of the moving or of the fixed links for ``transforms_bytes``; joints: name -> [rad]."""
         links = [link for link in self._links if link.parent >= 0 and bool(link.joint) == moving]
         turns = [link.rotation @ _turn(link.axis, joints[link.joint]) if moving else link.rotation for link in links]
         quaternions = quaternion_from_rotation(np.array(turns).reshape(-1, 3, 3))
         parents = [self._links[link.parent].name for link in links]
         return [
-            Placed(parent, link.name, link.xyz, quaternion)
+            (parent, link.name, link.xyz, quaternion)
             for parent, link, quaternion in zip(parents, links, quaternions, strict=True)
         ]
 

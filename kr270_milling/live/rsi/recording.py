@@ -13,7 +13,6 @@ from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotat
 from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
 from kr270_milling.live.rsi.corrector import CorrectionTable
-from kr270_milling.live.rsi.session import AnsweredCycle
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes, type_of
@@ -43,13 +42,13 @@ class RsiRecording:
         self._write("target_trajectory", target)
         self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]))
 
-    def add(self, cycle: AnsweredCycle) -> None:
-        """Record one cycle."""
-        if cycle.actual is not None:
-            turn = quaternion_from_rotation(rotation_from_abc(cycle.actual[3:]))
-            self._write("tool_pose", PoseSample(cycle.stamp, WORKPIECE, cycle.actual[:3], turn))
-        a, b, c = cycle.correction[3:]
-        twist = TwistSample(cycle.stamp, WORKPIECE, np.array([*cycle.correction[:3], c, b, a]))
+    def add(self, stamp: int, actual: np.ndarray | None, correction: np.ndarray) -> None:
+        """Record an answered cycle: stamp [ns], RIst and RKorr, (6,) [m, rad]."""
+        if actual is not None:
+            turn = quaternion_from_rotation(rotation_from_abc(actual[3:]))
+            self._write("tool_pose", PoseSample(stamp, WORKPIECE, actual[:3], turn))
+        a, b, c = correction[3:]
+        twist = TwistSample(stamp, WORKPIECE, np.array([*correction[:3], c, b, a]))
         self._write("correction", twist)
         self._writer.tick(time.monotonic())
 

@@ -20,21 +20,12 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.live.rsi.corrector import Corrector
 from kr270_milling.live.rsi.telegram import MOST_BYTES, RobotTelegram, read_telegram, write_answer
 
-__all__ = ["AnsweredCycle", "Counts", "RsiSession", "open_socket", "real_time"]
+__all__ = ["Counts", "RsiSession", "open_socket", "real_time"]
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
 WRAP = 2**32  #: IPOC counts milliseconds in 32 bits
 TIMESTAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux, asm-generic/socket.h
 TIME = struct.Struct("qq")  # timespec
-
-
-@dataclass(frozen=True, eq=False)
-class AnsweredCycle:
-    """An answered cycle, for the recording."""
-
-    stamp: int  #: [ns], since the first telegram, by the counter of the robot
-    actual: np.ndarray | None  #: RIst, (6,) [m, rad]
-    correction: np.ndarray  #: RKorr, (6,) [m, rad]
 
 
 @dataclass
@@ -56,16 +47,18 @@ class Counts:
 class RsiSession:
     """Answers one robot until ``stop`` is set, or until the robot is silent for SILENCE.
 
-    report: receives sentences about changes of state. record: receives each ``AnsweredCycle`` after its answer is sent,
-    in the rest of the cycle: a second thread would keep the interpreter while a telegram waits. After a RecordingError
-    the session answers without a recording. from_actual: progress from RIst minus the correction instead of RSol.
+    report: receives sentences about changes of state. record: receives each answered cycle after its answer is sent,
+    in the rest of the cycle: a second thread would keep the interpreter while a telegram waits. Its arguments are the
+    stamp since the first telegram by the counter of the robot [ns], RIst, and RKorr, (6,) [m, rad]. After a
+    RecordingError the session answers without a recording. from_actual: progress from RIst minus the correction
+    instead of RSol.
     """
 
     connection: socket.socket
     corrector: Corrector
     cycle_ms: int
     report: Callable[[str], None]
-    record: Callable[[AnsweredCycle], None] | None = None
+    record: Callable[[int, np.ndarray | None, np.ndarray], None] | None = None
     from_actual: bool = False
     stop: threading.Event = field(default_factory=threading.Event)
     recording_failed: bool = False  #: the file could not be written
@@ -143,7 +136,7 @@ class RsiSession:
         counts.late += took > 1e-3 * self.cycle_ms
         counts.longest, counts.total = max(counts.longest, took), counts.total + took
         counts.most_delay = max(counts.most_delay, telegram.delay)
-        self._record(AnsweredCycle(self._elapsed * SECOND // 1000, telegram.actual, correction))
+        self._record(self._elapsed * SECOND // 1000, telegram.actual, correction)
         if self.corrector.reason != self._reason:
             self._reason = self.corrector.reason
             self.report(f"{self._reason}, {1e3 * self.corrector.progress:.1f} mm of the path")
@@ -178,11 +171,11 @@ class RsiSession:
         self.report(f"no telegram for {SILENCE:g} s")
         self.stop.set()
 
-    def _record(self, cycle: AnsweredCycle) -> None:
+    def _record(self, *cycle) -> None:
         if self.record is None:
             return
         try:
-            self.record(cycle)
+            self.record(*cycle)
         except RecordingError as error:
             self.record, self.recording_failed = None, True
             self.report(f"answers continue without a recording: {error}")

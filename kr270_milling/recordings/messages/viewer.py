@@ -17,7 +17,6 @@ __all__ = [
     "PATH",
     "TRANSFORMS",
     "Marker",
-    "Placed",
     "markers_bytes",
     "path_bytes",
     "transforms_bytes",
@@ -28,16 +27,6 @@ MARKERS = "visualization_msgs/msg/MarkerArray"
 PATH = "nav_msgs/msg/Path"
 PATH_POINTS = 500  #: points of a path, evenly in time, beside at most as many of its knots
 ARROW, LINE_STRIP = 0, 4  #: visualization_msgs/msg/Marker.type
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """A frame in its parent's."""
-
-    parent: str
-    child: str
-    position: np.ndarray  #: [m], (3,)
-    quaternion: np.ndarray  #: x, y, z, w, (4,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +41,16 @@ class Marker:
     colours: np.ndarray  #: red, green, blue, alpha from 0 to 1, (n, 4) or (4,) for the whole
 
 
-def transforms_bytes(stamp_ns: int, placed: Sequence[Placed]) -> bytes:
-    """A TFMessage in which every frame has the same stamp."""
+def transforms_bytes(stamp_ns: int, frames: Sequence[tuple[str, str, np.ndarray, np.ndarray]]) -> bytes:
+    """Return a TFMessage in which every frame has the same stamp.
+
+    frames: parent, child, position in the parent's frame (3,) [m] and quaternion x, y, z, w there (4,).
+    """
     rows = []
-    for frame in placed:
-        header = {"stamp": time_fields(stamp_ns), "frame_id": frame.parent}
-        transform = {"translation": named("xyz", frame.position), "rotation": named("xyzw", frame.quaternion)}
-        rows.append({"header": header, "child_frame_id": frame.child, "transform": transform})
+    for parent, child, position, quaternion in frames:
+        header = {"stamp": time_fields(stamp_ns), "frame_id": parent}
+        transform = {"translation": named("xyz", position), "rotation": named("xyzw", quaternion)}
+        rows.append({"header": header, "child_frame_id": child, "transform": transform})
     return serialise(TRANSFORMS, {"transforms": rows})
 
 

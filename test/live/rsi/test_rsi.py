@@ -207,7 +207,7 @@ def test_after_a_stop_of_this_host_the_newest_telegram_is_answered_and_the_other
     """49 of 50 cycles; the time that a telegram waited counts to its answer. The session records after it counts."""
     _, session, controller, _ = running
     recorded, free = queue.Queue(), threading.Event()
-    session.record = lambda cycle: recorded.put(cycle) or free.wait(LIMIT)
+    session.record = lambda *cycle: recorded.put(cycle) or free.wait(LIMIT)
     controller.cycle((0.0, 0.0, 0.0))
     recorded.get(timeout=LIMIT)
     for _ in range(50):
