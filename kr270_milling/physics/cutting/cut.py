@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.physics.cutting.cut_step import cut_along, cut_step, cut_undo
+from kr270_milling.physics.cutting.cut_step import cut_poses, cut_step, cut_undo
 from kr270_milling.physics.cutting.engagement import (
     BINS,
     EngagementParams,
@@ -98,7 +98,7 @@ class CutModel:
         positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
-        cut_along(self.state, params, positions, steps, NO_FORCES, wrench, torque, volume)
+        cut_poses(self.state, params, positions, steps, NO_FORCES, wrench, torque, volume)
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
         return wrench, torque, volume

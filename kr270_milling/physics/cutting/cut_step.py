@@ -9,7 +9,7 @@ from kr270_milling.physics.cutting.engagement import EngagementState, engage, un
 from kr270_milling.physics.cutting.state import LEVEL_SUM, State
 from kr270_milling.physics.cutting.sweep import sweep, undo
 
-__all__ = ["cut_along", "cut_step", "cut_undo"]
+__all__ = ["cut_poses", "cut_step", "cut_undo"]
 
 
 def _step(s, p, pose_from, pose_to, first, n, forces, wrench):
@@ -64,7 +64,7 @@ def cut_undo(s):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are cut at once
-def cut_along(s, p, positions, steps, no_forces, wrench, torque, volume):
+def cut_poses(s, p, positions, steps, no_forces, wrench, torque, volume):
     """Cut from each position (n, 3) [m] to the next, which is reached at micro-steps (n,) counted from the start.
 
     Fills the rows from 1 on: mean wrench (n, 6) [N, N m], mean torque (n,) [N m], removed volume (n,) [m^3].
