@@ -22,8 +22,8 @@ MARKS = """() => {
     if (gd) marks[id] = [gd.layout.shapes[1].xanchor - L.x[k], gd.layout.shapes[1].yanchor - L.y[k]];
   }
   const gd = KR.by("series");
-  const shape = gd.layout.shapes[0];
-  marks.series = [shape.x0 - (way ? L.distance : L.time)[k], shape.x1 - shape.x0];
+  marks.series = [gd.layout.shapes[0].x0 - (way ? L.distance : L.time)[k],
+    gd.layout.shapes[0].x1 - gd.layout.shapes[0].x0];
   const part = KR.by("part");
   if (part.drawn && KR.seen("part")) {
     const here = part.data[3];
@@ -146,9 +146,7 @@ def test_tolerance_is_marked_and_the_filter_leaves_what_is_beyond(visit):
 
 
 def test_a_zoom_of_the_curves_moves_the_maps_and_chooses_the_rows_of_the_csv_file(visit):
-    visit.ask(
-        "() => Plotly.relayout('series', {'xaxis.range': [KR.data.linked.distance[100], KR.data.linked.distance[140]]})"
-    )
+    visit.ask("() => Plotly.relayout('series', {'xaxis.range': [100, 140].map((k) => KR.data.linked.distance[k])})")
     visit.page.wait_for_function("KR.zoom?.first === 100 && KR.zoom.last === 140")
     ranges = """(id) => { const a = KR.by(id)._fullLayout; return [...a.xaxis.range, ...a.yaxis.range]; }"""
     visit.page.wait_for_function(
