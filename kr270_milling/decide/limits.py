@@ -126,6 +126,6 @@ def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str
     now = int(np.sum(shares <= 1.0))
     best = sorted(rows[:SHOWN], key=lambda row: -row.within(shares))
     return [
-        f"measure: {row.name}, {row.measurement}: {now} -> about {row.within(shares)} of {shares.size} robots"
+        f"measure: {row.name}, {row.measurement}: from {now} to about {row.within(shares)} of {shares.size} robots"
         for row in best
     ]

@@ -28,7 +28,7 @@ from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.assumptions import assumptions, model_frequencies
 from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, thinned_spectrum
-from kr270_milling.show.report.linked import MOST_CELLS, linked, part_surface
+from kr270_milling.show.report.linked import linked, part_surface
 from kr270_milling.show.report.page.page import plotly_script
 from kr270_milling.show.report.series import COLUMNS, deviation_of, file_names, write_series
 from kr270_milling.show.report.straight_cut import machined_profile, micro_step_forces
@@ -308,7 +308,7 @@ def test_a_pass_that_was_cut_off_is_unknown_beyond_its_end(case):
 def test_the_surface_keeps_the_largest_errors_of_floors_and_walls(case):
     parts = case[2]
     surface = part_surface(parts)
-    assert max(surface.z.shape) <= MOST_CELLS and surface.z.shape == (surface.y.size, surface.x.size)
+    assert max(surface.z.shape) <= 120 and surface.z.shape == (surface.y.size, surface.x.size)
     for one, part in zip(surface.passes, parts, strict=True):
         assert np.nanmax(np.abs(one.floor)) == pytest.approx(part.whole.max_floor * 1e6)
         assert np.abs(one.wall).max() == pytest.approx(part.whole.max_wall * 1e6)
