@@ -93,7 +93,7 @@ MEETS = "largest wall or floor error meets 100 um on the model (5 um)"
     (decision(verdict=plants(*[50] * 9, 300)), YES, f"{MEETS} and in 9 of 10 simulated robots (90 %, median 50 um)"),
     (decision(verdict=plants(*[50] * 5, *[300] * 5)), CAUTION, f"{MEETS} and in 5 of 10 simulated robots (50 %"),
     (decision(verdict=plants(*[50] * 9, *[118] * 19), limits=(Limit("base", 0.4, "load tests"),)), NO,
-     f"{MEETS} and in 9 of 28 simulated robots (32 %, median 118 um); measure: base, load tests: from 9 to about 28 of 28"),
+     f"{MEETS} and in 9 of 28 simulated robots (32 %, median 118 um); measure: base, load tests: from 9 to about 28"),
     (decision(verdict=plants(*[50] * 8, np.nan, np.nan)), CAUTION, f"{MEETS} and in 8 of 10"),  # two plants failed
     (decision(130 * UM, verdict=plants(*[50] * 10)), NO, "misses 100 um on the model (130 um at pocket)"),
     (decision(stops=("axis 5 leaves its range", "another"), verdict=plants(*[50] * 10)), NO,
