@@ -13,7 +13,7 @@ suppress_warnings = ["ref.python"]
 
 
 def plain_text(app, what, name, obj, options, lines):
-    """Formulas stand in docstrings as plain text: |s|, h_1 and a * b are no markup."""
+    """Formulas are in docstrings as plain text: |s|, h_1 and a * b are no markup."""
     for n, line in enumerate(lines):
         words = re.split(r"(``.+?``)", line)
         lines[n] = "".join(w if w.startswith("``") else re.sub(r"([|*]|_(?=\W|$))", r"\\\1", w) for w in words)

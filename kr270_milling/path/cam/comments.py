@@ -126,7 +126,7 @@ OTHER_KINDS = {
         "brush or abrasive tool": r"\bbrush|b.{1,2}rste\b|\bgrinding|schleif|\bburr\b|polier|burnish",
     }.items()
 }
-#: name of a mill, and the parts of names that a flat one has; any other part is a kind of its own: PROFILE CUTTER
+#: name of a mill, and the parts of names that a flat one has; any other part names another kind: PROFILE CUTTER
 MILL = re.compile(r"([^\W\d_]+)[- ](?:cutter|mill)\b|([^\W\d_]+?)-?fr(?:\W|ä|ae|a)ser", re.I)
 OF_FLAT = re.compile(
     r"(?:flat|square|end|face|facing|shell|shoulder|fly|rough\w*|finish\w*|hog\w*|plunge|insert\w*|index\w*|helical"

@@ -182,8 +182,8 @@ class Learner:
     def _on_path(self, wrench: np.ndarray, reference: Trajectory) -> np.ndarray:
         """w + k (w_c(path) - w_m): the wrench of a pass along ``reference``, had its tool not deviated.
 
-        w_c(path) is the wrench of the model's cut on the path, w_m that of the model's pass with the arm as it is known
-        by now, k the factor that explains w with w_m. A tool that drifts across the feed turns its chips, one that
+        w_c(path) is the wrench of the model's cut on the path, w_m that of the model's pass with the arm as known
+        so far, k the factor that explains w with w_m. A tool that drifts across the feed turns its chips, one that
         sinks cuts with its whole end: both damp what the arm does. w_m is of a pass, in which arm and cut agree, and
         not of a cut along the deviation that was measured: 1 um more depth changes the thrust of the end edges by some
         25 N, which the arm answers with 9 um, so that the error of such a thrust exceeds what it is to explain.
