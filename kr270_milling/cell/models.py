@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 
 import numpy as np
 
@@ -48,7 +49,8 @@ def path_of(cell: Cell) -> CellPath:
     return _path(cell.path.loaded(), cell.stock, cell.tool, cell.timing, cell.exchange, arm_of(cell), by_teeth)
 
 
-@functools.lru_cache(maxsize=4)  # the path of a program of an hour has some 60 MB
+# each core runs a simulated robot; their paths share the 60 MB of an hour, unless a joint slows the path
+@functools.lru_cache(maxsize=4 + 2 * (os.cpu_count() or 1))
 def _path(
     path: PathSection, stock: Stock, tool: Tool, timing: Timing, exchange: Exchange, arm: PlacedArm, by_teeth: bool
 ) -> CellPath:

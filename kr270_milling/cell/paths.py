@@ -105,6 +105,12 @@ class StraightCut(_Programmed):
         return np.zeros(time_ns.size, bool)
 
 
+@functools.lru_cache(maxsize=4)  # simulated robots, which differ in arm, tool and stock, run the same program
+def _timed_by_controller(path: PathSection, timing: Timing) -> TimedPath:
+    read = path.read()
+    return read if isinstance(read, TimedPath) else time_path(read, timing)
+
+
 @dataclass(frozen=True, eq=False)
 class ProgramPath(_Programmed):
     """The tool path of ``path.file``: G-code, APT, a CSV of points or a recording."""
@@ -152,8 +158,7 @@ class ProgramPath(_Programmed):
         Raises InputError where the file cannot be read, the pass would take days, or the path does not belong to tool
         and stock.
         """
-        read = self.path.read()
-        timed = read if isinstance(read, TimedPath) else time_path(read, self.timing)
+        timed = _timed_by_controller(self.path, self.timing)
         check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock, self.by_teeth)
         check_path(self.path.file, timed, self.tool, self.stock)
         return timed

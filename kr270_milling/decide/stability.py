@@ -59,7 +59,7 @@ class FeatureLimit:
         limit = f"limit {1e3 * self.limit.depth_limit:.3g} mm, chatter at {hertz:.4g} Hz"
         if math.isinf(self.limit.depth_limit):
             limit = f"limit above {1e3 * DEEPEST:.0f} mm"
-        entry, leave = np.degrees([self.entry, self.exit])
+        entry, leave = np.round(np.degrees([self.entry, self.exit])) + 0.0  # no -0
         return f"{1e3 * self.depth:.3g} mm, {limit}, teeth in cut from {entry:.0f} to {leave:.0f} deg"
 
     @property

@@ -42,56 +42,14 @@ __all__ = [
     "write_manifest",
     "write_programs",
     "write_rsi_table",
-    "write_tool_programs",
 ]
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 OLDER = "older"  #: folder of the programs of earlier runs
-#: names of what an operator may take: those of ``write_tool_programs`` and ``write_gcode``
+#: names of what an operator may take: those of ``write_programs`` and ``write_gcode``
 PROGRAMS = re.compile(rf"(krl|rsi|joints|gcode)_\w.*_\d{{8}}_[0-9a-f]{{8}}(\.\w+)?|{NOT_RELEASED}.*")
-
-
-def write_programs(
-    directory,
-    cell: Cell,
-    original: Trajectory,
-    revised: Trajectory,
-    *,
-    method: str,
-    date: str,
-    motions: Sequence[str] | None = (),
-    source: str = "",
-    decision: Sequence[str] = (),
-    findings: Sequence[str] = (),
-    released: bool = True,
-) -> dict[str, list[Path]]:
-    """Write all files for a controller or a planner; return the paths by kind.
-
-    "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
-    no robot program), in a directory named after motion, method, date and hash; "rsi": revised minus original at each
-    tick; "joints": joint positions of both, named as well; "trajectory": the revised one as CSV, which ``simulate`` and
-    ``check`` read; "manifest": which file goes where, in which order to try them, and what the columns are.
-
-    method: for the names; date: ISO text; source: sha256 of what the original was made from; decision: its lines;
-    findings: lines of the check, both for every header. A program that is not released has NOT_RELEASED for its name.
-    """
-    files, text = write_tool_programs(
-        directory,
-        cell,
-        original,
-        revised,
-        method=method,
-        date=date,
-        motions=motions,
-        source=source,
-        decision=decision,
-        findings=findings,
-        released=released,
-    )
-    files["manifest"] = [write_manifest(directory, [text], decision, released)]
-    return files
 
 
 def set_aside(directory) -> list[str]:
@@ -136,7 +94,7 @@ def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = ()
     return path
 
 
-def write_tool_programs(
+def write_programs(
     directory,
     cell: Cell,
     original: Trajectory,
@@ -151,10 +109,16 @@ def write_tool_programs(
     released: bool = True,
     rsi: tuple[str, int] | None = None,
 ) -> tuple[dict[str, list[Path]], str]:
-    """``write_programs`` without its manifest; return the paths by kind, and the text for the manifest.
+    """Write all files for a controller or a planner; return the paths by kind, and the text for ``write_manifest``.
 
-    In a program with several tools the name of the tool is in every name. rsi: address of the host of RSI, for
-    ``rsi_context``.
+    "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
+    no robot program), in a directory named after motion, method, date and hash; "rsi": revised minus original at each
+    tick; "joints": joint positions of both, named as well; "trajectory": the revised one as CSV, which ``simulate`` and
+    ``check`` read. In a program with several tools the name of the tool is in every name.
+
+    method: for the names; date: ISO text; source: sha256 of what the original was made from; decision: its lines;
+    findings: lines of the check, both for every header. A program that is not released has NOT_RELEASED for its name.
+    rsi: address of the host of RSI, for ``rsi_context``.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")

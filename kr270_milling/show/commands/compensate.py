@@ -19,7 +19,7 @@ from kr270_milling.cell.models import cut_of, cut_text_of, path_of
 from kr270_milling.decide.compensation import compensate, limit_sentence
 from kr270_milling.decide.decision import CAUTION, NO
 from kr270_milling.decide.part import FeatureRow, write_part
-from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, write_manifest, write_tool_programs
+from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, write_manifest, write_programs
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
@@ -183,7 +183,7 @@ def _gcode_lines(values: dict):
 
 def _write_programs(draft, final, cell, result, lines, released, args, date: str) -> tuple[dict, str]:
     """Write programs and tables of one tool; return their final paths by kind, and the text for the manifest."""
-    files, text = write_tool_programs(
+    files, text = write_programs(
         draft,
         cell,
         result.original.reference,

@@ -32,7 +32,6 @@ from kr270_milling.decide.programs.files import (
     write_joint_table,
     write_programs,
     write_rsi_table,
-    write_tool_programs,
 )
 from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
 from kr270_milling.decide.programs.krl_motion import Source
@@ -307,7 +306,7 @@ def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_pat
     """Object and parameter numbers of POSCORR and ETHERNET: those of two contexts of others that run on a KR C4."""
     target = path_of(cell).target
     address = rsi_address("192.168.1.10:50000")
-    files, _ = write_tool_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
+    files, _ = write_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
     src, context, _, ethernet = files["rsi_context"]
     network = ElementTree.parse(ethernet)
     assert [network.findtext(f"CONFIG/{key}") for key in ("IP_NUMBER", "PORT")] == ["192.168.1.10", "50000"]
@@ -427,7 +426,7 @@ def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, t
     """Both readers have the limits of ``timing`` and of the turning tool after BAS(#INITMOV,0), which resets them."""
     cell, original = part
     cell = cell.replace(krl=cell.krl.replace(time_law=law, turn_speed=np.radians(90.0)))
-    files = write_programs(
+    files, text = write_programs(
         tmp_path, cell, path_of(cell).target, path_of(cell).target, method="m", date=DATE, motions=[motion]
     )
     timing = cell.timing
@@ -438,7 +437,6 @@ def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, t
     robot = Robot(folder, "MILLING_CMP")
     assert read_krl(folder, "MILLING_CMP").limits == pytest.approx(expected)
     assert {name: float(robot.state[name]) for name in values if name in robot.state} == pytest.approx(expected)
-    text = files["manifest"][0].read_text()
     assert all(f"{name}={value:.4f}" in text for name, value in expected.items())
     assert ("KSS 8.3 or later" in text) == ("$JERK.CP" in expected)
     if expected:
@@ -450,7 +448,7 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     cell, original = part
     cell = cell.replace(krl=cell.krl.replace(line_limit=limit))
     run = compensated(cell, original, "spline").reference
-    files = write_programs(
+    files, _ = write_programs(
         tmp_path, cell, path_of(cell).target, run, method="spline", date="2030-01-01", motions=[motion]
     )
     folder = files[f"krl_{motion.lower()}"][0].parent
