@@ -103,9 +103,18 @@ class RecordingSession:
         write = functools.partial(self._on_scene if follow else self.writer.write, topic)
 
         def take(data: bytes) -> None:
-            self._node.used(topic, self._write, write, data, self._node.get_clock().now().nanoseconds)
+            """Write all messages that wait. With a callback for each message, 9,000 of 20,000 a second were written."""
+            now = self._node.get_clock().now().nanoseconds
+            self._node.used(topic, self._write, write, data, now)
+            with subscription.handle:
+                for _ in range(1000):  # then another topic has its turn
+                    taken = subscription.handle.take_message(kind, True)
+                    if taken is None:
+                        break
+                    self._node.used(topic, self._write, write, taken[0], now)
 
-        return self._node.create_subscription(kind, topic, take, _matching(publishers), raw=True)
+        subscription = self._node.create_subscription(kind, topic, take, _matching(publishers), raw=True)
+        return subscription
 
     def _write(self, call, *args) -> None:
         """Write, count a refused message, and stop at the first error of the file, which stays readable."""
