@@ -104,6 +104,8 @@ class RecordingSession:
 
         def take(data: bytes) -> None:
             """Write all messages that wait. With a callback for each message, 9,000 of 20,000 a second were written."""
+            if self._stopped:  # the executor may still hold messages of a closed subscription
+                return
             now = self._node.get_clock().now().nanoseconds
             self._node.used(topic, self._write, write, data, now)
             with subscription.handle:
@@ -152,7 +154,7 @@ class RecordingSession:
             self._node.destroy_subscription(subscription)
         for publisher in filter(None, self._live.values()):
             self._node.destroy_publisher(publisher)
-        failed, self._stopped = self._stopped, True  # the executor may still hold messages
+        failed, self._stopped = self._stopped, True
         return None if failed else self._close_file()
 
     def _close_file(self) -> str | None:
