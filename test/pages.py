@@ -5,6 +5,7 @@ usage: python test/pages.py [PAGE...] [--update]
 The commands of a fenced ``sh`` block run in their order in the directory of the page, a new one with ``config`` in it.
 A comment in the line above the block changes that: ``<!-- not run: REASON -->``, or ``<!-- release: REASON -->`` for a
 block that takes long or needs other processes. This script runs the blocks for a release, the tests leave them out.
+A reason with "exit code 1" states that the commands end so.
 
 A fenced block below ``<!-- output -->`` shows lines that the block of commands before it prints, in their order. A line
 that ends in " ..." shows the beginning of a line; a line "..." replaces others. Numbers agree within 1 % or one unit
@@ -133,8 +134,8 @@ def updated(shown: str, printed: str) -> tuple[str, list[str]]:
     return "".join(f"{line}\n" for line in lines), lost
 
 
-def run_here(command: str) -> str:
-    """Run a command in this process and directory; return what it prints. Raises RuntimeError where it fails."""
+def run_here(command: str, expected: int = 0) -> str:
+    """Run a command in this process and directory; return what it prints. Raises RuntimeError at another exit code."""
     from kr270_milling.cli import main
 
     if file := COMMAND.fullmatch(command)[2]:
@@ -146,7 +147,7 @@ def run_here(command: str) -> str:
         raise RuntimeError(f"{command}: no command of kr270_milling; the block needs a mark")
     with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.redirect_stderr(io.StringIO()) as errors:
         code = main(arguments)
-    if code != 0:
+    if code != expected:
         raise RuntimeError(f"{command}: exit code {code}\n{errors.getvalue()}")
     if into:
         Path(into).write_text(text.getvalue(), encoding="utf-8")
@@ -154,23 +155,26 @@ def run_here(command: str) -> str:
     return text.getvalue()
 
 
-def run_in_shell(command: str) -> str:
+def run_in_shell(command: str, expected: int = 0) -> str:
     """As ``run_here``, by bash, with the programs beside this interpreter."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     print(f"  $ {command.splitlines()[0]}", flush=True)
     environment = {**os.environ, "PATH": path, "PYTHONUNBUFFERED": "1"}
     done = subprocess.run(["bash", "-c", command], env=environment, stdin=subprocess.DEVNULL, capture_output=True,
                           text=True)  # fmt: skip
-    if done.returncode != 0:
+    if done.returncode != expected:
         raise RuntimeError(f"{command}: exit code {done.returncode}\n{done.stderr[-2000:]}")
     return done.stdout
 
 
-def run_page(page: Path, run: Callable[[str], str] = run_here, release: bool = False) -> Iterator[tuple[Block, str]]:
+def run_page(
+    page: Path, run: Callable[[str, int], str] = run_here, release: bool = False
+) -> Iterator[tuple[Block, str]]:
     """Run the blocks of a page in this directory; yield each with what it printed. A failure is the text of a block."""
     for block in blocks(page):
         if not block.mark or (release and block.mark == "release"):
-            yield block, "".join(map(run, block.commands))
+            expected = int("exit code 1" in block.reason)
+            yield block, "".join(run(command, expected) for command in block.commands)
 
 
 def directory_of(page: Path, place: Path) -> Path:
