@@ -32,6 +32,7 @@ AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
 TRIES = 6  #: on a busy machine the pass may end before the fault
 NAMED_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
 BEHIND = 1.0  # [s] before the fault that a recording may miss
+CLOSE = 0.05  # [s] before the fault: a recording that ends later is complete up to the fault
 COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "design", "orphans", "recording")
 
 
@@ -198,7 +199,7 @@ class Row:
         state = "complete" if whole == len(recordings) else "complete up to the fault"
         if self.fault.reaction != ENDS and whole < len(recordings):
             state = f"{len(recordings) - whole} not whole"
-        elif behind > 0.05:
+        elif behind > CLOSE:
             state = f"readable, ends at most {behind:.2f} s before the fault"
         return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
 
