@@ -18,6 +18,12 @@ from kr270_milling.physics.cutting.engagement import (
 from kr270_milling.physics.cutting.grid import TILE, GridError, Stock, levels_in_window
 from kr270_milling.physics.cutting.lanes import LANES
 from kr270_milling.physics.cutting.laws import Cutting
+from kr270_milling.physics.cutting.revolution import (
+    RevolutionParams,
+    RevolutionState,
+    make_revolution_params,
+    make_revolution_state,
+)
 from kr270_milling.physics.cutting.state import (
     FAILED,
     LEVEL_SUM,
@@ -61,8 +67,8 @@ class CutModel:
     tool, cutting, stock: records of the parameter file; the grid of ``stock`` is that of the model.
     """
 
-    params: Params | EngagementParams
-    state: State | EngagementState
+    params: Params | EngagementParams | RevolutionParams
+    state: State | EngagementState | RevolutionState
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
         self.tool, self.cutting, self.stock = tool, cutting, stock
@@ -104,7 +110,7 @@ class CutModel:
         return wrench, torque, volume
 
     @property
-    def final_params(self) -> Params | EngagementParams:
+    def final_params(self) -> Params | EngagementParams | RevolutionParams:
         """Parameters for positions that no correction changes."""
         return self.params
 
@@ -124,7 +130,7 @@ class CutModel:
         self.state.pool[used : most // self.state.pool.itemsize].fill(0)
 
     @property
-    def state_of_pass(self) -> State | EngagementState:
+    def state_of_pass(self) -> State | EngagementState | RevolutionState:
         """The state for a pass in which no step is taken back."""
         return self.state
 
@@ -216,25 +222,35 @@ class EngagementCut(CutModel):
 
     stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
     the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep``
-    gets predicted poses. ``along`` gets final poses.
+    gets predicted poses. ``along`` gets final poses. A tool whose end is not flat takes the part of ``revolution``.
     """
 
-    params: EngagementParams
-    state: EngagementState
+    params: EngagementParams | RevolutionParams
+    state: EngagementState | RevolutionState
 
     def __init__(
         self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
     ):
         super().__init__(tool, cutting, stock)
-        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
-        self.state = make_engagement_state(self.params, stock)
+        if tool.has_flat_end:
+            self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
+            self.state = make_engagement_state(self.params, stock)
+        else:
+            self.params = make_revolution_params(tool, cutting, stock, micro_step, bins, give)
+            self.state = make_revolution_state(self.params, stock)
+
+    def continue_from(self, before: CutModel) -> None:
+        super().continue_from(before)
+        if not self.tool.has_flat_end:
+            used = before.tiles * TILE**2
+            self.state.rest[:used] = self.state.pool[:used]
 
     @property
-    def final_params(self) -> EngagementParams:
+    def final_params(self) -> EngagementParams | RevolutionParams:
         return self.params._replace(give=0.0)
 
     @property
-    def state_of_pass(self) -> EngagementState:
+    def state_of_pass(self) -> EngagementState | RevolutionState:
         """Without an undo log, whose writing takes time."""
         nodes = np.empty(0, np.uint16)
         return self.state._replace(log_place=np.empty(0, np.int64), log_level=nodes, log_rest=nodes)

@@ -6,6 +6,7 @@ from numba import njit, types
 from numba.extending import overload
 
 from kr270_milling.physics.cutting.engagement import EngagementState, engage, undo_engagement
+from kr270_milling.physics.cutting.revolution import RevolutionState, undo_revolution
 from kr270_milling.physics.cutting.state import LEVEL_SUM, State
 from kr270_milling.physics.cutting.sweep import sweep, undo
 
@@ -32,7 +33,7 @@ def _step_of(s, p, pose_from, pose_to, first, n, forces, wrench):
         return lambda s, p, pose_from, pose_to, first, n, forces, wrench: sweep(
             s, p, pose_from, pose_to, first, n, forces, wrench
         )
-    if _is(s, EngagementState):
+    if _is(s, EngagementState) or _is(s, RevolutionState):
         return lambda s, p, pose_from, pose_to, first, n, forces, wrench: engage(s, p, pose_from, pose_to, n, wrench)
     return None
 
@@ -43,6 +44,8 @@ def _undo_of(s):
         return lambda s: undo(s)
     if _is(s, EngagementState):
         return lambda s: undo_engagement(s)
+    if _is(s, RevolutionState):
+        return lambda s: undo_revolution(s)
     return None
 
 

@@ -41,6 +41,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
@@ -54,9 +56,13 @@ from kr270_milling.physics.cutting.tool import Tool
 __all__ = [
     "EngagementParams",
     "EngagementState",
+    "cut_part",
     "engage",
     "make_engagement_params",
     "make_engagement_state",
+    "outside",
+    "remember",
+    "take_tile",
     "undo_engagement",
 ]
 
@@ -88,6 +94,7 @@ class EngagementParams(NamedTuple):
     """Constants of a cut; lengths in metres."""
 
     radius: float
+    end_radius: float  # of the flat end
     teeth: int
     sense: float
     micro_step: float  # [rad]
@@ -152,6 +159,7 @@ def make_engagement_params(
     radius = float(tool.radii.max())
     return EngagementParams(
         radius=radius,
+        end_radius=radius,
         teeth=tool.teeth,
         sense=tool.sense,
         micro_step=micro_step,
@@ -171,12 +179,12 @@ def make_engagement_params(
         edge_radius=tool.edge_radius,
         give=give,
         moments=cutting.moments,
-        **_tables(radius, stock.grid_step, bins),
+        **tables(radius, stock.grid_step, bins),
     )
 
 
 @functools.lru_cache(maxsize=8)
-def _tables(radius: float, spacing: float, bins: int) -> dict:
+def tables(radius: float, spacing: float, bins: int) -> dict:
     """The fields of EngagementParams that hang on the radius of the tool and the spacing of the nodes alone."""
     ahead = bins // 2
     reach = int((1.0 + 0.5 * LONGEST) * radius / spacing) + 3
@@ -258,7 +266,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
         s.ints[FLOOR_LEVEL] = -1  # the tool did not come from its last place: what its footprint has cut is not known
         s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
-        s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.radius
+        s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.end_radius
     for j in range(6):
         wrench[j] = 0.0
     dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
@@ -271,7 +279,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     torque = height = thrust = 0.0
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
-        part = _part(
+        part = cut_part(
             s,
             p,
             pose_from[0] + a * dx,
@@ -329,6 +337,18 @@ def _rise(s, p, z, passes, give):
     return low
 
 
+def cut_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
+    """Plain form of compiled code: the part of a step of this state, see ``_part``."""
+    raise NotImplementedError
+
+
+@overload(cut_part, inline="always")
+def _cut_part_of(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
+    if isinstance(s, types.NamedTuple) and s.instance_class is EngagementState:
+        return lambda s, p, x0, y0, z0, x1, y1, z1, passes, wrench: _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
+    return None
+
+
 @inlined
 def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     """Cut along a straight move of at most a quarter of the radius: down, then level; return torque, height, thrust.
@@ -336,8 +356,8 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     A tool that sinks is as low as at the end, a tool that rises as high as in the middle of the move.
     """
     level = _level(p, min(z1, 0.5 * (z0 + z1)))
-    if level == 0 or _outside(p, x1, y1):
-        _remember(s, x1, y1, level)
+    if level == 0 or outside(p, x1, y1):
+        remember(s, x1, y1, level)
         return 0.0, 0.0, 0.0
     for k in range(s.ahead.shape[0]):
         s.ahead[k, 0] = s.ahead[k, 1] = 0.0
@@ -355,14 +375,14 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
         _clear(s, p, cut_x, cut_y, x0, y0, level, True, to_middle, ahead_x, ahead_y)
     if m > 0.0:
         _clear(s, p, x0, y0, x1, y1, level, False, -0.5 * m, ahead_x, ahead_y)
-    _remember(s, x1, y1, level)
+    remember(s, x1, y1, level)
     if passes <= 0.0:
         return 0.0, 0.0, 0.0
     return _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench)
 
 
 @inlined
-def _remember(s, x, y, level):
+def remember(s, x, y, level):
     """Note that the whole footprint at (x, y) is cut to ``level``. A later sinking tool need not visit it again.
 
     Only places matter that are deeper than all later ones.
@@ -390,7 +410,7 @@ def _level(p, z):
 
 
 @inlined
-def _outside(p, x, y):
+def outside(p, x, y):
     """Return whether the footprint of the tool misses the stock."""
     return (
         x + p.radius < p.origin_x - p.spacing
@@ -484,7 +504,7 @@ def _spans(low, high, start, count, u, v, square):
 
 
 @inlined
-def _tile(s, i, j):
+def take_tile(s, i, j):
     """Place in the pool of the tile of a node, which is taken where there is none; -1 and FAILED: no tile is left."""
     slot = s.table[i >> 8, j >> 8]
     if slot < 0:
@@ -511,7 +531,7 @@ def _lower_blocks(s, p, i, low, high, level, sparse, about_i, about_j):
         logged = LOG_LOST
     deep, axis = np.uint16(level), about_j + p.reach
     while j <= high:
-        slot = _tile(s, i, j)
+        slot = take_tile(s, i, j)
         if slot < 0:
             return
         stop = min(high, j | 255) + 1
@@ -570,7 +590,7 @@ def _column(s, p, i, low, high, level, sinking, along, frame):
     if not room:
         logged = LOG_LOST
     while j <= high:
-        slot = _tile(s, i, j)
+        slot = take_tile(s, i, j)
         if slot < 0:
             return
         stop = min(high, j | 255) + 1

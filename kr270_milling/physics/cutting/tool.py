@@ -71,8 +71,25 @@ class Tool(Record):
 
     type: str = parameter(
         "program",
-        choices=("program", "flat", "indexable"),
-        text="flat: a flat end mill, whatever the comments of the program say; indexable: a flat mill with inserts",
+        choices=("program", "flat", "indexable", "ball", "bull_nose", "tapered", "points"),
+        text="program: the shape that the comments of the program state, else flat; any other: this shape, whatever they "
+        "say; indexable: a flat mill with inserts; tapered: also a chamfer mill and the point of a drill",
+    )
+    corner_radius: float = parameter(
+        0.0, unit="mm", low=0.0, high=100.0, text="of a bull nose, or of the tip of a tapered tool"
+    )
+    taper: float = parameter(
+        0.0, unit="deg", low=0.0, high=89.0, text="of a tapered tool, between side and axis: half the angle of a point"
+    )
+    tip_diameter: float = parameter(
+        0.0,
+        unit="mm",
+        low=0.0,
+        high=200.0,
+        text="of a tapered tool at its tip; 0: a point, or the ball of corner_radius",
+    )
+    profile: np.ndarray = parameter(
+        [], unit="mm", low=0.0, high=500.0, text="radius, height, radius, height, ... from the tip up, for type: points"
     )
     # assumed: a sharp ground edge of carbide for aluminium; honed edges are rounder
     edge_radius: float = parameter(
@@ -126,6 +143,56 @@ class Tool(Record):
         if self.radii.min() <= 0.0:
             raise ParameterError("runout_um", (1e6 * self.runout).tolist(), "less than the radius of the cutter")
 
+        self._check_profile()
+
+    def _check_profile(self) -> None:
+        """Raise ParameterError for a profile that the keys of a tool do not describe."""
+        radius, corner = self.radius, self.corner_radius
+        rounded = 1e-9  # [m], of lengths in a file
+        if self.type == "bull_nose" and not 0.0 < corner <= radius + rounded:
+            raise ParameterError(
+                "corner_radius_mm", 1e3 * corner, f"above 0 and at most {1e3 * radius:g} for a bull nose"
+            )
+        if self.type == "ball" and corner and abs(corner - radius) > rounded:
+            raise ParameterError(
+                "corner_radius_mm", 1e3 * corner, f"0 or {1e3 * radius:g}, half the diameter of the ball"
+            )
+        if self.type in ("program", "flat", "indexable", "points") and corner:
+            raise ParameterError("corner_radius_mm", 1e3 * corner, f"0 where tool.type is {self.type}")
+        if (self.type == "tapered") != (self.taper > 0.0):
+            allowed = (
+                "above 0, the angle between side and axis" if self.type == "tapered" else "0 without type: tapered"
+            )
+            raise ParameterError("taper_deg", math.degrees(self.taper), allowed)
+        if self.tip_diameter and (self.type != "tapered" or self.tip_diameter >= self.diameter):
+            raise ParameterError(
+                "tip_diameter_mm", 1e3 * self.tip_diameter, "0, or below the diameter of a tapered tool"
+            )
+        if self.type == "tapered":
+            least = 2.0 * corner * math.tan(0.25 * math.pi - 0.5 * self.taper)
+            if self.tip_diameter and self.tip_diameter < least - rounded:
+                raise ParameterError(
+                    "tip_diameter_mm", 1e3 * self.tip_diameter, f"0 or at least {1e3 * least:.4g}: corner"
+                )
+            if least >= self.diameter or corner * math.cos(self.taper) >= radius:
+                raise ParameterError(
+                    "corner_radius_mm", 1e3 * corner, "smaller: no cone is left between tip and diameter"
+                )
+        points = self.profile
+        if bool(points.size) != (self.type == "points"):
+            allowed = "radius, height, radius, height, ..." if self.type == "points" else "empty without type: points"
+            raise ParameterError("profile_mm", (1e3 * points).tolist(), allowed)
+        if self.type == "points":
+            rows = points.reshape(-1, 2) if points.size % 2 == 0 else np.full((1, 2), np.nan)
+            steps = np.diff(rows, axis=0)
+            sound = rows[0, 1] == 0.0 and rows[0, 0] >= 0.0 and (steps >= 0.0).all() and (steps > 0.0).any(axis=1).all()
+            if not sound or abs(rows[-1, 0] - radius) > rounded:
+                allowed = (
+                    "pairs of radius and height from the height 0 upwards to half the diameter; neither may fall, "
+                    "since an upright tool hides what is below its largest radius"
+                )
+                raise ParameterError("profile_mm", (1e3 * points).tolist(), allowed)
+
     @property
     def radius(self) -> float:
         """Nominal radius R [m]."""
@@ -176,6 +243,11 @@ class Tool(Record):
     def radii(self) -> np.ndarray:
         """Distance of each tooth's tip from the spindle axis [m], (teeth,)."""
         return self.radius + (self.runout if self.runout.size else np.zeros(self.teeth))
+
+    @property
+    def has_flat_end(self) -> bool:
+        """Return whether the end of the cutter is flat and its side a cylinder."""
+        return self.type in ("program", "flat", "indexable")
 
     @property
     def pitches(self) -> np.ndarray:
