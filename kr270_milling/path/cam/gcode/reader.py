@@ -13,6 +13,8 @@ from typing import Any
 
 from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
+from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
+from kr270_milling.path.cam.gcode.flow import Flow, has_flow
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -47,6 +49,12 @@ PIECE = re.compile(
 )
 ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
+#: a word that Sinumerik computes from R parameters or functions; and its name
+COMPUTED = re.compile(r"(?:^|[ \t])R[0-9]+[ \t]*=|[A-Z][0-9]*[ \t]*=[ \t]*[-+(]*(?:R[0-9]|[A-Z]{3,}2?[ \t]*\()", re.I)
+NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
+NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
+BLANK = re.compile(r"[ \t]+")
+LETTER = re.compile(r"[A-Z]")
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
 LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
 SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
@@ -77,21 +85,30 @@ class GcodeReader:
     def __init__(self, program: ProgramBuilder, machine: Interpreter):
         self.program = program
         self.machine = machine
+        self.variables = Variables(machine.parameter)
         self.announced = ""  #: operation that a post announced by word
         self.percent = 0
 
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
-        program, cuts = self.program, 0
-        for program.line, line in enumerate(lines, 1):
-            if program.line == len(lines):
-                cuts, program.moved = program.cuts, False
-            self.run_line(line)
-            if self.machine.ended or program.hopeless:
-                codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[program.line :])
-                program.silent["lines after the end"] += sum(map(bool, codes))
-                program.silent = +program.silent
-                return
+        program, cuts, read = self.program, 0, len(lines)
+        if has_flow(lines):
+            flow = Flow(self, lines)
+            flow.run()
+            read = flow.furthest if self.machine.ended else read
+        else:
+            for program.line, line in enumerate(lines, 1):
+                if program.line == len(lines):
+                    cuts, program.moved = program.cuts, False
+                self.run_line(line)
+                if self.machine.ended or program.hopeless:
+                    read = program.line
+                    break
+        if self.machine.ended or program.hopeless:
+            codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[read:])
+            program.silent["lines after the end"] += sum(map(bool, codes))
+            program.silent = +program.silent
+            return
         # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move
         retract = program.moved and program.cuts == cuts > 0
         if (reason := unended(lines)) and not (retract or LAST.fullmatch(_split_comments(lines[-1])[0])):
@@ -110,6 +127,9 @@ class GcodeReader:
             self.machine.run(words)
 
     def _line(self, line: str) -> None:
+        if "=" in line and COMPUTED.search(line):
+            self._assigned_values(line.partition(";")[0].upper())
+            return
         code, comments = _split_comments(line)
         if code[:1] == "%":
             self.percent += 1
@@ -123,13 +143,75 @@ class GcodeReader:
             self.program.silent["/"] += 1
         if code[:1] == ":":
             code = "O" + code[1:]
+        if NAMED_PROGRAM.fullmatch(code):
+            code = ""
         if comments:
             self._comments(code, comments)
         code = code.upper()
         if SIMPLE.fullmatch(code):
             self._run(code)
+        elif "#" in code or "[" in code:
+            self._macro("".join(code.split()))
         else:
             self._pieces(code)
+
+    def _macro(self, code: str) -> None:
+        """A line with parameters or expressions; assignments count after all values of the line are known."""
+        scanner = Scanner(code, self.variables)
+        words: list[tuple[str, Any]] = []
+        assigned: list[tuple[int | str, float]] = []
+        try:
+            while not scanner.ended:
+                if scanner.take("#"):
+                    key = scanner.key()
+                    if not scanner.take("="):
+                        raise ExpressionError("a parameter without a word or the sign =")
+                    assigned.append((key, scanner.expression()))
+                elif letter := scanner.match(LETTER):
+                    words.append((letter, scanner.value()))
+                else:
+                    raise ExpressionError(f"{short(code[scanner.place :])!r} is no word")
+            for key, value in assigned:
+                self.variables.set(key, value)
+        except ExpressionError as fault:
+            self._no_value(code, fault)
+            return
+        self.program.words["used"] += len(assigned)
+        if words:
+            self.machine.run(words)
+
+    def _assigned_values(self, code: str) -> None:
+        """A line of Sinumerik with R parameters: R1=5, G1 X=R1+2 F=R3, S1=R4."""
+        scanner = Scanner(code, self.variables)
+        words: list[tuple[str, Any]] = []
+        try:
+            while not scanner.ended:
+                if scanner.match(BLANK):
+                    continue
+                name = scanner.match(NAMED).partition("=")[0].strip()
+                if not name:
+                    word = scanner.match(WORD).replace(" ", "").replace("\t", "")
+                    if not word:
+                        raise ExpressionError(f"{short(code[scanner.place :])!r} is no word")
+                    words.append((word[0], float(word[1:])))
+                    continue
+                value = scanner.expression()
+                if name[0] == "R" and name[1:].isdigit():
+                    self.variables.set(f"R {name[1:]}", value)
+                    self.program.words["used"] += 1
+                elif name in ("CR", "TURN") or len(name) == 1:
+                    words.append((name, value))
+                else:
+                    raise ExpressionError(f"{name} takes no computed value")
+        except ExpressionError as fault:
+            self._no_value(code.strip(), fault)
+            return
+        if words:
+            self.machine.run(words)
+
+    def _no_value(self, code: str, fault: ExpressionError) -> None:
+        self.program.refuse(short(code), str(fault), MACROS, lost=True)
+        self.program.words["refused"] += 1
 
     def _pieces(self, code: str) -> None:
         """A line that is more than words of one letter; nothing of it is run where one piece cannot be."""
