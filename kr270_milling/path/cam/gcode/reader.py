@@ -50,7 +50,9 @@ PIECE = re.compile(
 ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 #: a word that Sinumerik computes from R parameters or functions; and its name
-COMPUTED = re.compile(r"(?:^|[ \t])R[0-9]+[ \t]*=|[A-Z][0-9]*[ \t]*=[ \t]*[-+(]*(?:R[0-9]|[A-Z]{3,}2?[ \t]*\()", re.I)
+COMPUTED = re.compile(
+    r"(?:^|[ \t])R[0-9]+[ \t]*=|[A-Z][0-9]*[ \t]*=[ \t]*(?:[-+(]*(?:R[0-9]|[A-Z]{3,}2?[ \t]*\()|[-+]?[0-9.]*[ \t]*[*/(])", re.I
+)
 NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
 NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
 BLANK = re.compile(r"[ \t]+")
@@ -127,7 +129,7 @@ class GcodeReader:
             self.machine.run(words)
 
     def _line(self, line: str) -> None:
-        if "=" in line and COMPUTED.search(line):
+        if "=" in line and '"' not in line and COMPUTED.search(line):
             self._assigned_values(line.partition(";")[0].upper())
             return
         code, comments = _split_comments(line)
