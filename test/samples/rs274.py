@@ -52,8 +52,10 @@ def reference(path) -> tuple[list[Move], str]:
             command, capture_output=True, text=True, errors="replace", timeout=60, cwd=Path(path).resolve().parent,
             env=os.environ | {"LD_LIBRARY_PATH": paths},
         )  # fmt: skip
-    complaint = [line for line in ran.stderr.splitlines() if line not in ("executing", "") and "variable file" not in line]
-    return canonical_moves(ran.stdout.splitlines()), " ".join(complaint)
+    harmless = re.compile(r"executing|.*variable file.*|File ended with no percent sign.*|")
+    complaint = [line for line in ran.stderr.splitlines() if not harmless.fullmatch(line)]
+    ended = "File ended with no" in ran.stderr  # its next line is the last one of the program
+    return canonical_moves(ran.stdout.splitlines()), "" if ended else " ".join(complaint)
 
 
 def canonical_moves(lines) -> list[Move]:
@@ -124,6 +126,8 @@ def _arc(plane, numbers, rotation: int, across: float, start) -> tuple[list[floa
 
 class _Logged(Interpreter):
     """Notes each move; starts where rs274 does."""
+
+    watched = True
 
     def __init__(self, *args):
         super().__init__(*args)

@@ -62,9 +62,9 @@ class _Stop(Exception):
     """The place where the program continues is not known."""
 
 
-def has_flow(lines: list[str]) -> bool:
+def has_flow(text: str) -> bool:
     """Return whether a program may jump."""
-    return MAY_JUMP.search("\n".join(lines)) is not None
+    return MAY_JUMP.search(text) is not None
 
 
 class Flow:

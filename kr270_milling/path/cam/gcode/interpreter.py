@@ -44,6 +44,8 @@ TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 class Interpreter(Machine):
     """Runs blocks of words; what cannot be run goes to the refusals, what moves nothing is counted."""
 
+    watched = False  #: each move of a block is to be noted
+
     def __init__(self, program: ProgramBuilder, feed: float, changes: bool, offsets: Mapping = NONE):
         """offsets: work offset -> its place in the workpiece frame [m], empty where the cell states none."""
         super().__init__(program, feed)
@@ -58,6 +60,14 @@ class Interpreter(Machine):
         self.calls = False  #: sub-programs can be called
         self.call: tuple[str, float, float, dict[str, float]] | None = None  #: kind, name, repeats, values
         self.end_word = 0.0  #: number of the M word that ended the program
+
+    @property
+    def cuts_straight(self) -> bool:
+        """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
+        return (
+            self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
+            and self.shift is None and bool(self.feed) and not self.watched
+        )  # fmt: skip
 
     def run(self, words: list[tuple[str, Any]]) -> None:
         """Run a block of letters and numbers, for T also a name: first its settings, then the move, then its end."""

@@ -28,6 +28,13 @@ EXPONENT = r"E[-+]?[0-9]+(?![0-9.])"
 NUMBER = rf"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:{EXPONENT}|(?!{EXPONENT}))"
 WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
 SIMPLE = re.compile(rf"(?:[ \t]*[A-Z][ \t]*{NUMBER})*[ \t]*")  # a line of words of one letter alone
+#: a straight cutting move and nothing else: most lines of a long program
+PLAIN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
+STRAIGHT = re.compile(
+    r"[ \t]*(N[ \t]*[0-9]+)?[ \t]*(G0?1(?![0-9.]))?[ \t]*"
+    + r"[ \t]*".join(rf"(?:{letter}[ \t]*({PLAIN}))?" for letter in "XYZF")
+    + r"[ \t]*"
+)
 #: a comment in brackets, nested twice at most where they pair, or after a semicolon; the brackets of a call are none
 COMMENT = re.compile(
     r"(?P<call>[A-Z_]{2,}[0-9_]*[ \t]*\([^()]*\))"
@@ -78,7 +85,7 @@ def read_gcode(path, tool: str = "", feed: float = 0.0) -> Toolpath:
 
 def changes_by_m6(lines: list[str]) -> bool:
     """Return whether a tool comes with M6, else with its T."""
-    return any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
+    return CHANGE.search("\n".join(lines)) is not None and any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
 
 
 class GcodeReader:
@@ -94,18 +101,20 @@ class GcodeReader:
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
         program, cuts, read = self.program, 0, len(lines)
-        if has_flow(lines):
+        if has_flow("\n".join(lines)):
             flow = Flow(self, lines)
             flow.run()
             read = flow.furthest if self.machine.ended else read
         else:
-            for program.line, line in enumerate(lines, 1):
-                if program.line == len(lines):
+            index = 0
+            while index < len(lines) and not self.machine.ended and not program.hopeless:
+                index = self._straight_moves(lines, index)
+                if index == len(lines) - 1:
                     cuts, program.moved = program.cuts, False
-                self.run_line(line)
-                if self.machine.ended or program.hopeless:
-                    read = program.line
-                    break
+                program.line = index + 1
+                self.run_line(lines[index])
+                index += 1
+            read = index
         if self.machine.ended or program.hopeless:
             codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[read:])
             program.silent["lines after the end"] += sum(map(bool, codes))
@@ -115,6 +124,41 @@ class GcodeReader:
         retract = program.moved and program.cuts == cuts > 0
         if (reason := unended(lines)) and not (retract or LAST.fullmatch(_split_comments(lines[-1])[0])):
             program.refuse("", reason)
+
+    def _straight_moves(self, lines: list[str], index: int) -> int:
+        """Run the lines from ``index`` that are straight cuts at the same feed, but for the last line; return the next
+        index. The result is that of ``run_line``."""
+        machine, program = self.machine, self.program
+        if not machine.cuts_straight or not program.cuts_from(machine.position):
+            return index
+        unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
+        x, y, z = machine.position
+        ends: list[tuple[float, float, float, int]] = []
+        words = 0
+        for number in range(index, len(lines) - 1):
+            match = match_line(lines[number])
+            if match is None:
+                break
+            _, _, to_x, to_y, to_z, feed = found = match.groups()
+            if feed is not None and float(feed) != feed_word:
+                break
+            if to_x is not None:
+                x = float(to_x) * unit
+            if to_y is not None:
+                y = float(to_y) * unit
+            if to_z is not None:
+                z = float(to_z) * unit
+            elif to_x is None and to_y is None:
+                break
+            ends.append((x, y, z, number + 1))
+            words += 6 - found.count(None)
+        run = program.straight_cuts(ends, machine.feed) if ends else 0
+        if run < len(ends):
+            words = sum(6 - match_line(line).groups().count(None) for line in lines[index : index + run])
+        if run:
+            program.words["used"] += words
+            machine.position = list(ends[run - 1][:3])
+        return index + run
 
     def run_line(self, line: str) -> None:
         """Run the blocks of one line."""
