@@ -261,11 +261,13 @@ def _several_speeds(speeds: dict[float, int]) -> list[Refusal]:
     return _several("spindle speeds", words)
 
 
+EACH = "post one program for each"
+_SEVERAL = {"work offsets": f"state their places with path.offsets_mm in the cell, or {EACH}"}
+
+
 def _several(what: str, words: list[tuple[str, int]]) -> list[Refusal]:
     """A refusal of the second of several words, with their lines."""
     if len(words) < 2:
         return []
     listing = ", ".join(f"{word} (line {line})" for word, line in words[:6])
-    return [
-        Refusal(words[1][1], words[1][0].split()[0], f"{len(words)} {what}: {listing}", "post one program for each")
-    ]
+    return [Refusal(words[1][1], words[1][0].split()[0], f"{len(words)} {what}: {listing}", _SEVERAL.get(what, EACH))]

@@ -216,7 +216,7 @@ class Scanner:
         return self._expression(0)
 
     def _expression(self, least: int) -> float:
-        """Return the value of what follows, with its operators of a higher rank than ``least`` (precedence climbing)."""
+        """Return the value of what follows up to an operator of rank ``least`` or lower (precedence climbing)."""
         left = self.value()
         while match := OPERATOR.match(self.text, self.place):
             rank, function = BINARY[match.group()]

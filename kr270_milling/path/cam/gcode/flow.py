@@ -198,7 +198,7 @@ class Flow:
             raise ExpressionError(f"{short(text[scanner.place :])!r} follows the value")
         return value
 
-    def _control(self, index: int, line: _Line) -> int:  # noqa: C901
+    def _control(self, index: int, line: _Line) -> int:
         label, word, rest = line
         if word[0] == "F":
             return self._jump(index, word, rest)

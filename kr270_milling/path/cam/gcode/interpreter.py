@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import Any
 
 from kr270_milling.path.cam.gcode.offsets import NAMES, Offsets
@@ -20,8 +19,8 @@ from kr270_milling.path.cam.gcode.words import (
     DATUM,
     G_GROUPS,
     LEFT,
-    MACROS,
     M_GROUPS,
+    MACROS,
     MODAL,
     OFFSETS,
     SILENT_G,
@@ -37,7 +36,6 @@ __all__ = ["Interpreter"]
 
 FURTHER = frozenset("ABCUVW")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
-NONE: Mapping[str, tuple[float, float, float]] = MappingProxyType({})
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 
 
@@ -46,8 +44,8 @@ class Interpreter(Machine):
 
     watched = False  #: each move of a block is to be noted
 
-    def __init__(self, program: ProgramBuilder, feed: float, changes: bool, offsets: Mapping = NONE):
-        """offsets: work offset -> its place in the workpiece frame [m], empty where the cell states none."""
+    def __init__(self, program: ProgramBuilder, feed: float, changes: bool, offsets: Sequence[float] = ()):
+        """offsets: x, y, z of G54, G55 ... in the workpiece frame [m], empty where the cell states none."""
         super().__init__(program, feed)
         self.changes = changes  #: M6 changes the tool, else its T does
         self.offsets = Offsets(offsets)
@@ -259,7 +257,7 @@ class Interpreter(Machine):
         """Go on in another work offset; where its place or that of the last one is not known, the path has two."""
         offsets = self.offsets
         if offsets.given and not offsets.known(name):
-            self.program.refuse(name, f"workpiece.offsets_mm does not state {name}")
+            self.program.refuse(name, f"path.offsets_mm does not state {name}")
         elif offsets.given or (self._began and offsets.known(name) and offsets.known(offsets.active)):
             self._change(active=name)
         else:
@@ -303,7 +301,7 @@ class Interpreter(Machine):
         """A word that changes no path, except together with certain words: G5, G54.4, G74, G75, G92.1 to G92.3."""
         began, value = len(self.program) > 0, groups[word]
         letters = (SILENT_G if word[0] == "G" else SILENT_M)[value]
-        if word in ("G92.1", "G92.2", "G92.3") and began and self.preset:
+        if word in ("G92.1", "G92.2", "G92.3") and ((began and self.preset) or self.offsets.local):
             self.program.refuse(word, advice=DATUM, lost=True)
         elif word in ("G5", "G5.1") and not axes.keys().isdisjoint("XYIJ"):
             groups["motion"] = value
@@ -313,7 +311,7 @@ class Interpreter(Machine):
         elif word == "G54.4" and axes.get("P"):
             self.program.refuse(word, advice=DATUM, lost=True)
         else:
-            if word in ("G92.1", "G92.2", "G92.3") and not self.offsets.local:
+            if word in ("G92.1", "G92.2", "G92.3"):
                 self._restore(value)
             elif word == "G69":
                 self._change(turn=1 + 0j, centre=0j)
@@ -409,7 +407,9 @@ class Interpreter(Machine):
         turn, xy, z = offsets.affine
         place = complex(*self.position[:2]) * turn + xy
         wanted = [lengths.get(axis, self.position[n] / self.unit) * self.unit for axis, n in AXES.items()]
-        origin = place - cmath.rect(1.0, system[3]) * complex(wanted[0] + offsets.preset[0], wanted[1] + offsets.preset[1])
+        origin = place - cmath.rect(1.0, system[3]) * complex(
+            wanted[0] + offsets.preset[0], wanted[1] + offsets.preset[1]
+        )
         height = self.position[2] + z - wanted[2] - offsets.preset[2]
         turned = [origin.real, origin.imag, height]
         if not system[3]:  # the axes do not mix
@@ -427,6 +427,8 @@ class Interpreter(Machine):
         name = NAMES[int(number) - 1] if number else offsets.active
         if self.incremental or (offsets.given and self.fixed):
             return "the cell states the work offsets" if offsets.given else "controls differ in G10 with G91"
+        if "R" in axes and any(offsets.preset):
+            return "G10 with R while G92 or G52 is active"  # LinuxCNC 2.9 gives the tool another place
         known = offsets.known(offsets.active)
         if self._began and (name == offsets.active or kind == 20) and not known:
             return f"G10 changes {name}, whose place is not known"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 __all__ = ["NAMES", "Offsets"]
 
@@ -18,10 +18,10 @@ NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 class Offsets:
     """Work offsets [m, rad] and shifts [m]; where none is known the frame of the path is that of the first move."""
 
-    def __init__(self, places: Mapping[str, Sequence[float]]):
-        """places: of work offsets in the workpiece frame; without any the path starts in its own frame."""
+    def __init__(self, places: Sequence[float]):
+        """places: x, y, z of G54, G55 ... in the workpiece frame; without any the path starts in its own frame."""
         self.given = bool(places)
-        self.systems = {name: [*place[:3], 0.0] for name, place in places.items()}
+        self.systems = {name: [*places[3 * n : 3 * n + 3], 0.0] for n, name in enumerate(NAMES[: len(places) // 3])}
         self.active = NAMES[0]
         self.preset = [0.0] * 3  #: G92 or G52
         self.stored = [0.0] * 3  #: that of G92 before G92.2
@@ -50,4 +50,3 @@ class Offsets:
         (turn, xy, z), (base_turn, base_xy, base_z) = self.affine, self.base
         shift = turn / base_turn, (xy - base_xy) / base_turn, z - base_z
         return None if shift == (1, 0, 0) else shift
-

@@ -9,6 +9,7 @@ mm. A line with the sign of block skip is run, as with the switch off.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from kr270_milling.base.text import read_lines, short, unended
@@ -58,7 +59,9 @@ ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 #: a word that Sinumerik computes from R parameters or functions; and its name
 COMPUTED = re.compile(
-    r"(?:^|[ \t])R[0-9]+[ \t]*=|[A-Z][0-9]*[ \t]*=[ \t]*(?:[-+(]*(?:R[0-9]|[A-Z]{3,}2?[ \t]*\()|[-+]?[0-9.]*[ \t]*[*/(])", re.I
+    r"(?:^|[ \t])R[0-9]+[ \t]*="
+    r"|[A-Z][0-9]*[ \t]*=[ \t]*(?:[-+(]*(?:R[0-9]|[A-Z]{3,}2?[ \t]*\()|[-+]?[0-9.]*[ \t]*[*/(])",
+    re.I,
 )
 NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
 NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
@@ -70,22 +73,25 @@ SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of bl
 HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
-def read_gcode(path, tool: str = "", feed: float = 0.0) -> Toolpath:
+def read_gcode(path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = ()) -> Toolpath:
     """Read the path of one tool; raises ProgramError with all words that cannot be run.
 
-    tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none.
+    tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none; offsets
+    [m]: x, y, z of G54, G55 ... in the workpiece frame, where the cell states them.
     """
     lines = read_lines(path)
     number = re.fullmatch(r"\s*[Tt]?0*([0-9]+)\s*", tool)
     program = ProgramBuilder(path, f"T{number.group(1)}" if number else tool.strip())
-    machine = Interpreter(program, feed, changes_by_m6(lines))
+    machine = Interpreter(program, feed, changes_by_m6(lines), offsets)
     GcodeReader(program, machine).read(lines)
     return program.finish(machine.unit)
 
 
 def changes_by_m6(lines: list[str]) -> bool:
     """Return whether a tool comes with M6, else with its T."""
-    return CHANGE.search("\n".join(lines)) is not None and any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
+    return CHANGE.search("\n".join(lines)) is not None and any(
+        CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line)
+    )
 
 
 class GcodeReader:
@@ -351,6 +357,9 @@ class GcodeReader:
             self.program.title = comments[0]
         if LABEL.fullmatch(code):
             self._name(comments[0], title)
+        if any(comment.lower().startswith("abort,") for comment in comments):
+            self.program.refuse("(abort,", "the program stops itself with (abort, ...)", lost=True)
+            self.machine.ended = True
 
     def _name(self, comment: str, title: bool) -> None:
         name, announced = operation_name(comment)

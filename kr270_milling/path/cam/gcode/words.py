@@ -41,7 +41,9 @@ OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *ran
 #: G words that change no path -> the letters that belong to them: cancelled modes, look-ahead, exact stop, the
 #: tool length, limits. 5, 74 and 75 change none together with some other words.
 SILENT_G: dict[float, str] = {
-    **dict.fromkeys((28.1, 30.1, 9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""),
+    **dict.fromkeys(
+        (28.1, 30.1, 9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""
+    ),
     **dict.fromkeys((290, 291, 450, 451, *range(601, 604), *range(641, 647)), ""),
     **dict.fromkeys((5, 8, 54.4, 61.1, 103), "P"),
     **dict.fromkeys((25, 26), "XYZS"),  # working area, least and largest speed
