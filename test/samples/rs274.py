@@ -240,6 +240,12 @@ def _number(rng: random.Random) -> str:
     return rng.choice((f"[{value:g}{operator}#100]", f"[{second}*7]", "#<a>", f"[[{value:g} MOD 7]**2/9]", "-#100"))
 
 
+PLACES = "G55;G59.3;G92 X{} Z{};G92.1;G92.2;G92.3;G52 Y{};G10 L2 P{} X{} Y{};G10 L2 P1 R30;G10 L20 P{} X{}".split(";")
+SETTINGS = (
+    "G17;G18;G19;G90;G91;G90;G17;F200;#100=[#100+{}];#<a>=[#100/3] #100=#<a>;G21 F300;G20 F20;G61;M8;G4 P1".split(";")
+)
+
+
 def _filled(rng: random.Random, text: str) -> str:
     """Put numbers where a text has {}, after P one of a work offset."""
     while "{}" in text:
@@ -260,18 +266,8 @@ def _blocks(rng: random.Random, subs: list[str], count: int) -> list[str]:
             lines += _random_arc(rng)
         elif kind < 0.7:
             lines += _random_cycle(rng)
-        elif kind < 0.8:
-            words = (
-                "G54;G55;G59.3;G92 X{} Z{};G92.1;G92.2;G92.3;G52 Y{};G10 L2 P{} X{} Y{}"
-            words += ";G10 L2 P1 R30;G10 L20 P{} X{}"
-            )
-            lines.append(_filled(rng, rng.choice(words.split(";"))))
         elif kind < 0.86:
-            words = (
-                "G17;G18;G19;G90;G91;G90;G17;F200;#100=[#100+{}];#<a>=[#100/3] #100=#<a>"
-            words += ";G21 F300;G20 F20;G61;M8;G4 P1"
-            )
-            lines.append(_filled(rng, rng.choice(words.split(";"))))
+            lines.append(_filled(rng, rng.choice(PLACES if kind < 0.8 else SETTINGS)))
         elif kind < 0.9 and subs:
             lines.append(f"{rng.choice(subs)} call [{_number(rng)}] [2]")
         else:
