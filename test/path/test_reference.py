@@ -10,6 +10,7 @@ from budget import budget
 from samples.rs274 import RS274, difference, random_program
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.path.cam.gcode import flow
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.reader import read_gcode
 
@@ -43,7 +44,7 @@ OTHER_ENDS = {
 }
 REFUSED = {
     "o1 sub\no1 call\no1 endsub\no1 call": "more than 10 sub-programs call one another",
-    "o1 while [1]\no1 endwhile": "runs more than 1000000 lines",
+    "o1 while [1]\no1 endwhile": "runs more than 1000 lines",
     "o1 if [1]\nX1": "IF of 1 has no end",
     "o1 sub\no2 sub\no2 endsub\no1 endsub": "defined in another sub-program",
     "o1 break": "in no loop",
@@ -75,7 +76,8 @@ def test_parameters_sub_programs_loops_and_offsets_lead_to_the_right_places(tmp_
 
 
 @pytest.mark.parametrize("lines", REFUSED)
-def test_a_program_whose_way_or_value_is_not_known_is_refused_with_a_sentence(tmp_path, lines):
+def test_a_program_whose_way_or_value_is_not_known_is_refused_with_a_sentence(tmp_path, monkeypatch, lines):
+    monkeypatch.setattr(flow, "MOST_BLOCKS", 1000)
     with pytest.raises(InputError, match=REFUSED[lines]) as caught:
         read_gcode(program(tmp_path, lines))
     assert "\n" not in str(caught.value) and caught.value.line

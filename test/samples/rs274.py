@@ -240,10 +240,35 @@ def _number(rng: random.Random) -> str:
     return rng.choice((f"[{value:g}{operator}#100]", f"[{second}*7]", "#<a>", f"[[{value:g} MOD 7]**2/9]", "-#100"))
 
 
-PLACES = "G55;G59.3;G92 X{} Z{};G92.1;G92.2;G92.3;G52 Y{};G10 L2 P{} X{} Y{};G10 L2 P1 R30;G10 L20 P{} X{}".split(";")
-SETTINGS = (
-    "G17;G18;G19;G90;G91;G90;G17;F200;#100=[#100+{}];#<a>=[#100/3] #100=#<a>;G21 F300;G20 F20;G61;M8;G4 P1".split(";")
-)
+PLACES = [
+    "G55",
+    "G59.3",
+    "G92 X{} Z{}",
+    "G92.1",
+    "G92.2",
+    "G92.3",
+    "G52 Y{}",
+    "G10 L2 P{} X{} Y{}",
+    "G10 L2 P1 R30",
+    "G10 L20 P{} X{}",
+]
+SETTINGS = [
+    "G17",
+    "G18",
+    "G19",
+    "G90",
+    "G91",
+    "G90",
+    "G17",
+    "F200",
+    "#100=[#100+{}]",
+    "#<a>=[#100/3] #100=#<a>",
+    "G21 F300",
+    "G20 F20",
+    "G61",
+    "M8",
+    "G4 P1",
+]
 
 
 def _filled(rng: random.Random, text: str) -> str:
