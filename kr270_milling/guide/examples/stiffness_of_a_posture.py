@@ -1,4 +1,4 @@
-"""The compliance of the tool tip in the posture of a cell, and the deflection under a force of 200 N across the feed."""
+"""The compliance of the tool tip in the posture of a cell, and the deflection under 200 N across the feed."""
 
 import numpy as np
 
