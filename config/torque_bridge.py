@@ -3,9 +3,9 @@
 python torque_bridge.py --ros-args -p cell_file:=CELL.yaml -r joint_states:=/DRIVER/joint_states
 
 A driver publishes the torque of each joint in ``effort`` [N m], positive with the position; a KUKA controller sends it
-by RSI as GearTorque. The bridge subtracts the weight of the arm, then the mean of the first second, in which the
-tool is in the air. The result contains the friction of the joints: do not trust a small force, or a force at the reversal of a
-joint. The result also contains the inertia of the arm, which is small in slow motions.
+by RSI as GearTorque. The bridge subtracts the weight of the arm, then the mean of the first second, in which the tool
+is in the air. The result contains the friction of the joints: do not trust a small force, or a force at the reversal
+of a joint. The result also contains the inertia of the arm, which is small in slow motions.
 """
 
 import numpy as np

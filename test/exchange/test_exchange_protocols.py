@@ -74,7 +74,8 @@ BENT = ("dynamics.reference_inertia=true",)  # the reference itself moves the ar
 
 @pytest.mark.parametrize("options", [
     ("publish.clock=true",), ("exchange.iterations=3",), ("exchange.period_ms=0.0208333333333333",),
-    ("dynamics.follow_pose=true",), (*BENT, "dynamics.follow_pose=true"), ("tool.runout_um=[0, 5, -5, 2]",), BENT, (*BENT, "exchange.iterations=2"),
+    ("dynamics.follow_pose=true",), (*BENT, "dynamics.follow_pose=true"),
+    ("tool.runout_um=[0, 5, -5, 2]",), BENT, (*BENT, "exchange.iterations=2"),
 ])  # fmt: skip
 def test_the_protocols_give_the_compiled_pass_bit_for_bit(options):
     cell, reference = cell_with(*options), None

@@ -1,4 +1,4 @@
-"""The example programs in ``config`` for a real cell. control_msgs and launch are not among the wheels: stand-ins."""
+"""The example programs in ``config`` for a real cell. control_msgs and launch are no wheels; the tests imitate them."""
 
 import runpy
 import sys

@@ -144,7 +144,7 @@ def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(wor
     ("rclpy", "ros", "replay nowhere"),
     ("rclpy", "ros", "the node recorder"),
     ("plotly", "", "compensate paper.yaml --out out"),
-    ("plotly", "", "stability paper.yaml --speeds 8000 --out out"),
+    ("plotly", "", "stability paper.yaml --out out"),
 ])  # fmt: skip
 def test_a_missing_extra_is_named_before_anything_is_computed(capsys, monkeypatch, tmp_path, module, extra, words):
     find = importlib.util.find_spec
