@@ -78,6 +78,10 @@ class Publish(Record):
         high=1_000_000,
         text="exchange periods from one deflection, and one joint state, to the next; 1: all; 0: as many as make 10 ms",
     )
+    clock: bool = parameter(
+        False,
+        text="publish clock every 10 ms of the pass; at the root it drives every node with use_sim_time",
+    )
 
     def steps(self, exchange: Exchange) -> int:
         """Exchange periods from one published deflection to the next."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch, words
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.version import __version__
 from kr270_milling.live.nodes.play_arguments import PLAY
 
@@ -102,6 +103,8 @@ def run(args: argparse.Namespace) -> Answer:
             from kr270_milling.show.commands.recordings import run_recover as command
         case name, _:
             raise ValueError(f"no function for the command {name}")
+    if (args.command in ("compensate", "demo", "report")) or ("self_contained" in args and args.out):
+        require_extra(f"the page of {args.command}", "", "plotly")  # before the computation
     return command(args)
 
 
