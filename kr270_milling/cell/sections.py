@@ -159,6 +159,30 @@ class PathSection(Record):
         cutting = ~read.rapid & (read.feed > 0.0)  # a recorded path may begin with a block without a feed
         return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
 
+    @property
+    def feeds(self) -> tuple[float, float, float]:
+        """Highest and slow feed of the milling moves [m/s], and the length of the path [m]; 0: not known.
+
+        A program that only drills has the highest feed of all its feed moves. The slow feed is not exceeded in a tenth
+        of the time of the milling moves in the xy plane.
+        """
+        if not self.file:
+            return self.feed_rate, self.feed_rate, self.length
+        try:
+            read = self.read()
+        except InputError:
+            return 0.0, 0.0, 0.0
+        path = read.toolpath if isinstance(read, TimedPath) else read
+        milling = ~path.rapid & ~path.drilling
+        highest = float(np.max(path.feed[milling if milling.any() else ~path.rapid], initial=0.0))
+        milling = np.flatnonzero(milling & (path.plane_length > 0.0) & (path.feed > 0.0))
+        if not milling.size:
+            return highest, 0.0, path.length
+        milling = milling[np.argsort(path.feed[milling], kind="stable")]
+        time = np.cumsum(path.block_length[milling] / path.feed[milling])
+        slow = 0.1  # share of the time of the milling moves
+        return highest, float(path.feed[milling[np.searchsorted(time, slow * time[-1])]]), path.length
+
     def read(self) -> Toolpath | TimedPath:
         """Return the content of ``file``; raises InputError where it cannot be read or has another feed than the cell.
 
