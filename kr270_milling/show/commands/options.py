@@ -183,6 +183,11 @@ def _add_compensate(parser) -> None:
         ),
     )
     add(
+        "--reach",
+        action="store_true",
+        help="try softer ramps of the path, up to 1.5 times its time, until 90 %% of the robots meet the tolerance",
+    )
+    add(
         "--force",
         action="store_true",
         help="also write the programs after the decision no, marked NOT RELEASED in name and header",
