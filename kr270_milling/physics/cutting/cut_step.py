@@ -5,19 +5,20 @@ from __future__ import annotations
 from numba import njit, types
 from numba.extending import overload
 
+from kr270_milling.physics.cutting.compiled import OPTIONS
 from kr270_milling.physics.cutting.engagement import EngagementState, engage, undo_engagement
 from kr270_milling.physics.cutting.state import LEVEL_SUM, State
 from kr270_milling.physics.cutting.sweep import sweep, undo
 
-__all__ = ["cut_poses", "cut_step", "cut_undo"]
+__all__ = ["cut_poses", "cut_step", "cut_undo", "step_of_cut", "undo_of_cut"]
 
 
-def _step(s, p, pose_from, pose_to, first, n, forces, wrench):
+def step_of_cut(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Plain form of compiled code; see ``cut_step``."""
     raise NotImplementedError
 
 
-def _undo(s):
+def undo_of_cut(s):
     """Plain form of compiled code; see ``cut_undo``."""
     raise NotImplementedError
 
@@ -26,27 +27,25 @@ def _is(state, kind) -> bool:
     return isinstance(state, types.NamedTuple) and state.instance_class is kind
 
 
-@overload(_step, inline="always")
+@overload(step_of_cut, jit_options=OPTIONS)  # type: ignore[arg-type]
 def _step_of(s, p, pose_from, pose_to, first, n, forces, wrench):
     if _is(s, State):
-        return lambda s, p, pose_from, pose_to, first, n, forces, wrench: sweep(
-            s, p, pose_from, pose_to, first, n, forces, wrench
-        )
+        return sweep.py_func  # compiled as a part of its caller: a layer of compiled functions takes 2 s to compile
     if _is(s, EngagementState):
         return lambda s, p, pose_from, pose_to, first, n, forces, wrench: engage(s, p, pose_from, pose_to, n, wrench)
     return None
 
 
-@overload(_undo, inline="always")
+@overload(undo_of_cut, jit_options=OPTIONS)  # type: ignore[arg-type]
 def _undo_of(s):
     if _is(s, State):
-        return lambda s: undo(s)
+        return undo.py_func
     if _is(s, EngagementState):
-        return lambda s: undo_engagement(s)
+        return undo_engagement.py_func
     return None
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def cut_step(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Move the tool tip straight from one position (3,) [m] to another in n micro-steps of the spindle angle.
 
@@ -54,13 +53,13 @@ def cut_step(s, p, pose_from, pose_to, first, n, forces, wrench):
     forces: (n, 3), filled with the force of each micro-step [N] by the sweep of the teeth, or NO_FORCES; wrench: (6,),
     filled with the mean wrench on the tool [N, N m]. Returns the mean spindle torque [N m].
     """
-    return _step(s, p, pose_from, pose_to, first, n, forces, wrench)
+    return step_of_cut(s, p, pose_from, pose_to, first, n, forces, wrench)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def cut_undo(s):
     """Take the last step back; False where the undo log was too small and nothing was done."""
-    return _undo(s)
+    return undo_of_cut(s)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are cut at once
@@ -72,7 +71,7 @@ def cut_poses(s, p, positions, steps, no_forces, wrench, torque, volume):
     per_node = p.spacing * p.spacing
     for k in range(1, positions.shape[0]):
         before = s.floats[LEVEL_SUM]
-        torque[k] = _step(
+        torque[k] = step_of_cut(
             s, p, positions[k - 1], positions[k], steps[k - 1], steps[k] - steps[k - 1], no_forces, wrench[k]
         )
         volume[k] = (s.floats[LEVEL_SUM] - before) * per_node
