@@ -26,6 +26,14 @@ class ScriptPoint(NamedTuple):
     def value(self) -> str:
         return repr(self.thing)
 
+    @property
+    def module(self) -> str:
+        return self.thing.__module__
+
+    @property
+    def attr(self) -> str:
+        return self.thing.__qualname__
+
     def load(self) -> object:
         return self.thing
 

@@ -17,7 +17,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
-from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
+from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.inputs import ExchangeError, WrenchFrames, checked_wrench
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.exchange.start import lag
@@ -146,7 +146,7 @@ def test_without_reference_workpiece_or_start_robot_and_cut_refuse_with_a_senten
     robot, cut = RobotProtocol(short_cell), CutProtocol(short_cell)
     with pytest.raises(ExchangeError):
         robot.start()
-    with pytest.raises(NoWorkpiece, match="configure first"):
+    with pytest.raises(MessageError, match="configure first"):
         cut.pose(PoseSample(0, "workpiece", np.zeros(3), DOWN))
     cut.configure()
     for stamp in (-H, 3, H):

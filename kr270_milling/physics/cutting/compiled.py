@@ -2,7 +2,7 @@
 
 from numba import njit
 
-__all__ = ["OPTIONS", "compiled", "inlined"]
+__all__ = ["compiled", "inlined"]
 
 #: Without fastmath, so that a run repeats bit for bit. Without reference counting of arrays, which would take most of
 #: the time: nothing compiled here makes an array, it only works on those of its caller.

@@ -5,20 +5,19 @@ from __future__ import annotations
 from numba import njit, types
 from numba.extending import overload
 
-from kr270_milling.physics.cutting.compiled import OPTIONS
 from kr270_milling.physics.cutting.engagement import EngagementState, engage, undo_engagement
 from kr270_milling.physics.cutting.state import LEVEL_SUM, State
 from kr270_milling.physics.cutting.sweep import sweep, undo
 
-__all__ = ["cut_poses", "cut_step", "cut_undo", "step_of_cut", "undo_of_cut"]
+__all__ = ["cut_poses", "cut_step", "cut_undo"]
 
 
-def step_of_cut(s, p, pose_from, pose_to, first, n, forces, wrench):
+def _step(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Plain form of compiled code; see ``cut_step``."""
     raise NotImplementedError
 
 
-def undo_of_cut(s):
+def _undo(s):
     """Plain form of compiled code; see ``cut_undo``."""
     raise NotImplementedError
 
@@ -27,25 +26,27 @@ def _is(state, kind) -> bool:
     return isinstance(state, types.NamedTuple) and state.instance_class is kind
 
 
-@overload(step_of_cut, jit_options=OPTIONS)  # type: ignore[arg-type]
+@overload(_step, inline="always")
 def _step_of(s, p, pose_from, pose_to, first, n, forces, wrench):
     if _is(s, State):
-        return sweep.py_func  # compiled as a part of its caller: a layer of compiled functions takes 2 s to compile
+        return lambda s, p, pose_from, pose_to, first, n, forces, wrench: sweep(
+            s, p, pose_from, pose_to, first, n, forces, wrench
+        )
     if _is(s, EngagementState):
         return lambda s, p, pose_from, pose_to, first, n, forces, wrench: engage(s, p, pose_from, pose_to, n, wrench)
     return None
 
 
-@overload(undo_of_cut, jit_options=OPTIONS)  # type: ignore[arg-type]
+@overload(_undo, inline="always")
 def _undo_of(s):
     if _is(s, State):
-        return undo.py_func
+        return lambda s: undo(s)
     if _is(s, EngagementState):
-        return undo_engagement.py_func
+        return lambda s: undo_engagement(s)
     return None
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def cut_step(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Move the tool tip straight from one position (3,) [m] to another in n micro-steps of the spindle angle.
 
@@ -53,13 +54,13 @@ def cut_step(s, p, pose_from, pose_to, first, n, forces, wrench):
     forces: (n, 3), filled with the force of each micro-step [N] by the sweep of the teeth, or NO_FORCES; wrench: (6,),
     filled with the mean wrench on the tool [N, N m]. Returns the mean spindle torque [N m].
     """
-    return step_of_cut(s, p, pose_from, pose_to, first, n, forces, wrench)
+    return _step(s, p, pose_from, pose_to, first, n, forces, wrench)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def cut_undo(s):
     """Take the last step back; False where the undo log was too small and nothing was done."""
-    return undo_of_cut(s)
+    return _undo(s)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are cut at once
@@ -71,7 +72,7 @@ def cut_poses(s, p, positions, steps, no_forces, wrench, torque, volume):
     per_node = p.spacing * p.spacing
     for k in range(1, positions.shape[0]):
         before = s.floats[LEVEL_SUM]
-        torque[k] = step_of_cut(
+        torque[k] = _step(
             s, p, positions[k - 1], positions[k], steps[k - 1], steps[k] - steps[k - 1], no_forces, wrench[k]
         )
         volume[k] = (s.floats[LEVEL_SUM] - before) * per_node

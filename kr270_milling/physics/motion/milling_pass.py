@@ -16,7 +16,7 @@ from numba import njit
 from kr270_milling.base.errors import MillingError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel, GridError, UndoError
-from kr270_milling.physics.cutting.cut_step import step_of_cut, undo_of_cut
+from kr270_milling.physics.cutting.cut_step import cut_step, cut_undo
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.cutting.state import FAILED, LEVEL_SUM
 from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
@@ -167,9 +167,9 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
                 deflections[row + 1, j] = deflection[j]
             if not max(abs(deflection[0]), abs(deflection[1]), abs(deflection[2])) <= FLIGHT:
                 return True  # a sweep over metres would not end; the caller refuses this deflection
-            if k > 0 and not undo_of_cut(cut_state):
+            if k > 0 and not cut_undo(cut_state):
                 return False
-            torque = step_of_cut(  # the cut answers
+            torque = cut_step(  # the cut answers
                 cut_state, cut_params, tool[row], tool[row + 1], n * micro_steps, micro_steps, no_forces, answer
             )
             if silent[row + 1]:
