@@ -112,10 +112,10 @@ def words(*known: str):
 
 
 def grid(low: float, high: float, most: int):
-    """Return a parser of LOW:HIGH/COUNT, two numbers within bounds and the number of values between them."""
+    """Return a parser of LOW:HIGH/COUNT, two numbers within bounds and the number of values; a number is itself."""
 
     def parse(text: str) -> tuple[float, float, int]:
-        ends, _, count = text.rpartition("/")
+        ends, _, count = (f"{text}:{text}/1" if _floats(text, ":", 1) else text).rpartition("/")
         values = _floats(ends, ":", 2)
         if not values or not low <= values[0] <= values[1] <= high or not count.strip().isdecimal():
             before, _, last = text.rpartition(":")

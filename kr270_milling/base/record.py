@@ -247,7 +247,17 @@ class Record:
         return {name: value for name, value in vars(self).items() if name not in ("_values", "_hash")}
 
     def replace(self: R, **changes) -> R:
-        """Return a copy with some values (SI) replaced."""
+        """Return a copy with some values (SI) replaced; a dict replaces values of a section.
+
+        Raises ParameterError for an unknown name.
+        """
+        names = [field.name for field in dataclasses.fields(self)]
+        for name, value in changes.items():
+            if name not in names:
+                raise ParameterError(name, value, f"a name of {type(self).__name__}{nearest(name, names)}")
+            section = getattr(self, name)
+            if isinstance(value, dict) and isinstance(section, Record):
+                changes[name] = section.replace(**value)
         copy = dataclasses.replace(self, **changes)
         return _keep(copy, {name: value for name, value in _given(self).items() if name not in changes})
 

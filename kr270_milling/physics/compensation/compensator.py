@@ -8,11 +8,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import make_lsq_spline
 
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.arm_fit import Identified
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.limiting import Bounds, Limited
-from kr270_milling.physics.compensation.method import Method, RevisionTask
+from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 from kr270_milling.physics.compensation.methods import method_of
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.revision import PassRecord, corrected
@@ -145,6 +146,9 @@ class Compensator:
             target, self.reference, record, self.models, parameters.criterion, parameters.smooth, self.learner
         )
         correction = self.chosen.revise(task)
+        if not isinstance(correction, Correction):
+            kind = type(correction).__name__
+            raise ParameterError(f"method {self.method}", kind, "a Correction, which revise must return")
         self.learner = correction.learner
         self.reference, self.limited = corrected(
             target, correction.offset, correction.smooth, bounds, quaternion=correction.quaternion

@@ -243,7 +243,7 @@ def reference_motion(
     return motion
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _accelerations(period, moved, before, after, motion):
     """Fill ``motion`` (n, 18), see ``reference_motion``, from r' before and after each stamp, (n + 1, 6)."""
     for n in range(period.size):
@@ -284,7 +284,7 @@ def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarra
     return np.where(reference.moving(stamps)[:, None], rates[segment - first], 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def push(motion, response, steps_per_knot, first, out):
     """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
 
@@ -306,7 +306,7 @@ def push(motion, response, steps_per_knot, first, out):
                     out[step, i] += (r + f * (response[m, i, j] - r)) * motion[step, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance(step, state, wrench, push, arrays, new_state, deflection):
     """Advance (1) by an exchange period: fill ``new_state`` and ``deflection`` (6,) at the end of the period.
 
@@ -318,7 +318,7 @@ def advance(step, state, wrench, push, arrays, new_state, deflection):
     drive(step, free, state, wrench, push, arrays, new_state, deflection)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
 def _between(step, steps_per_knot, n):
     """Postures k and m about a step, and the share of m."""
     place = step / steps_per_knot
@@ -327,7 +327,7 @@ def _between(step, steps_per_knot, n):
     return k, m, min(place - k, 1.0) if m > k else 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
 def swing_freely(step, state, arrays, free):
     """Fill ``free`` (2r,): A x, the part of ``advance`` that is the same under every wrench."""
     transition = arrays[0]
@@ -340,7 +340,7 @@ def swing_freely(step, state, arrays, free):
         free[i] = total
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
 def drive(step, free, state, wrench, push, arrays, new_state, deflection):
     """The part of ``advance`` that follows ``swing_freely``."""
     _, driven, output, feedthrough, steps_per_knot, gaps = arrays

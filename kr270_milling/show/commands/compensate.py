@@ -113,7 +113,7 @@ def _values(cell, result) -> dict:
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     values |= {k: v for k, v in revised.row().items() if k != "name"}
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-    values["planned_max_deviation_um"] = 1e6 * result.planned.max_deviation
+    values["planned_max_deviation_um"] = 1e6 * result.planned.scores.max_deviation
     values["time_law"] = time_law(path_of(cell))
     values["original"] = {k: v for k, v in original.row().items() if k != "name"}
     values["passes"] = [scored.row() for scored in (original, revised)]
@@ -267,7 +267,7 @@ def _time_law_table(cell, result, whole):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
     with whole.under(title_of(cell))("lower acceleration") as report:
         softer = softer_pass(cell, result.revised.reference, progress=report)
-    rows = [("plan", result.planned), ("written program", result.revised.scores)]
+    rows = [("plan", result.planned.scores), ("written program", result.revised.scores)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer.scores)] if softer else []
     texts = tuple((name, f"{1e6 * scores.max_deviation:.2f}") for name, scores in rows)
     return TextTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(path_of(cell)))

@@ -458,7 +458,7 @@ def _add_replay(parser) -> None:
 def _add_rsi(parser) -> None:
     _example(
         parser,
-        "rsi out --port 49152",
+        "rsi out --host 192.168.1.10 --port 49152",
         note=("It ends when the robot is silent for 1 s. This host is not a real-time system: see live/rsi/README.md."),
     )
     add = parser.add_argument
@@ -469,7 +469,11 @@ def _add_rsi(parser) -> None:
         default=49152,
         help="UDP port of the object ETHERNET (default: %(default)s)",
     )
-    add("--host", default="127.0.0.1", help="address of this host (default: 127.0.0.1, this host alone)")
+    add(
+        "--host",
+        default="127.0.0.1",
+        help="address of this host in the network of the controller (default: %(default)s, no network)",
+    )
     add("--cycle-ms", type=bounded(4, 12, int), default=4, help="cycle of the controller (default: %(default)s)")
     add("--max-mm", type=bounded(0.0, 5.0, above=True), default=1.0, help="largest displacement (default: %(default)g)")
     add("--max-deg", type=bounded(0.0, 2.0, above=True), default=0.5, help="largest rotation (default: %(default)g)")
@@ -563,7 +567,7 @@ def _add_stability(parser) -> None:
         "--speeds",
         metavar="LOW:HIGH/COUNT",
         type=grid(1.0, 2e5, 100000),
-        help="spindle speeds [rpm] (default: 60 from half to one and a half times that of the cell)",
+        help="spindle speeds [rpm], or a single one (default: 60 from half to one and a half times that of the cell)",
     )
     add("--no-arm", action="store_true", help="leave out the arm: the modes of tool.modes alone")
     add("--along", action="store_true", help="instead of lobes: the limit depth of each feature of the path")

@@ -50,6 +50,8 @@ def run_rsi(args) -> Answer:
             recording.report(sentence)
 
         report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
+        if args.host.startswith("127."):
+            report("no controller reaches this address: give that of this host in its network with --host")
         session = RsiSession(connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist")
         ended: list[int] = []
 

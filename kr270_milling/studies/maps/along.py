@@ -154,7 +154,7 @@ def turned(placed: PlacedArm, run: Trajectory, time_ns: np.ndarray, path: TurnPa
     return limit_by_joints(run, q, placed.arm.joint_speed_limit, placed.arm.joint_acceleration_limit), q
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _least_path(cost, q, turn, room, slope, period):
     """Return the least sum of cost (n, s) and slope (psi' - psi)^2 along n places, and the chosen states (n,).
 

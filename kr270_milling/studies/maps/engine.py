@@ -37,6 +37,7 @@ __all__ = ["StudyRows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
 ALONE = 4.0  #: [s] of work before local workers have imported the package
+COMPILES = 60.0  #: [s] that a first chunk may take because it compiles; assumed, for a busy machine
 ANSWER = 10.0  #: [s] for a scheduler to answer
 PATIENCE = 30.0  #: [s] for a first worker
 PLAN = "_study.json"  # Arrow leaves out names that begin with "_" where it reads the folder
@@ -162,7 +163,7 @@ def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], re
         report(k + 1)
         took = time.monotonic() - start
         # the first chunk may compile, so that a short one has a second try
-        if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > ALONE / 4):
+        if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > COMPILES):
             return k + 1
     return len(missing)
 

@@ -417,7 +417,7 @@ def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
     (finding,) = [f for f in done.checked.findings if f.what == "written program"]
     assert finding.severity == "warning"
     assert finding.value == pytest.approx(1e6 * done.revised.scores.max_deviation)
-    assert finding.value > 1.2 * finding.limit == pytest.approx(1.2e6 * done.planned.max_deviation)
+    assert finding.value > 1.2 * finding.limit == pytest.approx(1.2e6 * done.planned.scores.max_deviation)
     assert not [f for f in compensate(cell, "inverse").checked.findings if f.what == "written program"]
 
 
