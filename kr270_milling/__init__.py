@@ -15,20 +15,23 @@ from kr270_milling.base.version import __version__
 if TYPE_CHECKING:
     from kr270_milling.api import (
         check,
+        compare,
         compensate,
+        identify,
         placements,
         read_cell,
         read_recording,
         simulate,
         stability,
+        stiffness,
         sweep,
         verdict,
     )
     from kr270_milling.path.trajectory import Trajectory
 
 __all__ = [
-    "Trajectory", "__version__", "check", "compensate", "placements", "read_cell", "read_recording", "simulate",
-    "stability", "sweep", "verdict",
+    "Trajectory", "__version__", "check", "compare", "compensate", "identify", "placements", "read_cell",
+    "read_recording", "simulate", "stability", "stiffness", "sweep", "verdict",
 ]  # fmt: skip
 
 

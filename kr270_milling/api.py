@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,9 +30,13 @@ from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.show.commands.console import now
+from kr270_milling.show.commands.options import make_parser
+from kr270_milling.show.commands.options import run as run_command
+from kr270_milling.show.commands.progress import steps
 from kr270_milling.show.report import report_text
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.show.report.study_page import figure_of, fragment, points, write_page
+from kr270_milling.show.report.tables import TABLE_2
 from kr270_milling.studies.maps.lobes import lobes
 from kr270_milling.studies.maps.placements import Placements, grid_axes, path_places
 from kr270_milling.studies.maps.sweep import Axis, Sweep
@@ -44,12 +51,15 @@ __all__ = [
     "Pass",
     "Verdict",
     "check",
+    "compare",
     "compensate",
+    "identify",
     "placements",
     "read_cell",
     "read_recording",
     "simulate",
     "stability",
+    "stiffness",
     "sweep",
     "verdict",
 ]
@@ -129,21 +139,32 @@ class Pass(Shown, jobs.ScoredPass):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compensation(Shown):
-    """Passes as programmed and compensated, the check and the decision."""
+    """Passes as programmed and compensated, the check and the decision.
+
+    The program has rounded points that the controller joins, so its pass ``written`` differs from the plan. The paper's
+    Table 2 is that of the plan.
+    """
 
     original: Pass
-    compensated: Pass
+    planned: Pass
+    written: Pass
     checked: checks.Checked
     decision: decisions.Decision
 
     def __repr__(self) -> str:
         return f"<Compensation {self.compensated.name}: {self.decision.headline}>"
 
+    @property
+    def compensated(self) -> Pass:
+        """The pass of the written program."""
+        return self.written
+
     def sentences(self) -> list[str]:
         return [f"Compensation {self.compensated.name}", *self.decision.lines(), self.checked.counts]
 
     def tables(self) -> list[TextTable]:
-        return [_scores_table([self.original, self.compensated])]
+        named = {f"{run.name}, {kind}": run for kind, run in (("planned", self.planned), ("written", self.written))}
+        return [_scores_table([self.original, *named.values()], [self.original.name, *named])]
 
     def to_frame(self) -> pandas.DataFrame:
         """Return the series of both passes, their names in the column ``pass``; raises MissingExtra without pandas."""
@@ -270,7 +291,7 @@ def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
     return Pass.of(cell, jobs.simulate(cell, reference, "original" if reference is None else "reference"))
 
 
-def compensate(cell: Cell, method: str | Method | None = None) -> Compensation:
+def compensate(cell: Cell, method: str | Method | None = None, progress: bool = False) -> Compensation:
     """Revise the trajectory, simulate the revision, check it and decide.
 
     Parameters
@@ -279,11 +300,13 @@ def compensate(cell: Cell, method: str | Method | None = None) -> Compensation:
         Arm, tool, material and path.
     method : str or Method, optional
         Name of a method, or an object of a separate class, see the extension guide; default: that of the cell.
+    progress : bool
+        Print step, share and time left on standard error every 5 s.
 
     Returns
     -------
     Compensation
-        Both passes, the check and the decision.
+        The passes ``original``, ``planned`` and ``written``, the check and the decision.
 
     Raises
     ------
@@ -296,9 +319,10 @@ def compensate(cell: Cell, method: str | Method | None = None) -> Compensation:
     --------
     >>> compensate(read_cell("paper.yaml"), "spline").plot().show()
     """
-    result = compensation.compensate(cell, method)
-    original, revised = Pass.of(cell, result.original), Pass.of(cell, result.revised)
-    return Compensation(original, revised, result.checked, result.decision)
+    with steps() if progress else nullcontext() as whole:
+        result = compensation.compensate(cell, method, progress=whole or (lambda *_: nullcontext()))
+    original, planned, written = (Pass.of(cell, each) for each in (result.original, result.planned, result.revised))
+    return Compensation(original, planned, written, result.checked, result.decision)
 
 
 def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
@@ -478,6 +502,89 @@ def read_recording(path, namespace: str | None = None) -> Pass:
     return Pass.of(recorded.cell, scored)
 
 
+def stiffness(arm, **options) -> dict:
+    """Return stiffness and natural frequencies of an arm at one posture.
+
+    Parameters
+    ----------
+    arm : str or Path
+        File of a cell or an arm, also a shipped one by its name.
+    **options
+        Options of the command ``stiffness``, with ``_`` for ``-``.
+
+    Returns
+    -------
+    dict
+        Keys of ``stiffness --json``, see guide/json.md.
+
+    Examples
+    --------
+    >>> stiffness("kr270_2.yaml", joints_deg=[90, -50, 120, 180, 25, 180])["pose"]
+    """
+    return _values("stiffness", arm, **options)
+
+
+def identify(what: str, *files, **options) -> dict:
+    """Identify compliance, forces, damping or a material from measurements.
+
+    Parameters
+    ----------
+    what : str
+        ``compliance``, ``forces``, ``damping`` or ``material``.
+    *files : str or Path
+        Files of the measurements.
+    **options
+        Options of the command ``identify``, with ``_`` for ``-``.
+
+    Returns
+    -------
+    dict
+        Keys of ``identify --json``, see guide/json.md.
+
+    Examples
+    --------
+    >>> identify("compliance", "load_tests.csv", arm="kr270_2.yaml", cell="test_piece.yaml")["arm"]
+    """
+    return _values("identify", what, *files, **options)
+
+
+def compare(recording, cell, **options) -> dict:
+    """Compare a measured pass with the simulated one.
+
+    Parameters
+    ----------
+    recording : str or Path
+        Recording, or table of a measured wall.
+    cell : str or Path
+        Parameter file of the cell.
+    **options
+        Options of the command ``compare``, with ``_`` for ``-``.
+
+    Returns
+    -------
+    dict
+        Keys of ``compare --json``, see guide/json.md.
+
+    Examples
+    --------
+    >>> compare("graph/original", "paper.yaml")["advice"]
+    """
+    return _values("compare", recording, cell, **options)
+
+
+def _values(*words, **options) -> dict:
+    """Return what a command prints with ``--json``; an option that is True has no value, a sequence is a list."""
+    for name, value in options.items():
+        words += (f"--{name.replace('_', '-')}",)
+        if value is not True:
+            text = ",".join(map(str, value)) if isinstance(value, (list, tuple, np.ndarray)) else str(value)
+            words = (*words[:-1], f"{words[-1]}={text}")
+    argv = [str(word) for word in words]
+    args = make_parser(argv).parse_args(argv)
+    args.argv = argv
+    return dict(run_command(args).result)
+
+
 def _pandas():
     require_extra("a frame", "studies", "pandas")
     import pandas
@@ -485,12 +592,20 @@ def _pandas():
     return pandas
 
 
-def _scores_table(passes: Sequence[Pass]) -> TextTable:
-    columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
-    return table_of("Path deviation [um]", columns, [run.row() for run in passes])
+def _scores_table(passes: Sequence[Pass], names: Sequence[str] = ()) -> TextTable:
+    """Return the scores of passes, with the largest deviation of Table 2 where the cell is that of the paper."""
+    rows = [run.row() | ({"name": name} if name else {}) for run, name in zip_longest(passes, names)]
+    columns = [("pass", "name", 2), *columns_of(Scores, unit="um")]
+    if passes[0].cell == read_cell("paper.yaml"):
+        columns.append(("max, paper", "paper", 2))
+        for run, row in zip(passes, rows, strict=True):
+            paper = None if str(row["name"]).endswith(", written") else TABLE_2.get(run.name)
+            row["paper"] = 1e6 * paper.max_deviation if paper else math.nan
+    return table_of("Path deviation [um]", columns, rows)
 
 
 def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
+    require_extra("a figure", "", "plotly")
     from plotly.subplots import make_subplots
 
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True)

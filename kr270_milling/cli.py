@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -46,6 +47,10 @@ def _main(argv: list[str], own_process: bool = False) -> int:
         return _refuse(argv, str(error), listing=getattr(error, "listing", ()))
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
+        if error.errno == errno.ENOSPC:
+            from kr270_milling.base.files import write_failure  # its imports take 50 ms of each command
+
+            return _refuse(argv, f"{where}{write_failure(error, error.filename or 'output')}")
         return _refuse(argv, f"{where}{error.strerror or error}")
     except MemoryError:
         advice = "a larger stock.grid_step_um or a shorter path needs less"

@@ -7,7 +7,7 @@ import math
 
 from kr270_milling.base.errors import MillingError, nearest
 
-__all__ = ["Parser", "UsageError", "bounded", "grid", "numbers", "stretch"]
+__all__ = ["Parser", "UsageError", "bounded", "grid", "numbers", "stretch", "words"]
 
 
 class UsageError(MillingError):
@@ -98,11 +98,24 @@ def stretch(low: float, high: float):
     return parse
 
 
+def words(*known: str):
+    """Return a parser of words that are separated by commas, each one of ``known``."""
+
+    def parse(text: str) -> tuple[str, ...]:
+        for word in text.split(","):
+            if word not in known:
+                allowed = f"is not {'one of ' if len(known) > 1 else ''}{', '.join(known)}"
+                raise argparse.ArgumentTypeError(f"{word!r} {allowed}{nearest(word, known)}")
+        return tuple(text.split(","))
+
+    return parse
+
+
 def grid(low: float, high: float, most: int):
-    """Return a parser of LOW:HIGH/COUNT, two numbers within bounds and the number of values between them."""
+    """Return a parser of LOW:HIGH/COUNT, two numbers within bounds and the number of values; a number is itself."""
 
     def parse(text: str) -> tuple[float, float, int]:
-        ends, _, count = text.rpartition("/")
+        ends, _, count = (f"{text}:{text}/1" if _floats(text, ":", 1) else text).rpartition("/")
         values = _floats(ends, ":", 2)
         if not values or not low <= values[0] <= values[1] <= high or not count.strip().isdecimal():
             before, _, last = text.rpartition(":")

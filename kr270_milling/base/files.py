@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import shutil
@@ -12,7 +13,19 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["fresh_directory", "staged", "write_files"]
+__all__ = ["fresh_directory", "staged", "write_failure", "write_files"]
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+
+
+def write_failure(error: OSError, place) -> str:
+    """Return the reason why a place cannot be written, with the size of a full disk or with a remedy."""
+    if error.errno in FULL:
+        there = next(folder for folder in Path(place).absolute().parents if folder.is_dir())
+        size = shutil.disk_usage(there)
+        return f"{error.strerror}: {size.free / 1e6:.1f} MB of {size.total / 1e9:.1f} GB are free"
+    return f"{error.strerror}{'; choose another folder with --out' * (error.errno in CLOSED)}"
 
 
 @contextlib.contextmanager
@@ -33,11 +46,15 @@ def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
         draft.mkdir(parents=True)
         handle = os.open(final, os.O_RDONLY)
     except OSError as error:
-        raise InputError(final, f"cannot be written into ({error.strerror})") from None
+        raise InputError(final, f"cannot be written into ({write_failure(error, final)})") from None
     try:
         _lock(handle, final, draft)
         yield draft, lambda path: final / Path(path).relative_to(draft)
         _move(draft, final)
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        raise InputError(final, f"cannot be written into ({write_failure(error, final)})") from None
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         if new:
@@ -79,7 +96,7 @@ def _move(draft: Path, final: Path) -> None:
             place.parent.mkdir(parents=True, exist_ok=True)
             path.replace(place)
     except OSError as error:
-        raise InputError(final, f"cannot be written into ({error.strerror})") from None
+        raise InputError(final, f"cannot be written into ({write_failure(error, final)})") from None
 
 
 def write_files(contents: dict[Path, Iterable], newline: str = "\n") -> None:
@@ -96,7 +113,8 @@ def write_files(contents: dict[Path, Iterable], newline: str = "\n") -> None:
         for path, part in parts.items():
             part.replace(path)
     except OSError as error:
-        raise InputError(error.filename or "output", f"cannot be written ({error.strerror})") from None
+        place = error.filename or next(iter(contents), "output")
+        raise InputError(place, f"cannot be written ({write_failure(error, place)})") from None
     finally:
         for part in parts.values():
             part.unlink(missing_ok=True)

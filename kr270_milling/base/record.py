@@ -29,6 +29,7 @@ __all__ = [
     "build",
     "derived",
     "find_file",
+    "flat",
     "flatten",
     "merge",
     "override",
@@ -246,7 +247,17 @@ class Record:
         return {name: value for name, value in vars(self).items() if name not in ("_values", "_hash")}
 
     def replace(self: R, **changes) -> R:
-        """Return a copy with some values (SI) replaced."""
+        """Return a copy with some values (SI) replaced; a dict replaces values of a section.
+
+        Raises ParameterError for an unknown name.
+        """
+        names = [field.name for field in dataclasses.fields(self)]
+        for name, value in changes.items():
+            if name not in names:
+                raise ParameterError(name, value, f"a name of {type(self).__name__}{nearest(name, names)}")
+            section = getattr(self, name)
+            if isinstance(value, dict) and isinstance(section, Record):
+                changes[name] = section.replace(**value)
         copy = dataclasses.replace(self, **changes)
         return _keep(copy, {name: value for name, value in _given(self).items() if name not in changes})
 
@@ -316,11 +327,12 @@ def tree_of(record: Record) -> dict:
 
 def flatten(record: Record) -> dict[str, object]:
     """Return dotted key -> value in file units, for the parameters of a node and the table of a report."""
-    return _flat(tree_of(record), "")
+    return flat(tree_of(record))
 
 
-def _flat(tree: dict, prefix: str) -> dict[str, object]:
-    flat: dict[str, object] = {}
+def flat(tree: dict, prefix: str = "") -> dict[str, object]:
+    """Return dotted key -> value of a nested dict."""
+    values: dict[str, object] = {}
     for key, value in tree.items():
-        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
-    return flat
+        values.update(flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
+    return values

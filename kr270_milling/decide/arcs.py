@@ -84,11 +84,12 @@ def arcs_along(
         lower_along(grid, removal.radius, on_map(removal.programmed))
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
     swept = on_map(swept)
-    for first in range(0, len(swept), BLOCK):
-        last = min(first + BLOCK, len(swept))
+    end = 1 + EVERY * int(np.flatnonzero(look)[-1]) if look.any() else 0  # a drill mills nothing
+    for first in range(0, end, BLOCK):
+        last = min(first + BLOCK, end)
         _engage(grid, swept, heading - MAP_TURN, radius, look, (count, depth, least, most), first, last)
         if progress is not None:
-            progress(last, len(swept))
+            progress(last, end)
     fewest_nodes = 3  # in material; fewer are the rounding of a curve
     some = count >= fewest_nodes
     left = (

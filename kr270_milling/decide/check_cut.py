@@ -149,7 +149,7 @@ def _bodies(cell: Cell, position: np.ndarray) -> np.ndarray:
     return bodies
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
     """Fill ``met`` with what the tool meets on the way to each place, and lower the map.
 

@@ -45,7 +45,7 @@ class JudgedCompensation:
     """Both passes and the decision on them."""
 
     original: ScoredPass  #: pass of the original program as written
-    planned: Scores  #: scores of the pass along the planned reference
+    planned: ScoredPass  #: pass along the planned reference; a long pass without its series
     revised: ScoredPass  #: pass of the program as written; its reference is the planned one
     by: Compensator
     parts: tuple[PartAssessment, ...]  #: both passes along a tool path
@@ -97,7 +97,9 @@ def compensate(
     if method == NO_METHOD:
         planned = revised = replace(programmed, name=NO_METHOD)
     compared = original if robots and comparison is None and not long_pass(path_of(cell)) else None
-    plan = planned.scores
+    plan = planned
+    if long_pass(path_of(cell)):
+        plan = replace(planned, result=None)  # type: ignore[arg-type]
     by.first = None
     del original, planned
     with progress("surfaces"):
@@ -112,7 +114,7 @@ def compensate(
         motion,
         revised,
         progress,
-        [*limited, *unlike(plan, revised.scores, cell.krl.tolerance)],
+        [*limited, *unlike(plan.scores, revised.scores, cell.krl.tolerance)],
     )
     judged: Verdict | None = None
     if robots:

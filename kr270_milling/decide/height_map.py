@@ -65,7 +65,7 @@ def height_map(stock: Stock, step: float, position: np.ndarray, radius: float) -
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", nogil=True)
 def chord(away_x, y, square, origin, step):
     """First and last node of a column within a circle about (0, y), to a node; away_x: of the column; square: of the
     radius. A column beside the circle gives an empty range.
@@ -77,7 +77,7 @@ def chord(away_x, y, square, origin, step):
     return int((y - half - origin) / step), int((y + half - origin) / step) + 1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def lower(grid, depth, radius, start, end, cleared):
     """Lower the nodes of ``depth`` to the end of the tool on a straight way from one place (3,) to another.
 
@@ -98,7 +98,7 @@ def lower(grid, depth, radius, start, end, cleared):
     return deepest, volume
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     """``lower`` on a way of at most one node; below, to_below: depths of the tip at its ends."""
     step, square, move_x, move_y = grid.step, radius**2, to_x - x, to_y - y
@@ -133,7 +133,7 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     return deepest, volume
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", nogil=True)
 def _deepest(along, beside, way, square, below, to_below):
     """Deepest place of a straight way while a node is within the radius; -inf where no place is.
 
@@ -151,7 +151,7 @@ def _deepest(along, beside, way, square, below, to_below):
     return below + (to_below - below) * (last if to_below > below else first)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def near_axis(grid, lost, radius, place, number):
     """Return the largest depth that a node lost while the axis of the tool stayed near [m], and the least depth [m].
 
@@ -176,7 +176,7 @@ def near_axis(grid, lost, radius, place, number):
     return most, least
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def lower_along(grid, radius, path):
     """Lower the map along straight ways through the places (m, 3) of a tool."""
     for k in range(path.shape[0]):

@@ -126,7 +126,7 @@ def program_blocks(program: Program, original: Trajectory, revised: Trajectory) 
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _apart(spacing, stops, original, revised):
     """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs (n, 3), and stops."""
     last, chosen, count = len(stops) - 1, np.zeros(len(stops), np.int64), 1
@@ -139,7 +139,7 @@ def _apart(spacing, stops, original, revised):
     return chosen[:count]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _near(spacing, original, revised, k, before):
     apart = np.sqrt(np.sum((original[k] - original[before]) ** 2))
     return min(apart, np.sqrt(np.sum((revised[k] - revised[before]) ** 2))) < spacing

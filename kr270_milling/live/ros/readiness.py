@@ -94,7 +94,8 @@ def unmatched(statuses: Mapping[str, Status]) -> str:
     for key in ("reference", "recording"):
         values = {node: str(status.values[key]) for node, status in statuses.items() if key in status.values}
         if len(set(values.values())) > 1:
-            return f"not every node has the {key}: {values}"
+            owners = "; ".join(f"{node} has {value or 'none'}" for node, value in values.items())
+            return f"not every node has the {key}: {owners}"
     return ""
 
 

@@ -8,11 +8,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import make_lsq_spline
 
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.arm_fit import Identified
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.limiting import Bounds, Limited
-from kr270_milling.physics.compensation.method import Method, RevisionTask
+from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 from kr270_milling.physics.compensation.methods import method_of
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.revision import PassRecord, corrected
@@ -129,7 +130,7 @@ class Compensator:
         return max((part.missing for part in self.limited if part.kind == "size"), default=0.0)
 
     def revise(self, record: PassRecord) -> Trajectory:
-        """Return the reference for the next pass from the pass along the present one; raise RevisionError."""
+        """Return the reference for the next pass from the pass along the present one; raise ModelError."""
         if not self.errors and self.reference is self.target:
             self.first = record
         self.errors += (remaining_error(self.target, record),)
@@ -145,6 +146,9 @@ class Compensator:
             target, self.reference, record, self.models, parameters.criterion, parameters.smooth, self.learner
         )
         correction = self.chosen.revise(task)
+        if not isinstance(correction, Correction):
+            kind = type(correction).__name__
+            raise ParameterError(f"method {self.method}", kind, "a Correction, which revise must return")
         self.learner = correction.learner
         self.reference, self.limited = corrected(
             target, correction.offset, correction.smooth, bounds, quaternion=correction.quaternion

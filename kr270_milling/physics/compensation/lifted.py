@@ -195,40 +195,105 @@ class Lifted:
         return cast(LiftedCorrection, best)  # of one round at least
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _backward(cost, slope, step, from_state, free, bend, later, linear, policy, push):
     """Fill the best free numbers of each segment, policy x + push; P and p of the last knot become those of the first.
 
     bend: cost of the change of slope of straight lines, (x + CONTROLS, x + CONTROLS); 0: none.
     """
-    size, count = later.shape[0], policy.shape[1]
-    both, block = np.zeros((step.shape[2], size + count)), np.zeros((count, count))
-    right = np.zeros((count, size + 1))
+    # one number at a time where no matrix is multiplied: Numba compiles an assignment of arrays, and ``solve``, for
+    # seconds each
+    size, count, width = later.shape[0], policy.shape[1], step.shape[2]
+    both, factor = np.zeros((width, size + count)), np.zeros((count, count))
     for k in range(len(step) - 1, -1, -1):
-        both[:, :size], both[:, size:] = from_state[k], free[k]
-        total = both.T @ ((cost[k] + step[k].T @ (later @ step[k])) @ both)
-        gradient = both.T @ (slope[k] + step[k].T @ linear)
-        if np.any(free[k]):
-            total += bend
-        block[:] = total[size:, size:]
-        trace = np.trace(block)
-        for i in range(count):
-            block[i, i] += TINY * trace if block[i, i] > 0.0 else 1.0
-        right[:, :size], right[:, size] = total[size:, :size], gradient[size:]
-        answer = -np.linalg.solve(block, right)
-        policy[k], push[k] = answer[:, :size], answer[:, size]
-        coupling = np.ascontiguousarray(total[:size, size:])
-        to_go = total[:size, :size] + coupling @ np.ascontiguousarray(policy[k])
-        later[:] = 0.5 * (to_go + to_go.T)
-        linear[:] = gradient[:size] + coupling @ push[k]
+        bent = False
+        for i in range(width):
+            for j in range(size):
+                both[i, j] = from_state[k, i, j]
+            for j in range(count):
+                both[i, size + j] = free[k, i, j]
+                bent |= free[k, i, j] != 0.0
+        inner = step[k].T @ (later @ step[k])
+        for i in range(width):
+            for j in range(width):
+                inner[i, j] += cost[k, i, j]
+        total = both.T @ (inner @ both)
+        gradient = np.zeros(size + count)
+        for i in range(width):
+            value = slope[k, i]
+            for j in range(size):
+                value += step[k, j, i] * linear[j]
+            for j in range(size + count):
+                gradient[j] += both[i, j] * value
+        if bent:
+            for i in range(size + count):
+                for j in range(size + count):
+                    total[i, j] += bend[i, j]
+        _factorise(total, size, factor)
+        for j in range(size):
+            _substitute(factor, total[size:, j], policy[k, :, j])
+        _substitute(factor, gradient[size:], push[k])
+        for i in range(size):
+            linear[i] = gradient[i]
+            for c in range(count):
+                linear[i] += total[i, size + c] * push[k, c]
+            for j in range(size):
+                for c in range(count):
+                    total[i, j] += total[i, size + c] * policy[k, c, j]
+        for i in range(size):
+            for j in range(size):
+                later[i, j] = 0.5 * (total[i, j] + total[j, i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
+def _factorise(total, size, factor):
+    """Fill the Cholesky factor (lower) of the block of the free numbers, regular by a share of its trace."""
+    trace = 0.0
+    for i in range(len(factor)):
+        trace += total[size + i, size + i]
+    for i in range(len(factor)):
+        for j in range(i + 1):
+            rest = 0.5 * (total[size + i, size + j] + total[size + j, size + i])
+            if i == j:
+                rest += TINY * trace if rest > 0.0 else 1.0
+            for c in range(j):
+                rest -= factor[i, c] * factor[j, c]
+            factor[i, j] = np.sqrt(rest) if i == j else rest / factor[j, j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _substitute(factor, right, answer):
+    """Fill the answer of L L^T answer = -right."""
+    for i in range(len(factor)):
+        rest = -right[i]
+        for c in range(i):
+            rest -= factor[i, c] * answer[c]
+        answer[i] = rest / factor[i, i]
+    for i in range(len(factor) - 1, -1, -1):
+        rest = answer[i]
+        for c in range(i + 1, len(factor)):
+            rest -= factor[c, i] * answer[c]
+        answer[i] = rest / factor[i, i]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _forward(step, from_state, free, policy, push, state, local):
     """Fill y of each segment, from the state at its first knot, which becomes that of the last knot."""
     for k in range(len(step)):
-        local[k] = from_state[k] @ state + free[k] @ (policy[k] @ state + push[k])
-        state[:] = step[k] @ local[k]
+        for i in range(local.shape[1]):
+            local[k, i] = 0.0
+            for j in range(state.size):
+                local[k, i] += from_state[k, i, j] * state[j]
+        for c in range(policy.shape[1]):
+            value = push[k, c]
+            for j in range(state.size):
+                value += policy[k, c, j] * state[j]
+            for i in range(local.shape[1]):
+                local[k, i] += free[k, i, c] * value
+        for i in range(state.size):
+            state[i] = 0.0
+            for j in range(local.shape[1]):
+                state[i] += step[k, i, j] * local[k, j]
 
 
 def units(arm: ArmResponse, segments: Segments) -> np.ndarray:

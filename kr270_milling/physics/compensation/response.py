@@ -372,7 +372,7 @@ def _end_speed(duration: np.ndarray, cubic: np.ndarray) -> np.ndarray:
     return cubic[:, 1] + cubic[:, 2] * duration + cubic[:, 3] * duration**2 / 2.0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _march(free, added, corner, carry, every, state):
     """u, u' at the start and at the end of n steps, (n, 2, r) each; ``carry`` turns them after each ``every`` steps.
 
@@ -380,20 +380,19 @@ def _march(free, added, corner, carry, every, state):
     """
     n, r = corner.shape
     start, end = np.zeros((n, 2, r)), np.zeros((n, 2, r))
-    u, rate = state[0].copy(), state[1].copy()
-    for k in range(n):
-        rate = rate + corner[k]
-        start[k, 0], start[k, 1] = u, rate
-        end[k, 0] = free[k, 0] * u + free[k, 1] * rate + added[k, 0]
-        end[k, 1] = free[k, 2] * u + free[k, 3] * rate + added[k, 1]
-        if (k + 1) % every:
-            u, rate = end[k, 0].copy(), end[k, 1].copy()
-            continue
-        turn = carry[k // every]
+    for k in range(n):  # one number at a time: Numba compiles an assignment of arrays for seconds
         for i in range(r):
-            u[i], rate[i] = 0.0, 0.0
-            for j in range(r):
-                u[i] += turn[i, j] * end[k, 0, j]
-                rate[i] += turn[i, j] * end[k, 1, j]
-    state[0], state[1] = u, rate
+            state[1, i] += corner[k, i]
+            start[k, 0, i], start[k, 1, i] = state[0, i], state[1, i]
+            end[k, 0, i] = free[k, 0, i] * state[0, i] + free[k, 1, i] * state[1, i] + added[k, 0, i]
+            end[k, 1, i] = free[k, 2, i] * state[0, i] + free[k, 3, i] * state[1, i] + added[k, 1, i]
+        turned = (k + 1) % every == 0
+        for i in range(r):
+            for row in range(2):
+                value = end[k, row, i]
+                if turned:
+                    value = 0.0
+                    for j in range(r):
+                        value += carry[k // every, i, j] * end[k, row, j]
+                state[row, i] = value
     return start, end

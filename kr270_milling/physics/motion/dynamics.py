@@ -23,7 +23,7 @@ from numba import njit
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import ModelError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
@@ -42,10 +42,6 @@ __all__ = [
 ]
 
 Side = Literal["left", "right"]
-
-
-class DynamicsError(MillingError):
-    """Mass or compliance that cannot belong to an arm."""
 
 
 class ArmFactors(NamedTuple):
@@ -149,10 +145,10 @@ def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]
     inertial = np.flatnonzero(np.diag(mass) > 0.0)
     free = np.setdiff1d(np.arange(6), inertial)
     if inertial.size == 0 or np.any(mass[free]) or np.linalg.eigvalsh(mass[np.ix_(inertial, inertial)])[0] <= 0.0:
-        raise DynamicsError("the mass matrix must be symmetric and positive definite in the components with inertia")
+        raise ModelError("the mass matrix must be symmetric and positive definite in the components with inertia")
     softness = compliance[np.ix_(inertial, inertial)]
     if not (np.isfinite(softness).all() and np.linalg.cond(softness) < 1e12):
-        raise DynamicsError("the compliance matrix is singular or not finite where there is inertia")
+        raise ModelError("the compliance matrix is singular or not finite where there is inertia")
     stiffness = np.linalg.inv(softness)
     stiffness = 0.5 * (stiffness + stiffness.T)  # rounding only: K_C is symmetric under link weights
     force, output, feedthrough = np.zeros((inertial.size, 6)), np.zeros((6, inertial.size)), np.zeros((6, 6))
@@ -171,7 +167,7 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
     mass_i = mass[np.ix_(inertial, inertial)]
     squared, shape = eigh(stiffness, mass_i)
     if not squared[0] > 0.0:
-        raise DynamicsError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
+        raise ModelError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
     return ModalModel(inertial, np.sqrt(squared), shape, mass_i, force, output, feedthrough, np.eye(6)[inertial])
 
 
@@ -247,7 +243,7 @@ def reference_motion(
     return motion
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _accelerations(period, moved, before, after, motion):
     """Fill ``motion`` (n, 18), see ``reference_motion``, from r' before and after each stamp, (n + 1, 6)."""
     for n in range(period.size):
@@ -288,7 +284,7 @@ def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarra
     return np.where(reference.moving(stamps)[:, None], rates[segment - first], 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def push(motion, response, steps_per_knot, first, out):
     """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
 
@@ -310,7 +306,7 @@ def push(motion, response, steps_per_knot, first, out):
                     out[step, i] += (r + f * (response[m, i, j] - r)) * motion[step, j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance(step, state, wrench, push, arrays, new_state, deflection):
     """Advance (1) by an exchange period: fill ``new_state`` and ``deflection`` (6,) at the end of the period.
 
@@ -322,7 +318,7 @@ def advance(step, state, wrench, push, arrays, new_state, deflection):
     drive(step, free, state, wrench, push, arrays, new_state, deflection)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
 def _between(step, steps_per_knot, n):
     """Postures k and m about a step, and the share of m."""
     place = step / steps_per_knot
@@ -331,7 +327,7 @@ def _between(step, steps_per_knot, n):
     return k, m, min(place - k, 1.0) if m > k else 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
 def swing_freely(step, state, arrays, free):
     """Fill ``free`` (2r,): A x, the part of ``advance`` that is the same under every wrench."""
     transition = arrays[0]
@@ -344,7 +340,7 @@ def swing_freely(step, state, arrays, free):
         free[i] = total
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
 def drive(step, free, state, wrench, push, arrays, new_state, deflection):
     """The part of ``advance`` that follows ``swing_freely``."""
     _, driven, output, feedthrough, steps_per_knot, gaps = arrays

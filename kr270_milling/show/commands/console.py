@@ -19,6 +19,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from kr270_milling.base.column import TextTable, fixed
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_failure
 
 __all__ = [
     "Answer",
@@ -29,6 +31,7 @@ __all__ = [
     "output_directory",
     "print_json",
     "print_table",
+    "say_replaced",
     "shown_path",
 ]
 
@@ -81,9 +84,19 @@ def now() -> str:
 
 
 def output_directory(path: str | Path) -> Path:
+    """Create a directory to write into and return its path. Raises InputError."""
     directory = Path(path)
-    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(directory, f"cannot be created ({write_failure(error, directory)})") from None
     return directory
+
+
+def say_replaced(directory: str | Path) -> None:
+    """Print on standard error that the report of an earlier run is replaced."""
+    if Path(directory, "report.html").exists():
+        print(f"{directory} holds a report already; it is replaced", file=sys.stderr)
 
 
 def command_line(args) -> str:

@@ -7,9 +7,7 @@ which the paper leaves out and every real arm has.
 from __future__ import annotations
 
 import importlib.util
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.files import staged
@@ -17,7 +15,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, simulate
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.show.commands.console import Answer, command_line, now
+from kr270_milling.show.commands.console import Answer, command_line, now, say_replaced
 from kr270_milling.show.commands.progress import steps
 from kr270_milling.show.commands.run import missing_text, run_passes, summary
 from kr270_milling.show.commands.simulate import plant_of
@@ -39,8 +37,7 @@ def run_demo(args) -> Answer:
     moving = read_cell(source, ["dynamics.reference_inertia=true"])
     other = args.plant is not None or args.noise_um is not None
     if args.plain or other or importlib.util.find_spec("rclpy") is None:
-        if Path(args.out, "report.html").exists():
-            print(f"{args.out} holds a report already; it is replaced", file=sys.stderr)
+        say_replaced(args.out)
         loop = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
         with staged(args.out) as (draft, final), steps() as whole:
             passes = _plain(whole, cell, METHODS, plant_of(args, cell))

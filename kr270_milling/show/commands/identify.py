@@ -197,7 +197,7 @@ def run_compare(args) -> Answer:
         reference = chosen.reference if reference is None else reference
         if len(passes) > 1 or recorded.stamps != "exchange":
             measured, name = _series_of(args, chosen.result), chosen.name + STAMPS[recorded.stamps]
-    measured = measured or _measured(args)
+    measured = measured or _measured(args, chosen.reference.start_ns if passes else 0)
     with progress("milling") as report:
         simulated = simulate(cell, reference, progress=report).result
     force, tool = (
@@ -227,8 +227,8 @@ def _series_of(args, recorded):
     )
 
 
-def _measured(args):
-    """Read force and pose of the recording; None for a topic that it does not have."""
+def _measured(args, start_ns: int):
+    """Read force and pose of the recording, from the start of the pass; None for a topic that it does not have."""
     with Recording(args.recording) as recording:
         names = {topic.rpartition("/")[2] for topic in recording.topics()}
     remap = {own.rpartition("/")[2]: name for own, name in remapping(args.remap).items()}
@@ -236,7 +236,9 @@ def _measured(args):
     force = pose = None
     if topic := recorded.get("wrench"):
         sensor = Sensor(topic, turn_of(args.sensor_abc), args.sensor_on == "part")
-        force = comparison.VectorSeries(*force_series(args.recording, sensor))
+        time, values = force_series(args.recording, sensor)
+        force = comparison.VectorSeries(time - 1e-9 * start_ns, values)
     if topic := recorded.get("tool_pose"):
-        pose = comparison.VectorSeries(*pose_series(args.recording, topic))
+        time, values = pose_series(args.recording, topic)
+        pose = comparison.VectorSeries(time - 1e-9 * start_ns, values)
     return comparison.ComparedSeries(force, pose)

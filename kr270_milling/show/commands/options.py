@@ -9,7 +9,8 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch
+from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch, words
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.version import __version__
 from kr270_milling.live.nodes.play_arguments import PLAY
 
@@ -102,6 +103,8 @@ def run(args: argparse.Namespace) -> Answer:
             from kr270_milling.show.commands.recordings import run_recover as command
         case name, _:
             raise ValueError(f"no function for the command {name}")
+    if (args.command in ("compensate", "demo", "report")) or ("self_contained" in args and args.out):
+        require_extra(f"the page of {args.command}", "", "plotly")  # before the computation
     return command(args)
 
 
@@ -137,6 +140,7 @@ def _add_init(parser) -> None:
 def _add_keys(parser) -> None:
     _example(parser, "keys tool")
     parser.add_argument("section", metavar="SECTION", default="", nargs="?", help="for example tool; default: all")
+    parser.add_argument("--all", action="store_true", help="show also the keys for experts, which init does not write")
 
 
 def _add_stiffness(parser) -> None:
@@ -179,6 +183,11 @@ def _add_compensate(parser) -> None:
         ),
     )
     add(
+        "--reach",
+        action="store_true",
+        help="try softer ramps of the path, up to 1.5 times its time, until 90 %% of the robots meet the tolerance",
+    )
+    add(
         "--force",
         action="store_true",
         help="also write the programs after the decision no, marked NOT RELEASED in name and header",
@@ -186,7 +195,20 @@ def _add_compensate(parser) -> None:
     add(
         "--rsi",
         metavar="ADDRESS[:PORT]",
-        help=("also write the RSI context of a KR C4 and the program around it, for 'kr270_milling rsi' on that host"),
+        help=(
+            "also write the table of offsets, the RSI context of a KR C4 and the program around it, for "
+            "'kr270_milling rsi' on that host"
+        ),
+    )
+    add(
+        "--write",
+        metavar="KIND,...",
+        type=words("joints", "rsi", "stl"),
+        default=(),
+        help=(
+            "also write joints: tables of joint positions; rsi: the table of offsets for 'kr270_milling rsi'; "
+            "stl: the machined part"
+        ),
     )
     add(
         "--gcode",
@@ -436,7 +458,7 @@ def _add_replay(parser) -> None:
 def _add_rsi(parser) -> None:
     _example(
         parser,
-        "rsi out --port 49152",
+        "rsi out --host 192.168.1.10 --port 49152",
         note=("It ends when the robot is silent for 1 s. This host is not a real-time system: see live/rsi/README.md."),
     )
     add = parser.add_argument
@@ -447,7 +469,11 @@ def _add_rsi(parser) -> None:
         default=49152,
         help="UDP port of the object ETHERNET (default: %(default)s)",
     )
-    add("--host", default="127.0.0.1", help="address of this host (default: 127.0.0.1, this host alone)")
+    add(
+        "--host",
+        default="127.0.0.1",
+        help="address of this host in the network of the controller (default: %(default)s, no network)",
+    )
     add("--cycle-ms", type=bounded(4, 12, int), default=4, help="cycle of the controller (default: %(default)s)")
     add("--max-mm", type=bounded(0.0, 5.0, above=True), default=1.0, help="largest displacement (default: %(default)g)")
     add("--max-deg", type=bounded(0.0, 2.0, above=True), default=0.5, help="largest rotation (default: %(default)g)")
@@ -502,7 +528,14 @@ def _add_simulate(parser) -> None:
     add = parser.add_argument
     _shared(parser, "cell", "--set", "--plant", "--noise-um")
     add("--reference", metavar="FILE.csv", help="run along this trajectory, as written by compensate")
-    add("--out", metavar="DIR", help="write the series of the pass here as CSV; of a tool path also the part as STL")
+    add("--out", metavar="DIR", help="write the series of the pass here as CSV")
+    add(
+        "--write",
+        metavar="KIND",
+        type=words("stl"),
+        default=(),
+        help="stl: with --out, of a tool path, write also the machined part",
+    )
 
 
 def _add_check(parser) -> None:
@@ -511,6 +544,12 @@ def _add_check(parser) -> None:
     _shared(parser, "cell", "--set")
     add("--reference", metavar="FILE.csv", help="check this trajectory, as written by compensate")
     add("--motion", choices=MOTIONS, help="default: the cell's program.motion")
+    add(
+        "-v",
+        "--verbose",
+        action="store_true",
+        help="print everything that was checked, not only tolerance, stops, warnings, stability and the last line",
+    )
 
 
 def _add_stability(parser) -> None:
@@ -528,7 +567,7 @@ def _add_stability(parser) -> None:
         "--speeds",
         metavar="LOW:HIGH/COUNT",
         type=grid(1.0, 2e5, 100000),
-        help="spindle speeds [rpm] (default: 60 from half to one and a half times that of the cell)",
+        help="spindle speeds [rpm], or a single one (default: 60 from half to one and a half times that of the cell)",
     )
     add("--no-arm", action="store_true", help="leave out the arm: the modes of tool.modes alone")
     add("--along", action="store_true", help="instead of lobes: the limit depth of each feature of the path")

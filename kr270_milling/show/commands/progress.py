@@ -39,7 +39,7 @@ class Progress:
         self.label = text
         self.completed = self.total = 0
         self._before, self._number, self._passes = 0, 1, 1
-        self.start = self._first = time.monotonic()
+        self.start = self._first = self._counted = time.monotonic()
 
     def under(self, title: str) -> Callable[..., contextlib.AbstractContextManager]:
         """Return the steps of one tool, whose names begin with ``title``."""
@@ -50,7 +50,12 @@ class Progress:
         if not self.total or completed < self.completed:
             self._number += bool(self.total)
             self._before, self._first = completed, time.monotonic()
-        self.completed, self.total = completed, total
+        self.completed, self.total, self._counted = completed, total, time.monotonic()
+
+    @property
+    def under_way(self) -> bool:
+        """Return whether a count has begun and has not reached its total."""
+        return self.completed < self.total
 
     @property
     def left(self) -> float | None:
@@ -60,13 +65,19 @@ class Progress:
 
     @property
     def text(self) -> str:
-        """The step, its share and the time left; as long as no pace is known, the time so far."""
-        step = self.label
+        """The step, its share and the time left.
+
+        The time so far instead, as long as no pace is known, after the last count, and where the next count takes
+        longer than the time left that the last one gave.
+        """
+        step = self.label or "working"
         if self._passes > 1:
             step += f", pass {self._number} of at most {self._passes}"
-        left = self.left
-        if left is None:
-            return f"{step}: {time.monotonic() - self.start:.0f} s so far"
+        left, so_far = self.left, f"{time.monotonic() - self.start:.0f} s so far"
+        if left is None or not self.under_way:
+            return f"{step}: {so_far}"
+        if time.monotonic() - self._counted > max(left, LINE_PERIOD):
+            return f"{step}: {100 * self.completed / self.total:.0f} %, {so_far}"
         return f"{step}: {100 * self.completed / self.total:.0f} %, {left:.0f} s left"
 
 
@@ -104,7 +115,7 @@ def steps() -> Iterator[Progress]:
 
 
 def _line(whole: Progress) -> None:
-    if whole.label:
+    if whole.label or time.monotonic() - whole.start > 0.5 * LINE_PERIOD:  # between two steps
         print(whole.text, file=sys.stderr, flush=True)
 
 
@@ -114,4 +125,6 @@ def _bar(whole: Progress) -> Iterator[Callable[[], None]]:
     columns = SpinnerColumn(), BarColumn(bar_width=24), TextColumn("{task.description}", markup=False)
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(whole.label, total=None)
-        yield lambda: bar.update(task, completed=whole.completed, total=whole.total or None, description=whole.text)
+        yield lambda: bar.update(
+            task, completed=whole.completed, total=whole.total if whole.under_way else None, description=whole.text
+        )

@@ -16,7 +16,7 @@ from kr270_milling.exchange.replay.recorded import RecordedFacts, passes_from_re
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.recordings.bag.files import find_recording
 from kr270_milling.recordings.bag.remap import remapping
-from kr270_milling.show.commands.console import Answer, command_line, now, output_directory
+from kr270_milling.show.commands.console import Answer, command_line, now, output_directory, say_replaced
 from kr270_milling.show.commands.progress import steps
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.series import write_series
@@ -38,6 +38,7 @@ def run_report(args) -> Answer:
         beside = first if first.is_dir() else first.parent
         there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
         directory = output_directory(args.out or (beside if there else beside / "report"))
+        say_replaced(directory)
         title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
         title += "".join(STAMPS[kind] for kind in sorted({about.stamps for _, about in recorded}))
         with whole("report"):

@@ -50,6 +50,8 @@ def run_rsi(args) -> Answer:
             recording.report(sentence)
 
         report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
+        if args.host.startswith("127."):
+            report("no controller reaches this address: give that of this host in its network with --host")
         session = RsiSession(connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist")
         ended: list[int] = []
 
@@ -98,6 +100,8 @@ def _table(name: str) -> Path:
         return path
     tables = sorted(path.glob("rsi_offsets_*.csv"))
     if len(tables) != 1:
-        reason = f"holds {len(tables)} tables rsi_offsets_*.csv" + "; name one of them" * bool(tables)
+        reason = f"holds {len(tables)} tables rsi_offsets_*.csv" + (
+            "; name one of them" if tables else ": kr270_milling compensate --write rsi writes one"
+        )
         raise InputError(path, reason)
     return tables[0]

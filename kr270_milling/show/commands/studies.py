@@ -186,8 +186,14 @@ def run_sweep(args) -> Answer:
         "chunk": args.chunk,
     }
     study = Study(output_directory(args.out), plan)
-    with progress("sweep") as report:
-        seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
+    with steps() as whole, whole("sweep") as report:
+
+        def count(files: int, total: int) -> None:
+            whole.label = f"sweep, {min(files * rows.chunk, len(rows))} of {len(rows)} rows"
+            report(files, total)
+
+        count(0, rows.chunks)
+        seconds = run_chunks(study, rows.chunks, rows, args.scheduler, count)
     summary = SweepSummary(rows)
     for table in study.tables(rows.chunks):
         summary.add(table)

@@ -15,6 +15,7 @@ AGREES = 0.1  #: gains within this share of 1 need no new identification: batche
 SURE = 2.0  #: standard deviations
 LARGE = 0.2  #: share of the largest force component from which a component is compared
 MOST_POINTS = 5000  #: points of a channel in the figure
+DAY = 86400.0  #: [s]
 COLUMNS = ("quantity", "measured / simulated", "95 % +-", "offset", "difference RMS")
 UNITS = {"m": (1e6, "um", "um"), "N": (1.0, "n", "N")}  #: unit of a channel -> factor, suffix of keys, unit in tables
 
@@ -24,6 +25,8 @@ def comparison_outcome(comparison: Comparison, recording: str, cell: str) -> Out
     sentences = advice(comparison)
     lags = [
         f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
+        if abs(lag) < DAY
+        else f"the clock of the {name} does not begin with the pass"
         for name, lag in comparison.lags.items()
     ]
     result = {
