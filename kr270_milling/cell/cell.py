@@ -74,6 +74,11 @@ class Cell(Record):
             raise ParameterError("posture_hint_deg", None, "six joint positions (or give start_joints_deg)")
         if len(set(self.joint_names)) != 6 or len(self.joint_names) != 6 or not all(self.joint_names):
             raise ParameterError("joint_names", list(self.joint_names), "six different names")
+        if not self.tool.has_flat_end and not self.path.file:
+            raise ParameterError("tool.type", self.tool.type, "flat for a straight cut; other ends need a program")
+        if not self.tool.has_flat_end and self.cutting.detail == "teeth":
+            allowed = f"engagement or auto: the sweep of the teeth knows flat ends only, and tool.type is {self.tool.type}"
+            raise ParameterError("cutting.detail", "teeth", allowed)
         if self.cutting.by_engagement and not self.path.file:
             raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")
         given = math.isfinite(self.exchange.period + self.stock.grid_step)  # else the reader of the file chooses them

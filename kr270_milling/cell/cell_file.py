@@ -92,9 +92,23 @@ def _one_cell(tree: dict, assigned: frozenset, path) -> Cell:
     cell = _placed(build(Cell, tree, path), assigned, path)
     cell = cell.replace(path=cell.path.loaded())  # an error appears where the path is used
     try:
-        return _with_cut_model(_with_spindle(cell))
+        return _with_cut_model(_with_spindle(_with_shape(cell)))
     except ParameterError as error:
         raise ConfigError(path, error.key, error.value, error.allowed) from None
+
+
+def _with_shape(cell: Cell) -> Cell:
+    """Return the cell with the shape that the comment of the tool states in full, where ``tool.type`` is program."""
+    tool, program = cell.tool, cell.path.source.current
+    if tool.type != "program" or program is None:
+        return cell
+    corner, radius = program.corner_radius, tool.radius
+    stated = 0.01 * radius  # digits of a comment
+    if program.shape == "ball-end mill" and (corner == 0.0 or abs(corner - radius) < stated):
+        return cell.replace(tool=tool.replace(type="ball"))
+    if program.shape == "bull-nose mill" and 0.0 < corner < radius - stated:
+        return cell.replace(tool=tool.replace(type="bull_nose", corner_radius=corner))
+    return cell
 
 
 def _with_spindle(cell: Cell) -> Cell:
@@ -115,7 +129,8 @@ def _with_cut_model(cell: Cell) -> Cell:
     if detail == "auto":
         with contextlib.suppress(InputError):
             long_cutting = 60.0  # [s]; a longer cut is not swept tooth by tooth
-            detail = "engagement" if cell.path.cutting_time > long_cutting else "teeth"
+            long = cell.path.cutting_time > long_cutting or not cell.tool.has_flat_end
+            detail = "engagement" if long else "teeth"
     speed, radius = cell.tool.spindle_speed, float(cell.tool.radii.max())
     if detail == "engagement":
         exchange, stock = cell.exchange.for_engagement(speed), cell.stock.for_engagement(radius)

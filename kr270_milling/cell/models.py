@@ -138,7 +138,8 @@ def cut_text_of(cell: Cell) -> str:
     if not cell.cutting.by_engagement:
         return f"cut: teeth, each tooth by itself{thin_chips(cell)}; {tool}"
     period, step = 1e3 * cell.exchange.period, 1e3 * cell.stock.grid_step
-    return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
+    end = "" if cell.tool.has_flat_end else f" of a cutter of revolution (tool.type {cell.tool.type})"
+    return f"cut: engagement{end}, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
 
 
 def thin_chips(cell: Cell) -> str:

@@ -20,13 +20,14 @@ ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: o
 
 @dataclass(frozen=True, eq=False)
 class Removal:
-    """Material that a tool removes: all material above its end along its path; workpiece frame."""
+    """Material that a tool removes: all material above its profile along its path; workpiece frame."""
 
     tool: str  #: name in the program
     radius: float  #: [m], of the longest tooth
     programmed: np.ndarray  #: tool tip along the programmed path [m], (n, 3)
     actual: np.ndarray  #: tool tip in the simulated pass [m], (m, 3); the programmed path where no pass was simulated
     spring_back: float = 0.0  #: [m], largest deflection while the tool cuts
+    cutter: Tool | None = None  #: its profile; None: a flat end
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     count = 2 + min(most_places, int(length / min(radius / places_per_radius, farthest)))
     distance = np.union1d(np.linspace(0.0, length, count), np.cumsum(path.block_length))
     position = path.position_at(distance)
-    return Removal(name, radius, position, position)
+    return Removal(name, radius, position, position, cutter=tool)
 
 
 @functools.lru_cache(maxsize=6)
@@ -72,9 +73,9 @@ def swept(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel
 
     Raises GridError.
     """
-    cut = _disc(removals[0].radius, stock)
+    cut = _still(removals[0], stock)
     for removal in removals:
-        each = _disc(removal.radius, stock)
+        each = _still(removal, stock)
         each.continue_from(cut)
         way = removal.actual if actual else removal.programmed
         each.along(way, np.zeros(len(way), np.int64))  # the spindle does not turn: no force is computed
@@ -82,6 +83,9 @@ def swept(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel
     return cut
 
 
-def _disc(radius: float, stock: Stock) -> EngagementCut:
-    tool = Tool(diameter=2.0 * radius, teeth=1)
+def _still(removal: Removal, stock: Stock) -> EngagementCut:
+    """A fresh workpiece, and the tool without its teeth."""
+    tool = Tool(diameter=2.0 * removal.radius, teeth=1)
+    if removal.cutter is not None and not removal.cutter.has_flat_end:
+        tool = removal.cutter
     return EngagementCut(tool, Cutting(**ANY_LAW), stock, math.radians(1.0))

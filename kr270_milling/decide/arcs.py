@@ -14,7 +14,7 @@ from numba import njit
 
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.stage import Removal
-from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map
+from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map, with_profile
 
 __all__ = ["Arcs", "arcs_along"]
 
@@ -81,7 +81,7 @@ def arcs_along(
     look = ~rapid & (level > steep)
     grid = height_map(stock, step, swept, radius)
     for removal in earlier:
-        lower_along(grid, removal.radius, on_map(removal.programmed))
+        lower_along(with_profile(grid, removal.cutter), removal.radius, on_map(removal.programmed))
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
     swept = on_map(swept)
     end = 1 + EVERY * int(np.flatnonzero(look)[-1]) if look.any() else 0  # a drill mills nothing

@@ -15,7 +15,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.findings import Violation, stretches, violation, violations
-from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map
+from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map, with_profile
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.stability import has_uniform_pitch
@@ -107,7 +107,9 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     grid = height_map(cell.stock, step, moved, max([radius, *bodies[:, 0]]))
     moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
-        lower_along(grid, removal.radius, on_map(removal.programmed if ran is None else removal.actual))
+        way = removal.programmed if ran is None else removal.actual
+        lower_along(with_profile(grid, removal.cutter), removal.radius, on_map(way))
+    grid = with_profile(grid, cell.tool)
     narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
     lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
     _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, core), narrow, bodies, lost, met)

@@ -157,7 +157,11 @@ KINDS = {
         "Set tool.diameter_mm, or post the program for this cutter."),
     "tool shape": Kind("mm",
         "the program is for {label}, {article} {shape}, but floors and forces are those of a flat end mill",
-        "Set tool.type: flat if the cutter is flat and the comment is wrong; another shape is not modelled."),
+        "Set tool.type to its shape: ball, bull_nose with corner_radius_mm, tapered with taper_deg, or points with "
+        "profile_mm; flat if the cutter is flat and the comment is wrong."),
+    "stability not judged": Kind("1",
+        "stability is not judged: the limits of the depth of cut hold for flat ends, and tool.type is {shape}",
+        "Listen to the first cut; lower the depth of cut where the part shows marks of chatter.", "warning"),
     "tool length": Kind("mm",
         "the length of {label} is unknown: the program has no G43 for it, and its mount.xyz_mm is that of an earlier "
         "tool, {tip}",

@@ -12,14 +12,27 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from kr270_milling.physics.cutting import Stock
+from kr270_milling.physics.cutting import Stock, Tool
+from kr270_milling.physics.cutting.profile import outline
 
-__all__ = ["HeightMap", "MAP_TURN", "ROUNDING", "chord", "height_map", "lower", "lower_along", "near_axis", "on_map"]
+__all__ = [
+    "HeightMap",
+    "MAP_TURN",
+    "ROUNDING",
+    "chord",
+    "height_map",
+    "lower",
+    "lower_along",
+    "near_axis",
+    "on_map",
+    "with_profile",
+]
 
 #: [rad], from x of the workpiece to the first axis of the map. The tangent is the golden ratio less 1: no wall along x,
 #: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
 MAP_TURN = math.atan((math.sqrt(5.0) - 1.0) / 2.0)
 ROUNDING = 1e-7  #: [m], of depths (float32) and radii
+ENTRIES = 512  #: of a profile
 VERTICAL = 1e-20  #: [m^2], square of the horizontal length below which a move is vertical
 
 
@@ -33,6 +46,8 @@ class HeightMap(NamedTuple):
     y: float
     step: float
     top: float
+    profile: np.ndarray  # height of the tool by the distance from its axis, up to ``radius`` [m]; (0,): a flat end
+    radius: float  # of the profile [m]
 
 
 def on_map(position: np.ndarray) -> np.ndarray:
@@ -40,6 +55,16 @@ def on_map(position: np.ndarray) -> np.ndarray:
     c, s = math.cos(MAP_TURN), math.sin(MAP_TURN)
     x, y, z = np.asarray(position).T
     return np.column_stack([c * x + s * y, c * y - s * x, z])
+
+
+def with_profile(grid: HeightMap, tool: Tool | None) -> HeightMap:
+    """Return the map for a tool; None: a flat end."""
+    if tool is None or tool.has_flat_end:
+        return grid._replace(profile=np.zeros(0), radius=0.0)
+    points = outline(tool)
+    radius = float(points[-1, 0])
+    profile = np.interp(np.arange(ENTRIES + 1) / ENTRIES * radius, *points.T)
+    return grid._replace(profile=profile, radius=radius)
 
 
 def height_map(stock: Stock, step: float, position: np.ndarray, radius: float) -> HeightMap:
@@ -62,6 +87,8 @@ def height_map(stock: Stock, step: float, position: np.ndarray, radius: float) -
         float(origin[1]),
         step,
         float(high[2]),
+        np.zeros(0),
+        0.0,
     )
 
 
@@ -103,7 +130,8 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     """``lower`` on a way of at most one node; below, to_below: depths of the tip at its ends."""
     step, square, move_x, move_y = grid.step, radius**2, to_x - x, to_y - y
     way, most = move_x**2 + move_y**2, max(below, to_below)
-    cleared = cleared and to_below <= below  # the tool is nowhere deeper than at the start
+    flat = grid.profile.size == 0
+    cleared = cleared and to_below <= below and flat  # the tool is nowhere deeper than at the start
     deepest = volume = 0.0
     first_i = max(int((min(x, to_x) - radius - grid.x) / step), 0)
     for i in range(first_i, min(int((max(x, to_x) + radius - grid.x) / step) + 2, depth.shape[0])):
@@ -126,6 +154,8 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
                 along = (away_x * move_x + away_y * move_y) / way
                 beside -= along**2 * way
             tip = _deepest(along, beside, way, square, below, to_below)
+            if not flat and tip > before:
+                tip = _deepest_of_profile(grid, along, beside, way, radius, below, to_below, before)
             if max(before, depth[i, j]) + ROUNDING < tip:
                 deepest = max(deepest, tip - before)
                 volume += (tip - before) * step**2
@@ -149,6 +179,26 @@ def _deepest(along, beside, way, square, below, to_below):
     if first > last:
         return -np.inf
     return below + (to_below - below) * (last if to_below > below else first)
+
+
+@njit(cache=True, inline="always", nogil=True)
+def _deepest_of_profile(grid, along, beside, way, radius, below, to_below, before):
+    """As ``_deepest``, less the height of the profile: the deepest of the place next to the node and of both ends.
+
+    radius: of the tool, less than that of the profile where its sides are taken back. -inf: not below ``before``.
+    """
+    entry, back, tip = (grid.profile.size - 1) / grid.radius, grid.radius - radius, -np.inf
+    for place in (min(max(along, 0.0), 1.0), 0.0, 1.0):
+        distance = np.sqrt(max(beside + (along - place) ** 2 * way, 0.0))
+        if distance >= radius:
+            continue
+        at = (distance + back) * entry
+        k = min(int(at), grid.profile.size - 2)
+        height = grid.profile[k] + (at - k) * (grid.profile[k + 1] - grid.profile[k])
+        if tip == -np.inf and max(below, to_below) - height <= before:
+            return -np.inf
+        tip = max(tip, below + place * (to_below - below) - height)
+    return tip
 
 
 @njit(cache=True, nogil=True)

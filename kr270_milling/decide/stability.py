@@ -80,6 +80,7 @@ class Stability:
     features: tuple[FeatureLimit, ...] = column("features")
     with_tool: bool = column("tool_modes")  #: the modes of tool and spindle are known
     uniform_pitch: bool = True
+    shape: str = column("", default="")  #: of a tool whose end is not flat: no limit is known
 
     @property
     def worst(self) -> FeatureLimit | None:
@@ -105,6 +106,8 @@ class Stability:
             known = f"{self.word} ({self.worst.name}: {self.worst.numbers})"
         else:
             known = "unknown (nothing is milled)" if self.uniform_pitch else "unknown (variable pitch)"
+        if self.shape:
+            known = f"not judged (the limits hold for flat ends, and tool.type is {self.shape})"
         if self.with_tool:
             return f"stability: arm, tool and spindle: {known}"
         return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
@@ -113,6 +116,8 @@ class Stability:
 def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Stability:
     """The statement of a cell whose arm can follow the path; progress(done, total): along the path."""
     with_tool = bool(cell.tool.modes.frequency.size)
+    if not cell.tool.has_flat_end:
+        return Stability((), with_tool, shape=cell.tool.type)
     if not has_uniform_pitch(cell.tool):
         return Stability((), with_tool, uniform_pitch=False)
     return Stability(tuple(feature_limits(cell, progress=progress)), with_tool)
@@ -120,7 +125,7 @@ def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None 
 
 def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation]:
     """A stop for each feature above its limit, a warning for each within 20 % below; time: of the points [s], (n,)."""
-    offences = []
+    offences = [violation("stability not judged", 0.0, 0.0, shape=stability.shape)] if stability.shape else []
     for milled in stability.features:
         if milled.word == "stable":
             continue
@@ -171,6 +176,8 @@ def feature_limits(
     arm: False leaves out the modes of the arm. Raises ParameterError for a variable pitch.
     """
     tool = cell.tool
+    if not tool.has_flat_end:
+        raise ParameterError("tool.type", tool.type, "flat: the limits of the depth of cut hold for flat ends")
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
     arcs = arcs_along(path_of(cell), cell.earlier, progress)

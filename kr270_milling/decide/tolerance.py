@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from kr270_milling.physics.motion.scores import path_deviation
 __all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "judge", "judge_part", "um_text"]
 
 SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
+NORMAL_ERROR = "largest surface error"  #: of a part that an end leaves that is not flat
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Judgement:
     tolerance: float = column("")  #: [m], limit of ``error``; 0 without a tolerance
     feature: str | None = column("feature")  #: place of ``error``
     quantity: str = column("quantity", default=SURFACE_ERROR)  #: name of ``error``
+    surface: float = column("surface_um", 1e6, default=math.nan)  #: along the normal; NaN with walls and floors
 
     @computed("tolerance_um", 1e6)
     def _limit(self) -> float | None:
@@ -109,12 +111,15 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
 
 
 def judge_part(tolerances: Tolerances, part: PartAssessment) -> Judgement:
-    """Walls and floors of every feature against its own tolerance."""
+    """Walls, floors and surfaces of every feature against its own tolerance; a surface against the smaller one."""
     rows: list[tuple[float, float, str | None]] = []
     for row in part.rows:
         wall, floor = tolerances.of(row.name)
-        rows += [(row.max_wall, wall, row.name), (row.max_floor, floor, row.name)]
-    return _judge(part.whole.max_wall, part.whole.max_floor, rows, SURFACE_ERROR)
+        least = min(filter(None, (wall, floor)), default=0.0)
+        rows += [(row.max_wall, wall, row.name), (row.max_floor, floor, row.name), (row.max_surface, least, row.name)]
+    whole = part.whole
+    quantity = SURFACE_ERROR if math.isnan(whole.max_surface) else NORMAL_ERROR
+    return replace(_judge(whole.max_wall, whole.max_floor, rows, quantity), surface=whole.max_surface)
 
 
 def _largest_deviation(cell: Cell, result: PassResult) -> float:

@@ -47,6 +47,9 @@ class FeatureRow:
     #: error of the floor that remains
     max_floor: float = _deviation("max_floor_error_um", "largest floor error", "floor")
     mean_floor: float = column("mean_floor_error_um", 1e6)
+    #: error along the normal of the surface that an end leaves that is not flat; such a part has no wall and no floor
+    max_surface: float = column("max_surface_error_um", 1e6)
+    mean_surface: float = column("mean_surface_error_um", 1e6)
     #: mean of an exchange period
     max_force: float = column("max_force_n", 1.0, "largest force", "N", short="force")
     max_torque: float = column("max_torque_n_m")
@@ -80,7 +83,8 @@ class PartAssessment:
         mine, left = self.cutting & here, self.surface
         normal = np.abs(self.deviation[mine, 1])
         wall = np.abs(left.walls.error if feature is None else left.walls.error[left.walls.feature == feature])
-        floor = np.abs(left.floors.errors(feature))
+        errors, none = np.abs(left.floors.errors(feature)), np.zeros(0)
+        floor, curved = (none, errors) if left.floors.curved else (errors, none)
         quantile = 0.95
         return FeatureRow(
             name=name,
@@ -93,6 +97,8 @@ class PartAssessment:
             mean_wall=_of(np.mean, wall),
             max_floor=_of(np.max, floor),
             mean_floor=_of(np.mean, floor),
+            max_surface=_of(np.max, curved),
+            mean_surface=_of(np.mean, curved),
             max_force=_of(np.max, self.force[mine]),
             max_torque=_of(np.max, self.torque[mine]),
             max_power=_of(np.max, self.power[mine]),

@@ -29,6 +29,7 @@ from kr270_milling.physics.cutting import CutModel, Stock, Tool
 __all__ = ["Floors", "IdealPart", "IdealWalls", "Marks", "Surface", "Walls", "ideal_part", "remaining_walls", "surface"]
 
 SLOPE = 0.02  #: a steeper floor is a wall
+STEEP = 2.75  #: assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
 
 CHUNK = 5_000  #: marks at once, with the neighbours of each 25 kB
 CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
@@ -176,6 +177,7 @@ class Floors:
     height: np.ndarray  #: height of the rigid arm's part [m], (a, b), everywhere
     error: np.ndarray  #: machined minus rigid height [m], (a, b)
     feature: np.ndarray  #: index into the features of the path, (a, b); -1: none
+    curved: bool = False  #: the errors are along the normal of the surface that an end that is not flat leaves
 
     def errors(self, feature: int | None = None) -> np.ndarray:
         """[m], (m,), of one feature or of all."""
@@ -220,10 +222,13 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
     level = cut.params.level_step
     x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level, float(cell.stock.max[2]))
-    walls = ideal_walls(cut, marks(cell.tool, path, path_of(cell).clock.period, target))
+    passages = marks(cell.tool, path, path_of(cell).clock.period, target)
+    if not cell.tool.has_flat_end:  # its sides are part of the surface
+        passages = passages[:0]
+    walls = ideal_walls(cut, passages)
     if cell.stage:
         radius = float(cell.tool.radii.max())
-        mine = swept((Removal(cell.stage.tool, radius, target, target),), cell.stock, False)
+        mine = swept((Removal(cell.stage.tool, radius, target, target, cutter=cell.tool),), cell.stock, False)
         owner = np.where(mine.map_heights()[2] <= height + 2.0 * level, owner, -1)
         if cell.stage.later:
             after = cleared(cell.stage.later, cell.stock, False)
@@ -254,6 +259,8 @@ def surface(
         heights = machined(cut_of(cell), actual, path_of(cell).clock).map_heights()[2]
     largest = float(np.abs(actual - target)[:, :2].max(initial=0.0))
     floors = _floors(cell.stock, ideal, heights, largest)
+    if not cell.tool.has_flat_end:
+        floors = _curved(cell.stock, ideal, heights)
     return Surface(floors, walls, 2.0 * ideal.level + cell.stock.floor_tolerance)
 
 
@@ -269,6 +276,19 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
     )
     error = np.where(floor, height - ideal.height, np.nan)
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner)
+
+
+def _curved(stock: Stock, ideal: IdealPart, height: np.ndarray) -> Floors:
+    """The error along the normal of the rigid arm's surface: the difference of the heights times the cosine of the slope.
+
+    Steeper places than ``STEEP`` are left out: the nodes of the map do not resolve them.
+    """
+    spacing = stock.grid_step * ideal.thinning
+    slope = np.hypot(*np.gradient(ideal.height, spacing))
+    cut = ~ideal.unjudged & (slope < STEEP) & (ideal.height < stock.max[2] - 0.5 * ideal.level)
+    border = maximum_filter(~cut, 3, mode="constant")  # the slope there is that of an edge
+    error = np.where(cut & ~border, (height - ideal.height) / np.hypot(1.0, slope), np.nan)
+    return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner, curved=True)
 
 
 def _owners(x, y, height, path: Stations, target: np.ndarray, radius: float, level: float, top: float) -> np.ndarray:

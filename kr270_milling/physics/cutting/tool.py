@@ -72,8 +72,8 @@ class Tool(Record):
     type: str = parameter(
         "program",
         choices=("program", "flat", "indexable", "ball", "bull_nose", "tapered", "points"),
-        text="program: the shape that the comments of the program state, else flat; any other: this shape, whatever they "
-        "say; indexable: a flat mill with inserts; tapered: also a chamfer mill and the point of a drill",
+        text="program: the shape that the comments of the program state, else flat; any other: this shape, whatever "
+        "they say; indexable: a flat mill with inserts; tapered: also a chamfer mill and the point of a drill",
     )
     corner_radius: float = parameter(
         0.0, unit="mm", low=0.0, high=100.0, text="of a bull nose, or of the tip of a tapered tool"

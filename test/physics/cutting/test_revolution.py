@@ -1,4 +1,4 @@
-"""The mean force of a cutter of revolution beside a quadrature of its edge, written here; volume, torque, undo, order."""
+"""The mean force of a cutter of revolution beside a quadrature of its edge; volume, torque, undo, order."""
 
 from __future__ import annotations
 
