@@ -77,7 +77,9 @@ class Cell(Record):
         if not self.tool.has_flat_end and not self.path.file:
             raise ParameterError("tool.type", self.tool.type, "flat for a straight cut; other ends need a program")
         if not self.tool.has_flat_end and self.cutting.detail == "teeth":
-            allowed = f"engagement or auto: the sweep of the teeth knows flat ends only, and tool.type is {self.tool.type}"
+            allowed = (
+                f"engagement or auto: the sweep of the teeth knows flat ends only, and tool.type is {self.tool.type}"
+            )
             raise ParameterError("cutting.detail", "teeth", allowed)
         if self.cutting.by_engagement and not self.path.file:
             raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")

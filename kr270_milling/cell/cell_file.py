@@ -100,15 +100,8 @@ def _one_cell(tree: dict, assigned: frozenset, path) -> Cell:
 def _with_shape(cell: Cell) -> Cell:
     """Return the cell with the shape that the comment of the tool states in full, where ``tool.type`` is program."""
     tool, program = cell.tool, cell.path.source.current
-    if tool.type != "program" or program is None:
-        return cell
-    corner, radius = program.corner_radius, tool.radius
-    stated = 0.01 * radius  # digits of a comment
-    if program.shape == "ball-end mill" and (corner == 0.0 or abs(corner - radius) < stated):
-        return cell.replace(tool=tool.replace(type="ball"))
-    if program.shape == "bull-nose mill" and 0.0 < corner < radius - stated:
-        return cell.replace(tool=tool.replace(type="bull_nose", corner_radius=corner))
-    return cell
+    stated = program.end(tool.radius) if program and tool.type == "program" else {}
+    return cell.replace(tool=tool.replace(**stated)) if stated else cell
 
 
 def _with_spindle(cell: Cell) -> Cell:

@@ -26,13 +26,13 @@ ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: 0.0, B: 0.0, C: 0.0}}"
 DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where the program does not state it
 #: keys of a tool, below ``tool`` or below its name
 TOOL = """\
-      diameter_mm: {diameter}            # {diameter_source}
+      diameter_mm: {diameter}            # {diameter_source}{end}
       teeth: {teeth}                     # {teeth_source}
       rotation: clockwise                # yours: counterclockwise, with M4, for a left-hand cutter
       {speed}                            # {speed_source}"""
 #: what the template holds for a slot along +x, of which no program says anything
 STRAIGHT_TOOL = {
-    "diameter": DIAMETER, "diameter_source": "yours", "teeth": TEETH, "teeth_source": "yours",
+    "diameter": DIAMETER, "diameter_source": "yours", "end": "", "teeth": TEETH, "teeth_source": "yours",
     "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours",
 }  # fmt: skip
 STRAIGHT = {
@@ -185,11 +185,21 @@ def _tool(path: Toolpath) -> dict:
     return {
         "diameter": _number(_diameter(path)),
         "diameter_source": comment if known else unsaid,
+        "end": _end(path, comment),
         "teeth": teeth,
         "teeth_source": source or unsaid,
         "speed": f"# spindle_speed_rpm: {_number(speed)}" if speed else STRAIGHT_TOOL["speed"],
         "speed_source": "[source: the program's S]" if speed else "yours: the program has no S",
     }
+
+
+def _end(path: Toolpath, source: str) -> str:
+    """The lines on the shape of a tool whose end is not flat."""
+    tool = path.program.current
+    keys = tool.end(_diameter(path) / 2e3) if tool else {}
+    shown = [f"type: {keys['type']}"] if keys else []
+    shown += [f"corner_radius_mm: {_number(1e3 * keys['corner_radius'])}"] if "corner_radius" in keys else []
+    return "".join(f"\n      {line:<35}# {source}" for line in shown)
 
 
 def _teeth(path: Toolpath) -> tuple[int, str]:

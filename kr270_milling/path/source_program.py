@@ -66,6 +66,15 @@ class ProgramTool:
             return self.kind
         return "ball-end mill" if self.corner_radius > 0.49 * self.diameter > 0.0 else "bull-nose mill"
 
+    def end(self, radius: float) -> dict:
+        """Return the keys of ``tool`` for an end that is not flat and is stated in full; radius [m]: of the tool."""
+        corner, digits = self.corner_radius, 0.01 * radius  # digits of a comment
+        if self.shape == "ball-end mill" and (corner == 0.0 or abs(corner - radius) < digits):
+            return {"type": "ball"}
+        if self.shape == "bull-nose mill" and 0.0 < corner < radius - digits:
+            return {"type": "bull_nose", "corner_radius": corner}
+        return {}
+
     def completed(self, other: ProgramTool) -> ProgramTool:
         """Return this description, with missing values taken from another description of the same tool."""
         names = "description", "kind", "diameter", "teeth", "corner_radius", "inserts"

@@ -262,9 +262,9 @@ CASES = (
     warning("a spindle at 15 deg", "spindle direction", "mount.abc_deg=[0, -15, 180]", words="75 deg away"),
     Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),
     Case("a program for a cutter of 1 inch", "tool diameter", "", comment("1 inch end mill")),
-    Case("a ball-end mill by its comment", "tool shape", "", comment("D=20 ball end mill"), lines=(3,)),
-    Case("a ball-end mill by its corner", "tool shape", "", comment("D=20. CR=10. - ZMIN=-0.5")),
-    Case("a bull-nose mill", "tool shape", "", comment("D=20. CR=2. - ZMIN=-0.5 - bullnose end mill")),
+    Case("a tapered ball by its comment", "tool shape", "", comment("D=20 tapered ball end mill"), lines=(3,)),
+    Case("a ball-end mill with another corner", "tool shape", "", comment("D=20. CR=2. - ball end mill")),
+    Case("a bull-nose mill without its corner", "tool shape", "", comment("D=20. - bullnose end mill")),
     Case("a chamfer mill", "tool shape", "", comment("D=20. - chamfer mill")),
     Case("a ball-end mill of APT", "tool shape", "", APT.format("20,10"), suffix=".apt"),
     # 0.3 times the least and 3 times the largest of config/materials.csv

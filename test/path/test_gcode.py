@@ -256,7 +256,7 @@ ball-end mill: 1/2 BALL ENDMILL TOOL - 1 DIA. OFF. - 41 LEN. - 1 DIA. - .5
 ball-end mill: T8 .250 BALL
 ball-end mill: T1 Kugelfräser D10
 ball-end mill: TC: 6mm_Ball_End
-ball-end mill: T1 Tapered Ball Nose 0.25 mm R
+tapered ball-end mill: T1 Tapered Ball Nose 0.25 mm R
 ball-end mill: BALL END MILL
 chamfer mill: T12 D=6.35 CR=0. TAPER=45deg - chamfer mill
 chamfer mill: T8 Chamfering Bit - 1/8 Shank
@@ -323,7 +323,7 @@ flat: T1 Fraise 2 tailles D10
 flat: T1 FACE MILL 90 DEG D50
 flat: T1 WSP-Fräser D20
 flat: TOOL DESC: 10mm FLAT ENDMILL
-ball-end mill: TOOL DESC: 10mm TAPERED BALL
+tapered ball-end mill: TOOL DESC: 10mm TAPERED BALL
 ball-end mill: TOOL NAME BALL_8MM
 ball-end mill: UTENSILE: FRESA SFERICA D8
 ball-end mill: FRAISE HEMISPHERIQUE D8

@@ -48,7 +48,7 @@ class FeatureRow:
     max_floor: float = _deviation("max_floor_error_um", "largest floor error", "floor")
     mean_floor: float = column("mean_floor_error_um", 1e6)
     #: error along the normal of the surface that an end leaves that is not flat; such a part has no wall and no floor
-    max_surface: float = column("max_surface_error_um", 1e6)
+    max_surface: float = column("max_surface_error_um", 1e6, unit="um", short="surface", least=CONVERGED)
     mean_surface: float = column("mean_surface_error_um", 1e6)
     #: mean of an exchange period
     max_force: float = column("max_force_n", 1.0, "largest force", "N", short="force")

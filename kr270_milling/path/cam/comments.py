@@ -102,6 +102,7 @@ OTHER_KINDS = {
         r"|\bbare?no\b|\bbarre\b|fine ?bore",
         "drill": r"(?<!slot )\bdrill|spade ?drill|bohrer|\bforet|\bbroca|\bjobber|\btwist\b|\bspade\b"
         r"|(?<!fresa )\bpunta\b(?! (?:de bola|sferica|tonda))",
+        "tapered ball-end mill": r"(?=.*(?:\btaper|konisch|kegel|\bconi[cq]))(?=.*(?:\bball|spher|sferic|kugel)).",
         "ball-end mill": r"\bball|spher|sferic|kugel|vollradius|kopierfr|\bcopy[- ]?mill|core ?box|hemi"
         r"|\bboule|\bbola\b|\bb(?:n|em|nem)(?:\d|\b)|full[- ]?rad|\bpunta tonda",
         "lollipop cutter": r"loll[iy]",

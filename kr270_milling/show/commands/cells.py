@@ -35,8 +35,9 @@ def run_init(args) -> Answer:
             file = file.relative_to(folder)
         sideways = [path for path in paths if np.any(~path.rapid & (path.plane_length > 0.0))]  # the rest drills
         tools = [path.program.current for path in sideways if path.program.current]
-        advice = "is not modelled: check stops its program unless tool.type of the cell is flat"
-        warnings = [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}" for tool in tools if tool.shape]
+        advice = "is not stated in full: check stops its program unless tool.type of the cell gives its shape"
+        unknown = [tool for tool in tools if tool.shape and not tool.end(tool.diameter / 2)]
+        warnings = [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}" for tool in unknown]
         for warning in () if args.json else warnings:
             print(f"warning: {args.gcode}, {warning}", file=sys.stderr)
         text = draft_text(str(file), paths[0], robot) if len(paths) == 1 else tools_text(str(file), paths, robot)

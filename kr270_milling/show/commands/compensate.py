@@ -347,12 +347,16 @@ def _details(cell, result, values: dict):
 def _features(features: dict, method: str) -> TextTable:
     """Before and after, side by side."""
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
-    keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
+    headings = {"max_normal_um": "max", "mean_normal_um": "mean"}
+    if all(np.isnan(row["max_surface_error_um"]) for row in before.values()):
+        headings |= {"max_wall_error_um": "wall", "max_floor_error_um": "floor"}
+    else:
+        headings["max_surface_error_um"] = "surface"
     texts = {column.key: column.text for column in columns(FeatureRow)}
     rows = []
     for name, row in before.items():
-        cells = [(texts[key](row[key]), texts[key](after.get(name, {}).get(key, float("nan")))) for key in keys]
+        cells = [(texts[key](row[key]), texts[key](after.get(name, {}).get(key, float("nan")))) for key in headings]
         rows.append([name, *(text for pair in cells for text in pair)])
-    heads = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
+    heads = ["feature", *(word for heading in headings.values() for word in (heading, "after"))]
     title = f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain"
     return TextTable(title, heads, rows)

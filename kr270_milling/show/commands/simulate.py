@@ -62,6 +62,8 @@ def _simulated(cell, args, draft, final, whole):
             write_part(files[-1], cut_of(cell), scored.result, path_of(cell).clock)
         summary["files"] = [str(final(path)) for path in files]
     columns = columns_of(FeatureRow, unit="um")
+    absent = {"max_surface_error_um"} if cell.tool.has_flat_end else {"max_wall_error_um", "max_floor_error_um"}
+    columns = tuple(column for column in columns if column[1] not in absent)
     scores: list = _scores(cell, summary)
     if part:
         scores = [

@@ -108,10 +108,12 @@ def test_the_cell_of_a_drill_has_two_lips_and_a_stock_with_the_hole_inside(tmp_p
     np.testing.assert_allclose(1e3 * cell.stock.max, [28, 18, 0], atol=1e-9)
 
 
-def test_init_reports_tools_that_are_not_modelled_and_refuses_a_tilted_one(tmp_path):
-    (tmp_path / "ball.nc").write_text(SLOT.replace("flat", "ball").replace("S6000", "T1 M6 S6000"))
-    answer = ask("init", "--gcode", str(tmp_path / "ball.nc"), "--out", str(tmp_path / "ball.yaml"))
-    assert answer.code == 0 and "line 3: T1 (ball end mill, 10 mm), a ball-end mill, is not modelled" in answer.err
+def test_init_reports_tools_that_are_not_stated_in_full_and_refuses_a_tilted_one(tmp_path):
+    for word, warned in (("ball", False), ("bull nose", True)):
+        (tmp_path / "end.nc").write_text(SLOT.replace("flat", word).replace("S6000", "T1 M6 S6000"))
+        answer = ask("init", "--gcode", str(tmp_path / "end.nc"), "--out", str(tmp_path / f"{word}.yaml"))
+        assert answer.code == 0 and ("a bull-nose mill, is not stated in full" in answer.err) == warned
+    assert read_cell(tmp_path / "ball.yaml").tool.type == "ball"
     tilted = "UNITS/MM\nMULTAX/ON\nFEDRAT/500,MMPM\nGOTO/0,0,5,0,0,1\nGOTO/9,0,0,0.6,0,0.8\nFINI\n"
     (tmp_path / "tilted.apt").write_text(tilted)
     (tmp_path / "axes.nc").write_text(SLOT.replace("X-2 F", "X-2 A30 F"))

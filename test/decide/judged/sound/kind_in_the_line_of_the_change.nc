@@ -1,8 +1,7 @@
-(expect: stop tool shape)
+(expect: warning stability not judged)
 (set: cutting.detail=engagement)
 G21 G90 G17
-(T1 Kugelfräser D=10 Z2)
-T1 M6
+T1 M6 (BALL 10MM)
 S8000 M3
 G0 X0 Y0 Z5
 G1 Z0 F500

@@ -1,7 +1,7 @@
-(expect: stop tool shape)
+(expect: warning stability not judged)
 (set: cutting.detail=engagement)
 G21 G90 G17
-(T1 D=10. CR=1. - ZMIN=-1. - BULLNOSE END MILL)
+(T1 D=10. CR=5. - ZMIN=-1. - BALL END MILL)
 T1 M6
 S8000 M3
 G0 X0 Y0 Z5

@@ -1,7 +1,8 @@
 (expect: stop tool shape)
 (set: cutting.detail=engagement)
 G21 G90 G17
-T1 M6 (BALL 10MM)
+(T1 D=10. CR=2. - ZMIN=-1. - BALL END MILL)
+T1 M6
 S8000 M3
 G0 X0 Y0 Z5
 G1 Z0 F500

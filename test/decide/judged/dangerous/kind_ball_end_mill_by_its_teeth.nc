@@ -1,5 +1,5 @@
-(expect: stop tool shape)
-(set: cutting.detail=engagement)
+(expect: refused the sweep of the teeth knows flat ends only)
+(set: cutting.detail=teeth)
 G21 G90 G17
 (T1 D=10. CR=5. - ZMIN=-1. - BALL END MILL)
 T1 M6

@@ -1,12 +1,9 @@
 (expect: stop tool shape)
 (set: cutting.detail=engagement)
 G21 G90 G17
-(Begin operation: TC: 10mm_Ball_End)
-(TC: 10mm_Ball_End)
-(Begin toolchange)
-M5
-M6 T1
-M3 S8000
+(T1 D=10. - ZMIN=-1. - BULLNOSE END MILL)
+T1 M6
+S8000 M3
 G0 X0 Y0 Z5
 G1 Z0 F500
 X20 Z-1

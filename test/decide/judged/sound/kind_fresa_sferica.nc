@@ -1,4 +1,4 @@
-(expect: stop tool shape)
+(expect: warning stability not judged)
 (set: cutting.detail=engagement)
 G21 G90 G17
 (FRESA SFERICA D10)

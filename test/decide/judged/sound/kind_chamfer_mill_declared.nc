@@ -1,0 +1,13 @@
+(expect: warning stability not judged)
+(set: tool.type=tapered)
+(set: tool.taper_deg=45)
+G21 G90 G17
+(T1 D=10. TAPER=45deg - ZMIN=-1. - CHAMFER MILL)
+T1 M6
+S8000 M3
+G0 X0 Y0 Z5
+G1 Z0 F500
+X20 Z-1
+X0 F500
+G0 Z5
+M30

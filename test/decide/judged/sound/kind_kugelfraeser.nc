@@ -1,0 +1,12 @@
+(expect: warning stability not judged)
+(set: cutting.detail=engagement)
+G21 G90 G17
+(T1 Kugelfräser D=10 Z2)
+T1 M6
+S8000 M3
+G0 X0 Y0 Z5
+G1 Z0 F500
+X20 Z-1
+X0 F500
+G0 Z5
+M30

@@ -1,0 +1,11 @@
+(expect: warning stability not judged)
+G21 G90 G17
+(T1 D=10. CR=5. - BALL END MILL)
+T1 M6
+S8000 M3
+G0 X-8 Y0 Z5
+G0 Z-1
+G1 X20 F500
+G0 X-8
+G0 Z5
+M30
