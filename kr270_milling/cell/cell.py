@@ -77,10 +77,8 @@ class Cell(Record):
         if not self.tool.has_flat_end and not self.path.file:
             raise ParameterError("tool.type", self.tool.type, "flat for a straight cut; other ends need a program")
         if not self.tool.has_flat_end and self.cutting.detail == "teeth":
-            allowed = (
-                f"engagement or auto: the sweep of the teeth knows flat ends only, and tool.type is {self.tool.type}"
-            )
-            raise ParameterError("cutting.detail", "teeth", allowed)
+            reason = f"the sweep of the teeth knows flat ends only, and tool.type is {self.tool.type}"
+            raise ParameterError("cutting.detail", "teeth", f"engagement or auto: {reason}")
         if self.cutting.by_engagement and not self.path.file:
             raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")
         given = math.isfinite(self.exchange.period + self.stock.grid_step)  # else the reader of the file chooses them

@@ -279,7 +279,7 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
 
 
 def _curved(stock: Stock, ideal: IdealPart, height: np.ndarray) -> Floors:
-    """The error along the normal of the rigid arm's surface: the difference of the heights times the cosine of the slope.
+    """The error along the normal of the rigid arm's surface: the difference of heights times the cosine of the slope.
 
     Steeper places than ``STEEP`` are left out: the nodes of the map do not resolve them.
     """
