@@ -324,7 +324,7 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         if inverse == 0.0:
             top = min(top, last_piece - 1)
         level = below + 0.5 * share * sinks
-        z, end, each = level - goal, level - rest, lost / max(goal - rest, 1.0)
+        z, end, each = level - goal, level - rest, lost / (goal - rest)
         b = np.int64(min(p.piece[k], top))
         while b < top:
             edge = p.edges[b + 1]
