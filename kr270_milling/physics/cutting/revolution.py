@@ -402,7 +402,9 @@ def _load(s, p, m, dz, ahead_x, ahead_y, passes, wrench):
                 f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
             out, up = -f_r * p.sine[b] - f_a * p.cosine[b], f_r * p.cosine[b] - f_a * p.sine[b]
             x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
-            middle = p.middle[b] if b < last else s.raised[k] / s.lost[b, k] * p.level_step
+            middle = p.middle[min(b, last - 1)]
+            if b == last and s.lost[b, k] > 0.0:
+                middle = s.raised[k] / s.lost[b, k] * p.level_step
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
             moment_x += p.lever[b] * d * z - middle * y
             moment_y += middle * x - p.lever[b] * c * z
