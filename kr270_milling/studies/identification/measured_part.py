@@ -307,21 +307,24 @@ def refuse_contradictions(parts, measured: np.ndarray, rows: np.ndarray, noise: 
         here = slice(first, first := first + len(part.error))
         e, f, root = measured[here], middle[here], np.linalg.cholesky(covariance[here, here])
 
-        def likelihood(factors: np.ndarray, e=e, f=f, root=root) -> float:
-            """Logarithm of the density of the table whose numbers mean factors times themselves, but a constant."""
-            rest = np.linalg.solve(root, factors * e - f)
-            density = -0.5 * (FREEDOM + e.size) * np.log1p(rest @ rest / FREEDOM)
-            return float(density + np.sum(np.log(np.abs(factors))))
-
-        least, ones = likelihood(np.ones(e.size)) + SURE, np.ones(e.size)
-        for reading, factor in READINGS.items():
-            signs = (1.0,) if factor == -1.0 else (1.0, -1.0)
-            if max(likelihood(sign * factor * ones) for sign in signs) > least:
-                raise InputError(part.path, f"no robot of the cell leaves these errors; they fit if error_um {reading}")
+        readings = [(f"error_um {text}", factor * np.ones(e.size), None) for text, factor in READINGS.items()]
         for name, side in _sides(part):
-            if likelihood(np.where(side, -1.0, 1.0)) > least:
-                reason = f"the errors {name} fit with the opposite sign: is the wall measured from its other side?"
-                raise InputError(part.path, reason, part.lines[int(np.argmax(side))])
+            text = f"the errors {name} have the opposite sign: is the wall measured from its other side?"
+            readings.append((text, np.where(side, -1.0, 1.0), part.lines[int(np.argmax(side))]))
+        tried = np.ones(e.size), *(factors for _, factors, _ in readings)
+        square = np.array([_square(root, factors * e - f) for factors in tried])
+        scale = np.array([0.0, *(np.sum(np.log(np.abs(factors))) for _, factors, _ in readings)])
+        density = scale - 0.5 * (FREEDOM + e.size) * np.log1p(square / FREEDOM)
+        better = [k for k in range(len(readings)) if density[k + 1] > density[0] + SURE]
+        if better:
+            text, _, line = readings[max(better, key=lambda k: (scale - 0.5 * square)[k + 1])]  # normal: without tails
+            raise InputError(part.path, f"no robot of the cell leaves these errors; they fit if {text}", line)
+
+
+def _square(root: np.ndarray, rest: np.ndarray) -> float:
+    """Square of a deviation (k,) in its deviations; root: of the covariance, lower triangle."""
+    left = np.linalg.solve(root, rest)
+    return float(left @ left)
 
 
 def _sides(part: WallPlaces):
