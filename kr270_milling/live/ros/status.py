@@ -36,8 +36,9 @@ class Status:
             status = cls(**json.loads(text))
             tables = (status.listeners, status.sources, status.stamps_ns)
             numbers = (status.pid, status.level, *(number for table in tables for number in dict(table).values()))
-            whole = all(isinstance(number, int) for number in numbers) and isinstance(status.values, dict)
-            if not (whole and isinstance(status.message, str) and isinstance(status.error, str)):
+            texts = (status.message, status.error)
+            whole = all(isinstance(number, int) for number in numbers) and all(isinstance(text, str) for text in texts)
+            if not (whole and isinstance(status.values, dict)):
                 raise TypeError
         except (ValueError, TypeError, RecursionError):
             raise MessageError(f"status: {text[:60]!r} is not the status of a node") from None

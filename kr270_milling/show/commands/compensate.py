@@ -167,13 +167,12 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
     date, released = now(), decision.level != NO
     tools, texts, pages = [], [], []
     for cell, result in jobs:
-        lines = decision.lines(cell.stage.tool) if len(jobs) > 1 else decision.lines()
         values = _values(cell, result)
-        placed, text = _write_programs(draft, final, cell, result, lines, released, args, date)
+        placed, text = _write_programs(draft, final, cell, result, decision.level, args, date)
         tools.append(values | placed)
         texts.append(text)
         pages.append(_report_of_tool(cell, result, args, source, date, whole))
-        if result.parts:
+        if result.parts and "stl" in args.write:
             stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
             write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock)
             tools[-1]["part"] = str(final(stl))
@@ -219,8 +218,9 @@ def _gcode_lines(values: dict):
         yield SCORED
 
 
-def _write_programs(draft, final, cell, result, lines, released, args, date: str) -> tuple[dict, str]:
+def _write_programs(draft, final, cell, result, level: str, args, date: str) -> tuple[dict, str]:
     """Write programs and tables of one tool; return their final paths by kind, and the text for the manifest."""
+    released = level != NO
     files, text = write_programs(
         draft,
         cell,
@@ -230,10 +230,11 @@ def _write_programs(draft, final, cell, result, lines, released, args, date: str
         date=date,
         motions=result.motions if released or args.force else None,
         source=cell.path.sha256,
-        decision=lines,
+        decision=level,
         findings=[*result.checked.findings_lines(), result.checked.counts],
         released=released,
         rsi=args.rsi and rsi_address(args.rsi),
+        tables=[*args.write, *["rsi"] * bool(args.rsi)],
     )
     placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
     placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
