@@ -52,6 +52,7 @@ MODEL_ERROR, MODEL_SHARE = 5e-6, 0.1
 STRANGE = (
     4.0  #: deviations from what the other places predict: 1 of 80 parts with 200 places has such a place by chance
 )
+BESIDE, ALIKE = 2, 0.5  #: neighbours of the same surface; share of its deviation with which one supports a place
 MOST_STRANGE = 0.2  #: share of the places; more contradict the program
 FREEDOM = 4.0  #: assumed
 SURE = 10.0  #: logarithm of the likelihood ratio with which another reading of a table is taken for its meaning
@@ -64,7 +65,7 @@ READINGS = {
     "is in thousandths of an inch": 25.4,
 }
 STEPS = 8  #: most passes that follow the slopes
-LEAST_STEP = 0.01  #: of a number behind a robot: no place shows a smaller one
+LEAST_STEP = 0.05  #: of a number behind a robot: no place shows a smaller one
 TOLD = 0.8  #: deviation of an unknown after and before, above which the places do not tell it
 LEAST_TOLD = 0.01  #: share of a variance; directions that lose less are not stored
 RANGE = (-3.0, 3.0)  #: of the numbers behind a robot: 99.7 % of them
@@ -239,7 +240,8 @@ def closest_robot(
         (after,) = run((z + step)[None])
         if np.isnan(after).any():
             break
-        slopes = slopes + np.outer(after - errors - slopes @ step, step) / (step @ step)
+        if np.linalg.norm(step) >= SECANT:  # jumps of the vibration make the slope of a short step
+            slopes = slopes + np.outer(after - errors - slopes @ step, step) / (step @ step)
         new = cost(z + step, after)
         if new >= least:
             share *= 0.5
@@ -343,36 +345,47 @@ def _sides(part: WallPlaces):
 def strange_places(parts, rest: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return the places that agree with the others, (k,) bool, and a sentence on each of the rest.
 
-    t_i = (S^-1 r)_i / sqrt((S^-1)_ii)   deviation of place i from what the others predict, in its deviations
+    r_B = (S^-1)_BB^-1 (S^-1 r)_B   deviation of places B from what the others predict, with the covariance (S^-1)_BB^-1
 
+    A place with a neighbour that deviates likewise is no mistake: no robot of the cell explains that stretch.
     Raises InputError where too many contradict.
     """
-    kept, sentences = np.ones(rest.size, bool), []
-    where = [(part, k) for part, *_ in parts for k in range(len(part.error))]
+    kept, tried, sentences = np.ones(rest.size, bool), np.zeros(rest.size, bool), []
+    where = [(number, part, k) for number, (part, *_) in enumerate(parts) for k in range(len(part.error))]
+    spot = np.array([(*part.place[k], part.floor[k], number) for number, part, k in where])
     while True:
         rows = np.flatnonzero(kept)
         inverse = np.linalg.inv(covariance[np.ix_(rows, rows)])
-        away = inverse @ rest[rows] / np.sqrt(np.diag(inverse))
-        worst = int(np.argmax(np.abs(away)))
-        if abs(away[worst]) <= STRANGE:
+        lonely = np.where(tried[rows], 0.0, np.abs(inverse @ rest[rows]) / np.sqrt(np.diag(inverse)))
+        worst = int(np.argmax(lonely))
+        if lonely[worst] <= STRANGE:
             return kept, tuple(sentences)
-        part, k = where[rows[worst]]
-        expected = part.error[k] - away[worst] / np.sqrt(inverse[worst, worst])
-        deviation = 1.0 / np.sqrt(inverse[worst, worst])
-        hint = ""
-        for reading, factor in READINGS.items():
-            if abs(factor * part.error[k] - expected) <= 2.0 * deviation < abs(factor * part.error[k]):
-                hint = f"; it would fit if it {reading}"
-                break
-        x, y = 1e3 * part.place[k]
-        sentences.append(
-            f"left out: {part.path}, line {part.lines[k]}: {1e6 * part.error[k]:.3g} um at {x:g}, {y:g} mm contradicts "
-            f"the other places, which expect {1e6 * expected:.3g} +- {1e6 * deviation:.2g} um{hint}"
-        )
+        tried[rows[worst]] = True
+        off = spot[rows] - spot[rows[worst]]
+        apart = np.where(off[:, 2:].any(axis=1), 1.0, np.hypot(off[:, 0], off[:, 1]))
+        apart[worst] = np.inf
+        blocks = [np.array([worst, beside]) for beside in np.argsort(apart)[:BESIDE]]
+        joint = [np.linalg.solve(inverse[np.ix_(pair, pair)], (inverse @ rest[rows])[pair]) for pair in blocks]
+        if any(beside / own > ALIKE for own, beside in joint):
+            continue
         kept[rows[worst]] = False
+        away, deviation = (inverse @ rest[rows])[worst] / inverse[worst, worst], inverse[worst, worst] ** -0.5
+        _, part, k = where[rows[worst]]
+        sentences.append(_strange(part, k, part.error[k] - away, deviation))
         if np.sum(~kept) > MOST_STRANGE * kept.size:
             reason = f"{np.sum(~kept)} of {kept.size} places contradict the others or the program: {sentences[0]}"
             raise InputError(part.path, reason)
+
+
+def _strange(part: WallPlaces, k: int, expected: float, deviation: float) -> str:
+    """Return the sentence on a place that is left out, with the reading that would fit."""
+    error, (x, y) = part.error[k], 1e3 * part.place[k]
+    fits = (text for text, f in READINGS.items() if abs(f * error - expected) <= 2.0 * deviation < abs(f * error))
+    hint = next((f"; it would fit if it {text}" for text in fits), "")
+    return (
+        f"left out: {part.path}, line {part.lines[k]}: {1e6 * error:.3g} um at {x:g}, {y:g} mm contradicts the other "
+        f"places, which expect {1e6 * expected:.3g} +- {1e6 * deviation:.2g} um{hint}"
+    )
 
 
 def quantities(cell: Cell, robot: Cell) -> dict[str, tuple[str, float]]:

@@ -19,13 +19,14 @@ from kr270_milling.studies.identification import measured_part as parts
 from kr270_milling.studies.identification.wall import PredictedPlaces, WallPlaces, read_wall, robot_errors
 
 UM = 1e-6
-#: a cell whose base, backlash and servo lag are unknown, and all else known
+#: a cell that knows all but the wear of its tool: 1 to 2 times all forces
 KNOWN = (
-    "joint_compliance", "force_coefficient", "tool_wear", "tool_stick_out", "tool_compliance", "damping_ratio",
+    "joint_compliance", "force_coefficient", "base_compliance_urad_per_n_m", "tool_stick_out", "tool_compliance", "damping_ratio",
     "frequency", "repeatability_um", "servo_delay_ms", "joining", "placement_mm", "backlash",
 )  # fmt: skip
 FEW = [
     *(f"uncertainty.{key}=0.0" for key in KNOWN), "uncertainty.end_share=[]", "uncertainty.servo_frequency_hz=[]",
+    "uncertainty.tool_wear=1.0",
 ]  # fmt: skip
 
 
@@ -77,7 +78,8 @@ def robots_of(errors: np.ndarray, seed: int = 3) -> np.ndarray:
     (lambda e, _: -e, "has the opposite sign"),
     (lambda e, _: 1e-3 * e, "is in mm"),
     (lambda e, _: e / 25.4, "is in thousandths of an inch"),
-    (lambda e, part: np.where(~part.floor & (part.place[:, 0] > 9e-3), -e, e), "at the largest x_mm have the opposite sign"),
+    (lambda e, part: np.where(~part.floor & (part.place[:, 0] > 9e-3), -e, e),
+     "at the largest x_mm have the opposite sign"),
     (lambda e, part: np.where(part.floor, -e, e), "of the floor have the opposite sign"),
 ])  # fmt: skip
 def test_another_sign_unit_or_side_is_named_and_a_sound_table_is_not_refused(wrong, words):
@@ -92,7 +94,7 @@ def test_another_sign_unit_or_side_is_named_and_a_sound_table_is_not_refused(wro
         parts.refuse_contradictions([(bad, None, "")], bad.error, rows, noise)
 
 
-def test_a_place_that_contradicts_the_others_is_left_out_with_its_line_and_many_are_refused():
+def test_a_place_that_contradicts_the_others_is_left_out_many_are_refused_and_a_stretch_is_none():
     rest, part = 5 * UM * np.random.default_rng(5).normal(size=20), table(20)
     covariance = (80 * UM) ** 2 + np.diag(np.full(20, (7 * UM) ** 2))  # the robots differ by a constant
     measured = rest + 60 * UM
@@ -101,7 +103,9 @@ def test_a_place_that_contradicts_the_others_is_left_out_with_its_line_and_many_
     kept, sentences = parts.strange_places([(places, None, "")], measured, covariance)
     assert np.flatnonzero(~kept).tolist() == [7] and "made.csv, line 9:" in sentences[0]
     assert "it would fit if it has the opposite sign" in sentences[0]
-    measured[:10:2] = -measured[:10:2]
+    stretch = dataclasses.replace(part, error=np.where(np.arange(20) < 3, 160 * UM, 60 * UM))
+    assert parts.strange_places([(stretch, None, "")], stretch.error, covariance)[0].all()
+    measured[::4] = -measured[::4]
     with pytest.raises(InputError, match="places contradict the others or the program"):
         parts.strange_places([(places, None, "")], measured, covariance)
 
@@ -114,43 +118,48 @@ def cell(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def measured(cell):
-    """Twelve places of two parts of a hidden robot whose base tilts by 0.06 and 0.02 urad/(N m)."""
-    place = np.array([(x, y) for x in np.linspace(-12, 12, 4) for y in (-5, 5)] + [(x, 0) for x in (-9, -3, 3, 9)])
+    """Twelve places of two parts of a hidden robot whose tool is worn to 1.6 times the forces."""
+    place = np.array([(x, y) for x in np.linspace(-6, 12, 4) for y in (-5, 5)] + [(x, 0) for x in (-9, -3, 3, 9)])
     n = len(place)
     places = WallPlaces("made.csv", tuple(range(2, n + 2)), 1e-3 * place, np.full(n, np.nan), np.zeros(n),
                         np.full(n, 1 * UM), np.arange(n) >= 8)  # fmt: skip
     model, rng = coarser(cell), np.random.default_rng(6)
-    hidden = model.replace(arm=cell.arm.replace(base_compliance=np.array([0.06e-6, 0.02e-6, 0.0])))
+    law = model.cutting.active.grown(1.6)
+    hidden = model.replace(cutting=model.cutting.replace(**{model.cutting.law: law}))
     errors = robot_errors(hidden, model, None, PredictedPlaces(model, places))
     return [dataclasses.replace(places, error=errors + UM * rng.normal(size=n)) for _ in range(2)]
 
 
 def test_a_robot_is_the_numbers_behind_it(cell):
-    """Even numbers: the base is the largest one times the normal distribution function; 0 is the middle."""
+    """Even numbers: the wear is the largest one times the normal distribution function; 0 is the middle."""
+
+    def wear(robot) -> float:
+        return robot.cutting.active.tangential_edge / cell.cutting.active.tangential_edge - 1.0
+
     count = numbers_of(cell)
-    assert robot_of(cell, np.zeros(count)).arm.base_compliance == pytest.approx([0.04e-6, 0.04e-6, 0.0])
+    assert wear(robot_of(cell, np.zeros(count))) == pytest.approx(0.5)
     learned = cell.uncertainty.replace(
         learned_from=("part",), learned=np.full(count, 0.5), learned_directions=np.eye(count).ravel()
     )
     certain = cell.replace(uncertainty=learned)
     drawn = perturbed(certain, np.random.default_rng(1))
-    assert drawn.arm.base_compliance[0] == pytest.approx(0.08e-6 * 0.6914625, rel=1e-6)  # tables of the distribution
+    assert wear(drawn) == pytest.approx(0.6914625, rel=1e-6)  # tables of the distribution
     other = certain.replace(uncertainty=learned.replace(servo_frequency=np.array([10.0, 40.0])))
     with pytest.raises(ParameterError, match="uncertainty.learned"):
         perturbed(other, np.random.default_rng(1))
 
 
-def test_the_tilt_of_the_base_is_learned_within_its_band_and_a_second_part_narrows_it(cell, measured):
+def test_the_wear_of_the_tool_is_learned_within_its_band_and_a_second_part_narrows_it(cell, measured):
     first = parts.learn(cell, [(measured[0], path_of(cell).target, "wall.csv")])
     second = parts.learn(first.cell, [(measured[1], path_of(cell).target, "wall2.csv")])
     widths = []
     for learned in (first, second):
         rows = {row[0]: row for row in learned.rows}
-        assert set(rows) == {"base x", "base y"} and not learned.left_out
-        for name, truth in (("base x", 0.06), ("base y", 0.02)):
-            assert abs(rows[name][4] - truth) < 3 * rows[name][5]
-        widths.append(rows[learned.told[0][0]][5] if learned.told else np.inf)
-    assert widths[1] <= widths[0] < 0.5 * 0.08 / np.sqrt(12) and first.lines()[0].startswith("learned: base")
+        _, _, _, before, mean, sigma = rows["tangential edge"]
+        assert abs(mean - 1.6) < 3 * sigma < 3 * before and not learned.left_out
+        widths.append(sigma)
+    assert widths[1] < widths[0] < 0.3 / np.sqrt(12)  # a third of the even spread of 1
+    assert any(line.startswith("learned: tangential edge: 1.") for line in first.lines())
     assert second.cell.uncertainty.learned_from == ("wall.csv", "wall2.csv")
 
 
@@ -175,7 +184,7 @@ def test_the_command_learns_keeps_its_result_in_a_file_and_refuses_what_it_canno
     sets = settings(*SETTINGS, f"path.file={tmp_path / 'path.nc'}", *FEW)
     words = ["compensate", "test_piece.yaml", "--verdict", "0", "--out", str(tmp_path / "out"), *sets]
     _, text, values, _ = printed(capsys, *words, "--measured", str(wall))
-    assert "learned: base" in text and "learned.yaml in the cell (includes)" in text
+    assert "learned: tangential" in text and "learned.yaml in the cell (includes)" in text
     assert values["method"] in ("robust", "former", "none")
     (tmp_path / "with.yaml").write_text(
         f'/**:\n  ros__parameters:\n    includes: ["test_piece.yaml", "{tmp_path}/out/learned.yaml"]\n'
