@@ -29,7 +29,7 @@ from kr270_milling.decide.programs.written import SOFTER, softer_pass
 from kr270_milling.decide.tolerance import um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.path.trajectory_csv import read_csv
-from kr270_milling.physics.compensation.revision import KnotsError, chord_error
+from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (
     Answer,
@@ -112,7 +112,9 @@ def _measured_parts(args, cells) -> list:
         target = path_of(cells[0]).target
         reference = read_csv(find_file(run))[0] if run and run != ORIGINAL else target
         if not np.array_equal(reference.time_ns, target.time_ns):
-            raise KnotsError(reference, target)
+            raise InputError(
+                run, "has its knots at other times than the path of the cell: it belongs to another program"
+            )
         places = read_part(find_file(file))
         along = f"along {Path(run).name}" if run and run != ORIGINAL else "as programmed"
         parts.append((places, reference, f"{Path(file).name}, {len(places.error)} places, {along}, {now()[:10]}"))
