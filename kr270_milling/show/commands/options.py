@@ -162,6 +162,18 @@ def _add_compensate(parser) -> None:
         choices=("best", *_methods()),
         help="default: the cell's compensation.method; best: compare the methods and run the best",
     )
+    add(
+        "--measured",
+        metavar="WALL.csv",
+        action="append",
+        help="errors of a part that was cut, the table of compare, 6 to 200 places: learn from it; may be given again",
+    )
+    add(
+        "--reference",
+        metavar="REFERENCE.csv",
+        action="append",
+        help="the reference that cut the part, one for each --measured (default: original, the path as programmed)",
+    )
     add("--out", metavar="DIR", default="out", help="where everything goes (default: %(default)s)")
     add(
         "--krl",
