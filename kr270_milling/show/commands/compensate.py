@@ -72,7 +72,8 @@ def run_compensate(args) -> Answer:
     source, cells = find_file(args.cell), read_cells(find_file(args.cell), args.set)
     if args.gcode:
         check_gcode(cells)
-    parts, learned, reached = _measured_parts(args, cells), None, []
+    parts, learned = _measured_parts(args, cells), None
+    reached: list[Lever] = []
     if parts and args.reach:
         raise InputError("--reach", "changes the times of the path; include what was learned in the cell first")
     with staged(args.out) as (draft, final), steps() as whole:
