@@ -35,6 +35,7 @@ ENDS = {
 }
 #: the same for words that LinuxCNC has not, by their definition
 OTHER_ENDS = {
+    "G76 X3 Y0 Z-2 R1 Q0.2 P1\nG80": [(3, 0, -2)],
     "G68 X0 Y0 R90\nX5\nG69\nX5": [(0, 5), (5, 5)],
     "M97 P5 L2\nM30\nN5 G91 X1\nM99": [1, 2],
     "G65 P9 A1.5 X4\nM30\nO9\nX#1 Y#24\nM99": [(1.5, 4)],

@@ -108,6 +108,8 @@ class _Expansion(Interpreter):
 class _Reader(GcodeReader):
     """Keeps the comments of the lines."""
 
+    machine: _Expansion
+
     def _comments(self, code: str, comments: list[str]) -> None:
         super()._comments(code, comments)
         texts = [f"({comment.replace('(', '[').replace(')', ']')})" for comment in comments if comment]

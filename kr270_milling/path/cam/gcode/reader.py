@@ -113,8 +113,9 @@ class GcodeReader:
         """Up to the end of the program, or of the file."""
         program, cuts, read = self.program, 0, len(lines)
         if has_flow("\n".join(lines)):
-            flow = Flow(self, lines)
+            flow = Flow(self.machine, self.variables, self.run_line, lines)
             flow.run()
+            self.computed = self.computed or flow.jumped
             read = flow.furthest if self.machine.ended else read
         else:
             index = 0
@@ -145,7 +146,7 @@ class GcodeReader:
         unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
         x, y, z = machine.position
         ends: list[tuple[float, float, float, int]] = []
-        words = 0
+        words: list[int] = []
         for number in range(index, len(lines) - 1):
             match = match_line(lines[number])
             if match is None:
@@ -162,12 +163,10 @@ class GcodeReader:
             elif to_x is None and to_y is None:
                 break
             ends.append((x, y, z, number + 1))
-            words += 6 - found.count(None)
-        run = program.straight_cuts(ends, machine.feed) if ends else 0
-        if run < len(ends):
-            words = sum(6 - match_line(line).groups().count(None) for line in lines[index : index + run])
+            words.append(6 - found.count(None))
+        run = program.straight_cuts(ends, machine.feed or 0.0) if ends else 0
         if run:
-            program.words["used"] += words
+            program.words["used"] += sum(words[:run])
             machine.position = list(ends[run - 1][:3])
         return index + run
 
