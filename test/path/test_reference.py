@@ -55,12 +55,13 @@ REFUSED = {
     **dict.fromkeys(("X[1", "X[", "X" + "[" * 200, "X[1+]", "#1", "X ATAN[1]", "EXISTS[1]"), "bracket|value|word"),
     **dict.fromkeys(("G92 X5\nG52 X1", "G52 X1\nG92 X5", "G52 X1\nG92.1"), "controls differ|one work offset"),
     "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",
+    "M98 P7\nO7\nX1\nM99": "runs into a sub-program",
     "(abort, no part)": "stops itself",
 }
 
 
 def program(tmp_path, lines: str):
-    (tmp_path / "part.ngc").write_text(f"{SAME_START}{lines}\n" + ("" if "M30" in lines else "M30\n"))
+    (tmp_path / "part.ngc").write_text(f"{SAME_START}{lines}\n" + ("" if "M30" in lines or "M99" in lines else "M30\n"))
     return tmp_path / "part.ngc"
 
 

@@ -77,6 +77,7 @@ class Flow:
         self.lines = lines
         self.controls: dict[int, _Line] = {}
         self.programs: dict[str, int] = {}  #: name of a sub-program -> index of its line
+        self.heads: set[int] = set()  #: lines after the numbers of programs
         self.numbers: dict[int, list[int]] = {}  #: N -> indices of its lines
         self.pairs: dict[int, int] = {}  #: line -> the line that ends its construct, or begins it for an end
         self.branches: dict[int, int] = {}  #: if, elseif -> the next branch
@@ -97,6 +98,7 @@ class Flow:
                 self.numbers.setdefault(int(match[1]), []).append(index)
             if match := HEADER.fullmatch(text):
                 self.programs.setdefault(match[1], index + 1)
+                self.heads.add(index + 1)
             elif match := SINUMERIK.match(text):
                 self.programs.setdefault(match[1].upper(), index + 1)
             elif match := CONTROL.fullmatch(text):
@@ -185,6 +187,8 @@ class Flow:
             self.machine.program.words["used"] += 1
             self.jumped = True
             return self._control(index, self.controls[index])
+        if index + 1 in self.heads and (self.calls or self.jumped or index + 1 != min(self.heads)):
+            raise _Stop("the program runs into a sub-program; end it with M30, and the sub-program with M99")
         self.run_line(self.lines[index])
         if machine.call is not None:
             self.jumped = True

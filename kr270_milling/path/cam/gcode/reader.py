@@ -1,9 +1,9 @@
 """G-code in: the path of one tool, and what the program says beside it.
 
 Fanuc, Haas, LinuxCNC, GRBL and Sinumerik dialects: planes and helices, units, incremental moves and centres, retracts
-(G28, G30, G53, SUPA), drilling cycles, feeds per minute, revolution and inverse time. Words that move nothing are
-counted (``SourceProgram.read_over``); those that cannot be run are listed all at once. Without a unit word the unit is
-mm. A line with the sign of block skip is run, as with the switch off.
+(G28, G30, G53, SUPA), drilling cycles, feeds per minute, revolution and inverse time, parameters (``expressions``) and
+jumps (``flow``). Words that move nothing are counted (``SourceProgram.read_over``); those that cannot be run are listed
+all at once. Without a unit word the unit is mm. A line with the sign of block skip is run, as with the switch off.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class GcodeReader:
             match = match_line(lines[number])
             if match is None:
                 break
-            _, _, to_x, to_y, to_z, feed = found = match.groups()
+            _, _, to_x, to_y, to_z, feed = groups = match.groups()
             if feed is not None and float(feed) != feed_word:
                 break
             if to_x is not None:
@@ -163,7 +163,7 @@ class GcodeReader:
             elif to_x is None and to_y is None:
                 break
             ends.append((x, y, z, number + 1))
-            words.append(6 - found.count(None))
+            words.append(6 - groups.count(None))
         run = program.straight_cuts(ends, machine.feed or 0.0) if ends else 0
         if run:
             program.words["used"] += sum(words[:run])
@@ -185,8 +185,8 @@ class GcodeReader:
     def _line(self, line: str) -> None:
         if "=" in line and '"' not in line:
             text = line.partition(";")[0]
-            found = COMPUTED.search(text)
-            if found and "(" not in text[: found.start()]:  # else it is in a comment
+            computed = COMPUTED.search(text)
+            if computed and "(" not in text[: computed.start()]:  # else it is in a comment
                 self._assigned_values(text.upper())
                 return
         code, comments = _split_comments(line)

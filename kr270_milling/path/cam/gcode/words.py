@@ -125,7 +125,7 @@ def _each(names: str, advice: str) -> dict[str, str]:
 #: words that cannot be run -> what to do
 ADVICE = {
     **_each("G41 G42 G41.1 G42.1 G141", CENTRE),
-    **_each("G65 G66 G66.1 M98 M97 M96 M72 M198", MACROS),
+    **_each("G66 G66.1 M96 M72 M198", MACROS),
     **_each(
         """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
         ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
