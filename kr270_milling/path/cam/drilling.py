@@ -25,7 +25,8 @@ class Cycle:
     def strokes(self) -> list[tuple[float, bool]]:
         """Heights [m] that the tool goes to from R on, each with whether it goes there rapidly; the last is R again.
 
-        81, 82, 86: in, out rapidly; 76 also, its small shift by Q at the bottom of a bored hole left out; 83: out to R after each peck; 73: back by the clearance; 85, 89: out at the feed.
+        81, 82, 86: in, out rapidly; 76 also, without its small shift by Q at the bottom of the bored hole; 83: out to R
+        after each peck; 73: back by the clearance; 85, 89: out at the feed.
         """
         if self.kind not in (73, 83) or not 0 < self.peck < self.retract - self.bottom:
             return [(self.bottom, False), (self.retract, self.kind not in (85, 89))]
