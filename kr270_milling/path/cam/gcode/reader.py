@@ -312,11 +312,11 @@ class GcodeReader:
         letter, numbered = name[0], name[1:].isdigit()
         if not number and name == "T" and quoted.strip():
             words.append(("T", quoted.strip()))
-        elif name in ("CR", "TURN") or len(name) == 1:
+        elif number and (name in ("CR", "TURN") or len(name) == 1):
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"
-        elif numbered and letter in "SM":
+        elif number and numbered and letter in "SM":
             words.append((letter, float(number)))
         elif numbered and letter in "XYZ" and any(word in words for word in HOMES):  # of the machine: it goes home
             words[:] = [word for word in words if word not in HOMES[:2]]
