@@ -49,6 +49,7 @@ setup(
             "pandas>=2.0",
             "psutil>=5.9",
             "pyuff>=2.4",
+            "jsonschema>=4.20",
             "nbclient>=0.10",
             "ipykernel>=6.29",
             "pytest>=7.4",
