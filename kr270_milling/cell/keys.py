@@ -61,8 +61,10 @@ def _object(properties: dict) -> dict:
 
 def _group(record: type[Record], name: str = "") -> dict:
     """Return the schema of a group of keys."""
-    kinds = {spec.key: _group(spec.kind, spec.key) if issubclass(spec.kind, Record) else _value(spec)
-             for spec in specs(record)}  # fmt: skip
+    kinds = {
+        spec.key: _group(spec.kind, spec.key) if issubclass(spec.kind, Record) else _value(spec)
+        for spec in specs(record)
+    }
     if name in DISPLAYED:
         key, display, farthest = DISPLAYED[name]
         numbers = {axis: {"type": "number"} for axis in AXES}

@@ -267,7 +267,7 @@ KINDS = {
 
 
 def _by_type(kinds: Iterable[MessageKind]) -> dict[str, Callable]:
-    """Return the reader of each type; raise ValueError for two records of one type, which no reader can tell apart."""
+    """Return the reader of each type; raise ValueError for two records of one type: no reader could choose one."""
     readers: dict[str, Callable] = {}
     for kind in kinds:
         if kind.type in readers:
