@@ -17,11 +17,13 @@ from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, derived, parameter, specs
 from kr270_milling.cell.path import check_feed
-from kr270_milling.path.cam.readers import known_reader, read_path_file
+from kr270_milling.path.cam.readers import READERS, PathReader, known_reader, read_path_file
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.motion.imperfections import LEAST_SERVO_FREQUENCY
+
+READERS[".mcap"] = PathReader("kr270_milling.recordings.bag.recorded_path", "read_recorded", ("topic", "feed"))
 
 __all__ = ["Limits", "PathSection", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 

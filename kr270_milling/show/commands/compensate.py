@@ -161,8 +161,8 @@ def _values(cell, result) -> dict:
     values |= _correction(cell, revised, result.by)
     values["features"] = {part.name: part.table() for part in result.parts}
     values["check"] = as_dict(result.checked)
-    values["verdict"] = result.decision.verdict and result.decision.verdict.as_dict()
-    return values | result.decision.as_dict()
+    values["verdict"] = result.decision.verdict and as_dict(result.decision.verdict)
+    return values | as_dict(result.decision)
 
 
 def _correction(cell, revised, by) -> dict:

@@ -141,6 +141,7 @@ def _add_keys(parser) -> None:
     _example(parser, "keys tool")
     parser.add_argument("section", metavar="SECTION", default="", nargs="?", help="for example tool; default: all")
     parser.add_argument("--all", action="store_true", help="show also the keys for experts, which init does not write")
+    parser.add_argument("--schema", action="store_true", help="print the JSON schema of a cell file, for an editor")
 
 
 def _add_stiffness(parser) -> None:

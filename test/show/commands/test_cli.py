@@ -23,11 +23,13 @@ from kr270_milling.cli import main
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.check_cut import Residue
 from kr270_milling.decide.findings import Finding, Place
+from kr270_milling.decide.limits import Limit
 from kr270_milling.decide.part import FeatureRow
 from kr270_milling.decide.programs.gcode import WrittenGcode
 from kr270_milling.decide.programs.points import ProgramBlocks
 from kr270_milling.decide.stability import FeatureLimit, Stability
 from kr270_milling.decide.tolerance import Judgement
+from kr270_milling.decide.verdict import MethodComparison, Verdict
 from kr270_milling.live.nodes.start import start
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
@@ -87,6 +89,7 @@ def test_every_command_can_be_imported_without_ros():
 #: table of guide/json.md -> record, and the rows of the table that the command adds
 RECORDS = {
     "check": (Checked, "cell reference cut tolerance tools tool stops warnings notes"),
+    "comparison-of-methods": (MethodComparison, "path_deviation_um.<method>"),
     "corrected-gcode": (WrittenGcode, "file tools"),
     "feature": (FeatureRow, ""),
     "finding": (Finding, "amounts.<name>"),
@@ -97,6 +100,8 @@ RECORDS = {
     "stability-of-a-feature": (FeatureLimit, ""),
     "stability-statement": (Stability, ""),
     "tolerance": (Judgement, ""),
+    "unknown": (Limit, "within"),
+    "verdict": (Verdict, "samples failed methods_um.<method> original_um compensated_um"),
     "vibration": (Residue, ""),
 }
 
