@@ -196,8 +196,8 @@ def test_the_command_learns_keeps_its_result_in_a_file_and_refuses_what_it_canno
         (["--measured", str(wall)], "has 5 places, but a measured part needs 6 to 200"),
         (["--reference", str(wall)], "--reference: is given 1 times, but --measured 0 times"),
     ):
-        code, _, values, _ = printed(capsys, *words, *more)
-        assert code == 2 and words_of_error in values["error"]
+        with pytest.raises(InputError, match=words_of_error):
+            printed(capsys, *words, *more)
     wall.write_text("x_mm,y_mm,error_um,surface\n" + "0,5,1,side\n" * 6)
     with pytest.raises(InputError, match="surface must be one of wall, floor"):
         read_wall(wall)
