@@ -100,7 +100,8 @@ def compensate(
         with progress("compensation", by.most_passes, by.method) as report:
             planned = compensated(cell, original, method, report, by, plant)
         if former is not None and (kept := _no_gain(cell, former, planned.reference)):
-            by.note, planned = kept, simulate(cell, former, FORMER, progress=report, plant=plant)
+            by.note, by.limited = kept, ()
+            planned = simulate(cell, former, FORMER, progress=report, plant=plant)
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
     with progress("original program as written") as report:
