@@ -100,8 +100,8 @@ def test_a_place_that_contradicts_the_others_is_left_out_many_are_refused_and_a_
     measured = rest + 60 * UM
     measured[7] = -measured[7]
     places = dataclasses.replace(part, error=measured)
-    kept, sentences = parts.strange_places([(places, None, "")], measured, covariance)
-    assert np.flatnonzero(~kept).tolist() == [7] and "made.csv, line 9:" in sentences[0]
+    agreeing, sentences = parts.strange_places([(places, None, "")], measured, covariance)
+    assert np.flatnonzero(~agreeing).tolist() == [7] and "made.csv, line 9:" in sentences[0]
     assert "it would fit if it has the opposite sign" in sentences[0]
     stretch = dataclasses.replace(part, error=np.where(np.arange(20) < 3, 160 * UM, 60 * UM))
     assert parts.strange_places([(stretch, None, "")], stretch.error, covariance)[0].all()
