@@ -58,12 +58,12 @@ def test_the_band_of_a_linear_plant_contains_ninety_percent_of_the_truths():
     for _ in range(40):
         truth, drawn = rng.normal(size=n), rng.normal(size=(32, n))
         measured = slopes @ truth + 10 * UM * rng.normal(size=k)
-        z, errors, found, _ = parts.closest_robot(
+        z, errors, fitted, _ = parts.closest_robot(
             lambda robots: robots @ slopes.T, measured, noise, known, (drawn, drawn @ slopes.T), rng
         )
         np.testing.assert_allclose(errors, slopes @ z, atol=1e-9 * UM)
-        np.testing.assert_allclose(found, slopes, atol=1e-6 * UM)
-        _, left = parts.gaussian_update(*known, found, np.zeros(k), noise)
+        np.testing.assert_allclose(fitted, slopes, atol=1e-6 * UM)
+        _, left = parts.gaussian_update(*known, fitted, np.zeros(k), noise)
         hits += int(np.sum(np.abs(z - truth) <= 1.645 * np.sqrt(np.diag(left))))
     assert abs(hits - 0.9 * 40 * n) < 4 * binom.std(40 * n, 0.9)
 
