@@ -172,7 +172,7 @@ def robot_of(cell: Cell, numbers: np.ndarray, seed: int = 0) -> Cell:
 def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     """A robot drawn from ``cell.uncertainty``, or from what was learned of it from measured parts.
 
-    z = m + sqrt(I - D^T D) e   the numbers behind it, e standard normal; m, D: ``learned``, ``learned_directions``
+    z = m + sqrt(I - D^T D) e   numbers of the robot, e standard normal; m, D: ``learned``, ``learned_directions``
     """
     learned = cell.uncertainty.learned
     if not learned.size:

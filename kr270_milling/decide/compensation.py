@@ -99,8 +99,9 @@ def compensate(
     if method != NO_METHOD:
         with progress("compensation", by.most_passes, by.method) as report:
             planned = compensated(cell, original, method, report, by, plant)
-        if former is not None and (kept := _no_gain(cell, former, planned.reference)):
-            by.note, planned = kept, simulate(cell, former, FORMER, progress=report, plant=plant)
+        if former is not None and (reason := _no_gain(cell, former, planned.reference)):
+            by.note, by.limited = reason, ()
+            planned = simulate(cell, former, FORMER, progress=report, plant=plant)
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
     with progress("original program as written") as report:

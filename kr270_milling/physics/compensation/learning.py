@@ -46,6 +46,7 @@ ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against l
 #: less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
 CAREFUL = 1.0
 ROUNDS = 4  #: most passes of the simulated robots; the cut answers the correction, so the first one is not the last
+LONG = 600_000_000_000  #: [ns], assumed: the passes of a longer program take minutes each, so two must do
 WORTH = 0.98  #: of the mean square of their largest deviations: a pass that gains less is the last
 SETTLED = 1e-4  #: of the cost of the path as programmed: a step of the search that gains less is the last
 MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
@@ -233,7 +234,7 @@ class Learner:
         settled = SETTLED * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
         lifted = Lifted(self.arm, segments, self.conditions)
         best, tried, bias = np.inf, offset, 0.0
-        for number in range(ROUNDS):
+        for number in range(ROUNDS if self.target.duration_ns < LONG else 2):
             reference, _ = corrected(self.target, tried, smooth)
             passes = [
                 (arm, segments.middle(ran.time_ns, ran.position - self.target.sample(ran.time_ns)))

@@ -55,7 +55,7 @@ STRANGE = (
 BESIDE, ALIKE = 2, 0.5  #: neighbours of the same surface; share of its deviation with which one supports a place
 MOST_STRANGE = 0.2  #: share of the places; more contradict the program
 FREEDOM = 4.0  #: assumed
-SURE = 10.0  #: logarithm of the likelihood ratio with which another reading of a table is taken for its meaning
+SURE = 10.0  #: logarithm of the likelihood ratio with which another reading of a table is its meaning
 #: other meanings of the numbers of a table, and their factors to um
 READINGS = {
     "has the opposite sign, so that positive is too much removed": -1.0,
@@ -66,8 +66,8 @@ READINGS = {
 }
 STEPS = 8  #: most passes that follow the slopes
 LEAST_STEP = 0.05  #: of a number behind a robot: no place shows a smaller one
-TOLD = 0.8  #: deviation of an unknown after and before, above which the places do not tell it
-LEAST_TOLD = 0.01  #: share of a variance; directions that lose less are not stored
+KNOWN = 0.8  #: deviation of an unknown after and before, above which the places do not show it
+LEAST_SHARE = 0.01  #: share of a variance; directions that lose less are not stored
 RANGE = (-3.0, 3.0)  #: of the numbers behind a robot: 99.7 % of them
 ROBOTS = 32  #: of the ensemble
 GENTLE = 2.0  #: a: the ensemble moves half of the way in information, the slopes the rest
@@ -77,7 +77,7 @@ SAMPLES, SAMPLE_SEED = 200, 1_000_002  #: robots that show an unknown before and
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """The cell after the measured parts, and what they told."""
+    """The cell after the measured parts, and what they show."""
 
     cell: Cell
     rows: tuple[tuple[str, str, float, float, float, float], ...]  #: name, unit, mean and deviation before and after
@@ -86,20 +86,20 @@ class Learned:
     expected: float  #: root mean square of the stated errors of measurement and model [m]
 
     @property
-    def told(self) -> list[tuple[str, str, float, float, float, float]]:
-        """Rows of the unknowns that the places tell, the best first."""
-        told = [row for row in self.rows if row[5] < TOLD * row[3]]
-        return sorted(told, key=lambda row: row[5] / row[3])
+    def identified(self) -> list[tuple[str, str, float, float, float, float]]:
+        """Rows of the unknowns that the places show, the best first."""
+        rows = [row for row in self.rows if row[5] < KNOWN * row[3]]
+        return sorted(rows, key=lambda row: row[5] / row[3])
 
     def lines(self) -> list[str]:
         """Lines for the terminal and the manifest."""
-        rest = [row[0] for row in self.rows if row[3] > 0.0 and row[5] >= TOLD * row[3]]
+        rest = [row[0] for row in self.rows if row[3] > 0.0 and row[5] >= KNOWN * row[3]]
         lines = [
             f"learned: {name}: {mean:.3g} +- {sigma:.2g} -> {after:.3g} +- {left:.2g}{unit}"
-            for name, unit, mean, sigma, after, left in self.told
+            for name, unit, mean, sigma, after, left in self.identified
         ]
         if rest:
-            lines.append(f"not told by these places: {', '.join(rest)}")
+            lines.append(f"not shown by these places: {', '.join(rest)}")
         fit = f"{1e6 * self.residual:.1f} um are left (measurement and model: {1e6 * self.expected:.1f} um)"
         return [*lines, f"measured places: {fit}", *self.left_out]
 
@@ -178,15 +178,15 @@ def learn(
     refuse_contradictions(parts, measured, rows, noise)
     z, errors, slopes, least = closest_robot(run, measured, noise, (mean, spread), (drawn, rows), rng)
     rest = measured - errors - slopes @ (mean - z)
-    kept, left_out = strange_places(parts, rest, slopes @ spread @ slopes.T + noise)
-    part = np.ix_(kept, kept)
-    if not kept.all():
-        z, _ = gaussian_update(mean, spread, slopes[kept], rest[kept], noise[part])
+    agreeing, left_out = strange_places(parts, rest, slopes @ spread @ slopes.T + noise)
+    part = np.ix_(agreeing, agreeing)
+    if not agreeing.all():
+        z, _ = gaussian_update(mean, spread, slopes[agreeing], rest[agreeing], noise[part])
         z = np.clip(z, *RANGE)
-        errors, rest = measured - rest + slopes @ (z - mean), rest[kept]
-        least = float(rest @ np.linalg.solve(slopes[kept] @ spread @ slopes[kept].T + noise[part], rest))
-    grown = max(1.0, least / kept.sum())  # errors that are larger than stated [Birge1932]
-    _, left = gaussian_update(mean, spread, slopes[kept], np.zeros(kept.sum()), grown * noise[part])
+        errors, rest = measured - rest + slopes @ (z - mean), rest[agreeing]
+        least = float(rest @ np.linalg.solve(slopes[agreeing] @ spread @ slopes[agreeing].T + noise[part], rest))
+    grown = max(1.0, least / agreeing.sum())  # errors that are larger than stated [Birge1932]
+    _, left = gaussian_update(mean, spread, slopes[agreeing], np.zeros(agreeing.sum()), grown * noise[part])
     sources = (*assumed.learned_from, *(source for *_, source in parts))
     after = cell.replace(
         uncertainty=assumed.replace(learned_from=sources, learned=z, learned_directions=_directions(left).ravel())
@@ -196,8 +196,8 @@ def learn(
         after,
         _compared(cell, after),
         left_out,
-        float(np.sqrt(np.mean((measured - errors)[kept] ** 2))),
-        float(np.sqrt(np.mean(np.diag(noise)[kept]))),
+        float(np.sqrt(np.mean((measured - errors)[agreeing] ** 2))),
+        float(np.sqrt(np.mean(np.diag(noise)[agreeing]))),
     )
 
 
@@ -278,8 +278,8 @@ def _state(cell: Cell, count: int) -> tuple[np.ndarray, np.ndarray]:
 def _directions(spread: np.ndarray) -> np.ndarray:
     """D (k, n) of the covariance I - D^T D."""
     size, axes = np.linalg.eigh(np.eye(len(spread)) - spread)
-    told = size > LEAST_TOLD
-    return (axes[:, told] * np.sqrt(np.minimum(size[told], 1.0 - 1e-9))).T
+    some = size > LEAST_SHARE
+    return (axes[:, some] * np.sqrt(np.minimum(size[some], 1.0 - 1e-9))).T
 
 
 def _noise(cell: Cell, parts, places: Sequence[PredictedPlaces], predicted: np.ndarray) -> np.ndarray:
@@ -347,19 +347,19 @@ def strange_places(parts, rest: np.ndarray, covariance: np.ndarray) -> tuple[np.
 
     r_B = (S^-1)_BB^-1 (S^-1 r)_B   deviation of places B from what the others predict, with the covariance (S^-1)_BB^-1
 
-    A place with a neighbour that deviates likewise is no mistake: no robot of the cell explains that stretch.
+    A place with a neighbour that deviates in the same way is no mistake: no robot of the cell explains that stretch.
     Raises InputError where too many contradict.
     """
-    kept, tried, sentences = np.ones(rest.size, bool), np.zeros(rest.size, bool), []
+    agreeing, tried, sentences = np.ones(rest.size, bool), np.zeros(rest.size, bool), []
     where = [(number, part, k) for number, (part, *_) in enumerate(parts) for k in range(len(part.error))]
     spot = np.array([(*part.place[k], part.floor[k], number) for number, part, k in where])
     while True:
-        rows = np.flatnonzero(kept)
+        rows = np.flatnonzero(agreeing)
         inverse = np.linalg.inv(covariance[np.ix_(rows, rows)])
         lonely = np.where(tried[rows], 0.0, np.abs(inverse @ rest[rows]) / np.sqrt(np.diag(inverse)))
         worst = int(np.argmax(lonely))
         if lonely[worst] <= STRANGE:
-            return kept, tuple(sentences)
+            return agreeing, tuple(sentences)
         tried[rows[worst]] = True
         off = spot[rows] - spot[rows[worst]]
         apart = np.where(off[:, 2:].any(axis=1), 1.0, np.hypot(off[:, 0], off[:, 1]))
@@ -368,12 +368,14 @@ def strange_places(parts, rest: np.ndarray, covariance: np.ndarray) -> tuple[np.
         joint = [np.linalg.solve(inverse[np.ix_(pair, pair)], (inverse @ rest[rows])[pair]) for pair in blocks]
         if any(beside / own > ALIKE for own, beside in joint):
             continue
-        kept[rows[worst]] = False
+        agreeing[rows[worst]] = False
         away, deviation = (inverse @ rest[rows])[worst] / inverse[worst, worst], inverse[worst, worst] ** -0.5
         _, part, k = where[rows[worst]]
         sentences.append(_strange(part, k, part.error[k] - away, deviation))
-        if np.sum(~kept) > MOST_STRANGE * kept.size:
-            reason = f"{np.sum(~kept)} of {kept.size} places contradict the others or the program: {sentences[0]}"
+        if np.sum(~agreeing) > MOST_STRANGE * agreeing.size:
+            reason = (
+                f"{np.sum(~agreeing)} of {agreeing.size} places contradict the others or the program: {sentences[0]}"
+            )
             raise InputError(part.path, reason)
 
 

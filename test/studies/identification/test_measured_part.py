@@ -58,12 +58,12 @@ def test_the_band_of_a_linear_plant_contains_ninety_percent_of_the_truths():
     for _ in range(40):
         truth, drawn = rng.normal(size=n), rng.normal(size=(32, n))
         measured = slopes @ truth + 10 * UM * rng.normal(size=k)
-        z, errors, found, _ = parts.closest_robot(
+        z, errors, fitted, _ = parts.closest_robot(
             lambda robots: robots @ slopes.T, measured, noise, known, (drawn, drawn @ slopes.T), rng
         )
         np.testing.assert_allclose(errors, slopes @ z, atol=1e-9 * UM)
-        np.testing.assert_allclose(found, slopes, atol=1e-6 * UM)
-        _, left = parts.gaussian_update(*known, found, np.zeros(k), noise)
+        np.testing.assert_allclose(fitted, slopes, atol=1e-6 * UM)
+        _, left = parts.gaussian_update(*known, fitted, np.zeros(k), noise)
         hits += int(np.sum(np.abs(z - truth) <= 1.645 * np.sqrt(np.diag(left))))
     assert abs(hits - 0.9 * 40 * n) < 4 * binom.std(40 * n, 0.9)
 
@@ -100,8 +100,8 @@ def test_a_place_that_contradicts_the_others_is_left_out_many_are_refused_and_a_
     measured = rest + 60 * UM
     measured[7] = -measured[7]
     places = dataclasses.replace(part, error=measured)
-    kept, sentences = parts.strange_places([(places, None, "")], measured, covariance)
-    assert np.flatnonzero(~kept).tolist() == [7] and "made.csv, line 9:" in sentences[0]
+    agreeing, sentences = parts.strange_places([(places, None, "")], measured, covariance)
+    assert np.flatnonzero(~agreeing).tolist() == [7] and "made.csv, line 9:" in sentences[0]
     assert "it would fit if it has the opposite sign" in sentences[0]
     stretch = dataclasses.replace(part, error=np.where(np.arange(20) < 3, 160 * UM, 60 * UM))
     assert parts.strange_places([(stretch, None, "")], stretch.error, covariance)[0].all()
@@ -196,8 +196,8 @@ def test_the_command_learns_keeps_its_result_in_a_file_and_refuses_what_it_canno
         (["--measured", str(wall)], "has 5 places, but a measured part needs 6 to 200"),
         (["--reference", str(wall)], "--reference: is given 1 times, but --measured 0 times"),
     ):
-        code, _, values, _ = printed(capsys, *words, *more)
-        assert code == 2 and words_of_error in values["error"]
+        with pytest.raises(InputError, match=words_of_error):
+            printed(capsys, *words, *more)
     wall.write_text("x_mm,y_mm,error_um,surface\n" + "0,5,1,side\n" * 6)
     with pytest.raises(InputError, match="surface must be one of wall, floor"):
         read_wall(wall)
