@@ -491,6 +491,7 @@ def _scores_table(passes: Sequence[Pass]) -> TextTable:
 
 
 def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
+    require_extra("a figure", "", "plotly")
     from plotly.subplots import make_subplots
 
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True)

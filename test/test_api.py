@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pydoc
 import re
+import runpy
 from pathlib import Path
 
 import nbformat
@@ -17,6 +18,7 @@ from kr270_milling import check, compensate, placements, read_cell, simulate, st
 from kr270_milling.base.errors import ParameterError
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "config").glob("*.ipynb"))
+EXAMPLES = sorted(Path(kr270_milling.__file__).parent.glob("guide/examples/*.py"))
 SHORT = ("path.length_mm=15", "stock.grid_step_um=40", "stock.max_mm=[15,12,0]")
 
 
@@ -93,3 +95,9 @@ def test_the_notebooks_run_in_an_empty_folder_and_are_stored_without_outputs(tmp
     for cells in parts:
         shown = "".join(str(cell.outputs) for cell in cells)
         assert "_um" in shown and "text/html" in shown and "application/vnd.plotly" in shown
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs_and_prints_numbers(example, capsys):
+    runpy.run_path(str(example), run_name="__main__")
+    assert re.search(r"\d", capsys.readouterr().out)

@@ -7,7 +7,7 @@ import math
 
 from kr270_milling.base.errors import MillingError, nearest
 
-__all__ = ["Parser", "UsageError", "bounded", "grid", "numbers", "stretch"]
+__all__ = ["Parser", "UsageError", "bounded", "grid", "numbers", "stretch", "words"]
 
 
 class UsageError(MillingError):
@@ -94,6 +94,19 @@ def stretch(low: float, high: float):
         if not values or not low <= values[0] < values[1] <= high:
             raise argparse.ArgumentTypeError(f"{text!r} is not START:STOP from {low:g} to {high:g}")
         return tuple(values)
+
+    return parse
+
+
+def words(*known: str):
+    """Return a parser of words that are separated by commas, each one of ``known``."""
+
+    def parse(text: str) -> tuple[str, ...]:
+        for word in text.split(","):
+            if word not in known:
+                allowed = f"is not {'one of ' if len(known) > 1 else ''}{', '.join(known)}"
+                raise argparse.ArgumentTypeError(f"{word!r} {allowed}{nearest(word, known)}")
+        return tuple(text.split(","))
 
     return parse
 

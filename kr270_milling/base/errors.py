@@ -1,4 +1,30 @@
-"""Errors that carry their numbers; ``str(error)`` is one sentence for the user."""
+"""Errors; ``str(error)`` is one sentence for the user, with the numbers in it.
+
+An error has a class of its own only where code catches it alone:
+
+    MillingError            base; exit code 2
+      ConfigError           file, key, value, allowed values
+      ParameterError        key, value, allowed values; of a record without a file
+      InputError            file or option, line
+        ProgramError        a program of tool paths (path)
+      RecordingError        file, byte
+        MessageRefused      one message; the recording continues (recordings)
+      MessageError          a message of another node
+      ExchangeError         a message out of turn (exchange)
+      ModelError            a computation without a result
+      ReachError, JointLimitError, SingularityError, UnstableLoadError, DeflectionError, EquilibriumError
+                            postures and loads of the arm (physics.robot)
+      PassError             an arm that the cut pushes away (physics.motion)
+      GridError, UndoError, SweepError
+                            limits of the compiled cut (physics.cutting)
+      TrajectoryError, ToolpathError
+                            numbers that are no path (path)
+      OneFeedError          tests that do not identify a law (studies)
+      RunError, AlreadyRunning, NameRefused
+                            the graph of nodes (live)
+      UsageError, MissingExtra
+                            the command line and the installation
+"""
 
 from __future__ import annotations
 
@@ -7,9 +33,16 @@ import reprlib
 from collections.abc import Collection
 
 __all__ = [
-    "ConfigError", "InputError", "MessageError", "MillingError", "ParameterError", "RecordingError", "nearest",
+    "ConfigError",
+    "InputError",
+    "MessageError",
+    "MillingError",
+    "ModelError",
+    "ParameterError",
+    "RecordingError",
+    "nearest",
     "one_line",
-]  # fmt: skip
+]
 
 
 class MillingError(Exception):
@@ -78,6 +111,10 @@ class RecordingError(MillingError):
     def __init__(self, path, reason: str, offset: int | None = None):
         self.path, self.reason, self.offset = str(path), reason, offset
         super().__init__(f"{self.path}: {reason}" + ("" if offset is None else f" (at byte {offset})"))
+
+
+class ModelError(MillingError):
+    """A computation without a result: no equilibrium, no convergence, a full grid, too few measurements."""
 
 
 class MessageError(MillingError):

@@ -10,14 +10,16 @@ __all__ = ["MissingExtra", "require_extra"]
 
 
 class MissingExtra(MillingError):
-    """A package of an extra of ``setup.py`` is not installed."""
+    """A package of an extra of ``pyproject.toml`` is not installed."""
 
 
 def require_extra(what: str, extra: str, *modules: str, otherwise: str = "") -> None:
     """Raise MissingExtra where one of the modules is not installed.
 
-    what: the command, method or file that needs it; otherwise: another remedy, as text.
+    what: the command, method or file that needs it; extra: its name, empty where pip installs the module by its name;
+    otherwise: another remedy, as text.
     """
     for name in modules:
         if importlib.util.find_spec(name) is None:
-            raise MissingExtra(f"{what} needs {name}, which is not installed: pip install '.[{extra}]'{otherwise}")
+            source = f"'.[{extra}]'" if extra else name
+            raise MissingExtra(f"{what} needs {name}, which is not installed: pip install {source}{otherwise}")

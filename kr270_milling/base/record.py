@@ -29,6 +29,7 @@ __all__ = [
     "build",
     "derived",
     "find_file",
+    "flat",
     "flatten",
     "merge",
     "override",
@@ -316,11 +317,12 @@ def tree_of(record: Record) -> dict:
 
 def flatten(record: Record) -> dict[str, object]:
     """Return dotted key -> value in file units, for the parameters of a node and the table of a report."""
-    return _flat(tree_of(record), "")
+    return flat(tree_of(record))
 
 
-def _flat(tree: dict, prefix: str) -> dict[str, object]:
-    flat: dict[str, object] = {}
+def flat(tree: dict, prefix: str = "") -> dict[str, object]:
+    """Return dotted key -> value of a nested dict."""
+    values: dict[str, object] = {}
     for key, value in tree.items():
-        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
-    return flat
+        values.update(flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
+    return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,11 +76,13 @@ class Cell(Record):
             raise ParameterError("joint_names", list(self.joint_names), "six different names")
         if self.cutting.by_engagement and not self.path.file:
             raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")
+        given = math.isfinite(self.exchange.period + self.stock.grid_step)  # else the reader of the file chooses them
         if self.tool.spindle_speed > 0.0:
-            self.exchange.clock(self.tool.spindle_speed)
+            if given:
+                self.exchange.clock(self.tool.spindle_speed)
         elif self.path.recorded or not self.path.file:
             raise ParameterError("tool.spindle_speed_rpm", 0.0, "above 0 where no program states it")
-        if not self.path.file:
+        if not self.path.file and given:
             StraightCut(self.path, self.stock, self.tool, self.timing, self.exchange).check()
 
     def __repr__(self) -> str:

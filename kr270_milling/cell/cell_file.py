@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import pathlib
 import re
 from collections.abc import Sequence
@@ -106,7 +107,7 @@ def _with_spindle(cell: Cell) -> Cell:
 
 
 def _with_cut_model(cell: Cell) -> Cell:
-    """Return the cell with ``cutting.detail`` as teeth or engagement; engagement: with its period and its grid.
+    """Return the cell with ``cutting.detail`` as teeth or engagement, and with the period and the grid of that model.
 
     A program that cannot be read leaves ``auto``: the error appears where the path is used.
     """
@@ -115,13 +116,15 @@ def _with_cut_model(cell: Cell) -> Cell:
         with contextlib.suppress(InputError):
             long_cutting = 60.0  # [s]; a longer cut is not swept tooth by tooth
             detail = "engagement" if cell.path.cutting_time > long_cutting else "teeth"
-    if detail != "engagement":
-        return cell.replace(cutting=cell.cutting.replace(detail=detail)) if detail != cell.cutting.detail else cell
-    return cell.replace(
-        cutting=cell.cutting.replace(detail=detail),
-        exchange=cell.exchange.for_engagement(cell.tool.spindle_speed),
-        stock=cell.stock.for_engagement(float(cell.tool.radii.max())),
-    )
+    speed, radius = cell.tool.spindle_speed, float(cell.tool.radii.max())
+    if detail == "engagement":
+        exchange, stock = cell.exchange.for_engagement(speed), cell.stock.for_engagement(radius)
+    else:
+        tooth = 2.0 * math.pi / (speed * cell.tool.teeth)  # [s]
+        *feeds, length = cell.path.feeds
+        exchange = cell.exchange.for_teeth(speed)
+        stock = cell.stock.for_teeth(radius, exchange.micro_step, (feeds[0] * tooth, feeds[1] * tooth), length)
+    return cell.replace(cutting=cell.cutting.replace(detail=detail), exchange=exchange, stock=stock)
 
 
 def _placed(cell: Cell, assigned: frozenset, path) -> Cell:

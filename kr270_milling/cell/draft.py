@@ -23,11 +23,6 @@ ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
 ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: 0.0, B: 0.0, C: 0.0}}"
-PERIOD = 0.25e-3  #: [s], exchange period of the test piece
-STEPS = 2e6  #: exchange periods that a pass should take at most
-RAPID = 0.2  #: [m/s], of rapid moves, as the template has it
-SPACING, POSTURES = 5.0, 2e4  #: [mm] between two modelled postures, and how many of them a long path should have
-FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
 DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where the program does not state it
 #: keys of a tool, below ``tool`` or below its name
 TOOL = """\
@@ -35,10 +30,6 @@ TOOL = """\
       teeth: {teeth}                     # {teeth_source}
       rotation: clockwise                # yours: counterclockwise, with M4, for a left-hand cutter
       {speed}                            # {speed_source}"""
-#: the sections in which the tools of a program differ, in one entry of ``tools``
-DIFFERENCES = """
-      exchange: {{period_ms: {period}}}  # {steps} micro-steps at its spindle speed
-      stock: {{grid_step_um: {grid}}}    # as the common one, for its feed per tooth"""
 #: what the template holds for a slot along +x, of which no program says anything
 STRAIGHT_TOOL = {
     "diameter": DIAMETER, "diameter_source": "yours", "teeth": TEETH, "teeth_source": "yours",
@@ -48,8 +39,7 @@ STRAIGHT = {
     "operations": "", "place": ON_DISPLAY.format(*PLACE), "offset": "of the workpiece",
     "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]",
     "name": "MILLING", "name_note": "yours: of the robot program",
-    "high": "[60.0, 20.0, 0.0]", "grid": "20.0", "period": 1e3 * PERIOD, "steps": round(PERIOD * 6.0 * SPEED),
-    "spacing": SPACING,
+    "high": "[60.0, 20.0, 0.0]",
     "path": """\
       start_mm: [-8.0, 0.0]              # yours: a straight cut along +x; or give file: part.nc
       depth_of_cut_mm: 1.0               # yours
@@ -135,12 +125,11 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
     program = path.program
     stock = stock_of(path, _diameter(path) / 2e3)
     several = sum(bool(known.cuts) for known in program.tools) > 1
-    values = _common(path, stock) | _exchange(path, stock) | {
+    values = _common(path, stock) | {
         "operations": _words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
         "name": _module_name(file),
         "tool": "    tool:\n" + TOOL.format(**_tool(path)),
         "path": f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
-        "spacing": _spacing([path]),
     }  # fmt: skip
     return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
 
@@ -156,16 +145,15 @@ def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
     for path in paths:
         tool, names = path.program.current, ", ".join(path.program.operations)
         label = _words(f"{tool.label if tool else path.program.tool}{f': {names}' if names else ''}")
-        keys = (TOOL + DIFFERENCES).format(**_tool(path) | _exchange(path, stock))
+        keys = TOOL.format(**_tool(path))
         indented = "\n".join(f"  {line}" for line in keys.splitlines())
         entries.append(f"      {path.program.tool}:  # {label}\n{indented}")
-    values = _common(paths[0], stock) | _exchange(paths[0], stock) | {
+    values = _common(paths[0], stock) | {
         "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
         "tool": TOOLS + "\n".join(entries),
         "path": f"      file: {_quoted(file)}",
         "name": _module_name(file),
         "name_note": "yours: of the robot programs; the name of the tool is added",
-        "spacing": _spacing(paths),
     }  # fmt: skip
     return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
 
@@ -204,17 +192,6 @@ def _tool(path: Toolpath) -> dict:
     }
 
 
-def _exchange(path: Toolpath, stock: Box) -> dict:
-    """Period and grid for the cut of a tool."""
-    speed = _speed(path) or SPEED
-    period, steps = _period(path, speed)
-    return {
-        "period": f"{period:.10g}" if "." in f"{period:.10g}" else f"{period:.1f}",
-        "steps": steps,
-        "grid": _number(_grid(stock, path, speed, _teeth(path)[0])),
-    }
-
-
 def _teeth(path: Toolpath) -> tuple[int, str]:
     """Number of teeth and its source; "" where the program does not say it."""
     tool = path.program.current
@@ -238,36 +215,9 @@ def _speed(path: Toolpath) -> float:
     return abs(speeds[0]) * 30 / math.pi if speeds else 0.0
 
 
-def _spacing(paths: Sequence[Toolpath]) -> str:
-    return _number(math.ceil(max(SPACING, 1e3 * RAPID * max(map(_duration, paths)) / POSTURES)))
-
-
 def straight_text(robot: str) -> str:
     """The YAML of a cell without a program: a slot along +x."""
     return _aligned(TEMPLATE.format(**STRAIGHT, robot=robot))
-
-
-def _duration(path: Toolpath) -> float:
-    """[s], about what the path takes."""
-    feed = np.where(path.rapid, RAPID, np.maximum(path.feed, 1e-6))
-    return 1.3 * float((path.block_length / feed).sum()) + 5.0
-
-
-def _period(path: Toolpath, speed: float) -> tuple[float, int]:
-    """Exchange period [ms] of whole degrees of the spindle at a speed [rpm], longer for a path that takes long."""
-    longest_period = 2e-3  # [s]
-    wanted = min(max(PERIOD, _duration(path) / STEPS), longest_period)
-    steps = max(1, round(wanted * 6.0 * speed))
-    return 1e3 * steps / (6.0 * speed), steps
-
-
-def _grid(stock: Box, path: Toolpath, speed: float, teeth: int) -> float:
-    """Grid step [um]: a fifth of the feed per tooth, up to a half where that is very fine, or what the stock needs."""
-    per_tooth = 1e6 * float(path.feed[~path.rapid].max(initial=0.0)) / (speed / 60.0 * teeth)
-    nodes = 2.5e7  # of the grid, 25 MB
-    least = 1e6 * math.sqrt(stock.area / nodes)
-    wanted = max(0.2 * per_tooth, min(FINE, 0.5 * per_tooth), FINEST)
-    return float(math.ceil(max(least, min(wanted, COARSEST))))
 
 
 def _place(stock: Box) -> list[float]:

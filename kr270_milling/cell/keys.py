@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator
 
 import numpy as np
+import yaml
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.record import Record, Spec, specs
+from kr270_milling.base.parameter_file import from_display
+from kr270_milling.base.record import Record, Spec, flat, specs
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.draft import straight_text
 
 __all__ = ["keys_of"]
 
@@ -23,7 +27,8 @@ def keys_of(section: str = "", record: type[Record] = Cell) -> list[dict]:
     """The keys of a section, such as ``tool`` or ``cutting.linear_edge``, or of all; raises InputError for another.
 
     Of each: key as --set takes it, type, unit, low, high, above (exclusive lower bound), choices, size of a list
-    (None: any), required, default (None for a required key), text, range in words; bounds and default in its unit.
+    (None: any), required, default (None for a required key), text, range in words; bounds and default in its unit;
+    expert: ``init`` does not write the key.
     """
     rows = list(_keys(record, ""))
     if not section:
@@ -43,6 +48,13 @@ def _keys(record: type[Record], prefix: str) -> Iterator[dict]:
             yield _row(spec, prefix)
 
 
+@functools.cache
+def _user_keys() -> frozenset[str]:
+    """Return the keys that ``init`` writes; all others are for experts."""
+    tree = yaml.safe_load(straight_text(""))["/**"]["ros__parameters"]
+    return frozenset([*flat(from_display(tree, "")), "path.file", "path.tool"])
+
+
 def _row(spec: Spec, prefix: str) -> dict:
     required = spec.default is dataclasses.MISSING
     bounds = {name: getattr(spec, name) for name in ("low", "high", "above")}
@@ -57,6 +69,7 @@ def _row(spec: Spec, prefix: str) -> dict:
         "default": None if required or spec.optional else _default(spec),
         "text": spec.text,
         "range": _range(spec),
+        "expert": prefix + spec.key not in _user_keys(),
     }
 
 

@@ -18,6 +18,7 @@ from kr270_milling.cell.stage import Removal, cleared, removal_along
 from kr270_milling.path.timing import Timing
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Cut, CutModel, EngagementCut, Stock, Tool
+from kr270_milling.physics.cutting.grid import RESOLVED_NODES
 from kr270_milling.physics.motion.arm_model import arm_model
 from kr270_milling.physics.motion.dynamics import ArmFactors, ArmModel, ModalModel, approach, discretise
 from kr270_milling.physics.motion.periods import Exchange
@@ -27,6 +28,7 @@ __all__ = [
     "arm_of",
     "cut_of",
     "cut_text_of",
+    "thin_chips",
     "low_frequency_of",
     "modal_model_of",
     "path_of",
@@ -34,7 +36,6 @@ __all__ = [
 ]
 
 MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
-RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: a slot then has 97 % of its force
 
 
 def arm_of(cell: Cell) -> PlacedArm:
@@ -135,20 +136,20 @@ def cut_text_of(cell: Cell) -> str:
     """The models of cut and tool in one line."""
     tool = cell.tool.compliance_text
     if not cell.cutting.by_engagement:
-        return f"cut: teeth, each tooth by itself{_thin_chips(path_of(cell))}; {tool}"
+        return f"cut: teeth, each tooth by itself{thin_chips(cell)}; {tool}"
     period, step = 1e3 * cell.exchange.period, 1e3 * cell.stock.grid_step
     return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
 
 
-def _thin_chips(path: CellPath) -> str:
-    """A clause where the sweep of the teeth resolves the chips of a slow feed too coarsely, else empty.
+def thin_chips(cell: Cell) -> str:
+    """Return a clause where the sweep of the teeth resolves the chips of a slow feed too coarsely, else empty.
 
     A tooth meets f R dphi / ds^2 nodes in a micro-step, f the feed per tooth. A micro-step that meets none has no
     force of the edge: with 5, 2.7, 1.4 and 0.7 nodes a slot showed 95, 88, 73 and 46 % of its force.
     """
-    feed, tool = path.slow_feed, path.tool
+    (_, feed, _), tool = cell.path.feeds, cell.tool
     per_tooth = feed * 2.0 * math.pi / (tool.spindle_speed * tool.teeth) if tool.spindle_speed else math.inf
-    nodes = per_tooth * float(tool.radii.max()) * path.exchange.micro_step / path.stock.grid_step**2
+    nodes = per_tooth * float(tool.radii.max()) * cell.exchange.micro_step / cell.stock.grid_step**2
     if feed == 0.0 or nodes >= RESOLVED_NODES:
         return ""
     return (

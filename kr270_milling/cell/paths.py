@@ -62,11 +62,6 @@ class StraightCut(_Programmed):
         return self.path.feed_rate
 
     @property
-    def slow_feed(self) -> float:
-        """[m/s], as ``feed_rate``."""
-        return self.path.feed_rate
-
-    @property
     def full_engagement(self) -> float:
         """[s], when the middle of a tool that enters along x reaches the border of the stock."""
         return max(0.0, float(self.stock.min[0] - self.path.start[0])) / self.path.feed_rate
@@ -136,20 +131,7 @@ class ProgramPath(_Programmed):
     @property
     def feed_rate(self) -> float:
         """[m/s], the highest programmed feed of the milling moves, of a program that only drills of all feed moves."""
-        toolpath = self.timed.toolpath
-        milling = ~toolpath.rapid & ~toolpath.drilling
-        cuts = milling if milling.any() else ~toolpath.rapid
-        return float(np.max(toolpath.feed[cuts], initial=0.0))
-
-    @property
-    def slow_feed(self) -> float:
-        """[m/s], feed that is not exceeded in a tenth of the time of the milling moves in the xy plane; 0: none."""
-        path = self.fed.toolpath
-        milling = np.flatnonzero(~path.rapid & ~path.drilling & (path.plane_length > 0.0) & (path.feed > 0.0))
-        milling = milling[np.argsort(path.feed[milling], kind="stable")]
-        time = np.cumsum(path.block_length[milling] / path.feed[milling])
-        slow = 0.1  # share of the time of the milling moves, for ``slow_feed``
-        return float(path.feed[milling[np.searchsorted(time, slow * time[-1])]]) if milling.size else 0.0
+        return self.path.feeds[0]
 
     @functools.cached_property
     def fed(self) -> TimedPath:

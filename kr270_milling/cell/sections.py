@@ -83,6 +83,13 @@ class PathSection(Record):
     )
     topic: str = parameter("", text="of a recording: where its path is, if several topics hold one")
     tool: str = parameter("", text="of a program with several tools: whose moves are run, as T1")
+    offsets: np.ndarray = parameter(
+        [],
+        unit="mm",
+        low=-1e5,
+        high=1e5,
+        text="places of the work offsets G54, G55 ... G59.3 of a G-code program, workpiece frame: x, y, z of each",
+    )
     start: np.ndarray = parameter(
         [0.0, 0.0], unit="mm", size=2, low=-1e5, high=1e5, text="straight cut: x, y of the tool tip at the start"
     )
@@ -152,6 +159,30 @@ class PathSection(Record):
         cutting = ~read.rapid & (read.feed > 0.0)  # a recorded path may begin with a block without a feed
         return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
 
+    @property
+    def feeds(self) -> tuple[float, float, float]:
+        """Highest and slow feed of the milling moves [m/s], and the length of the path [m]; 0: not known.
+
+        A program that only drills has the highest feed of all its feed moves. The slow feed is not exceeded in a tenth
+        of the time of the milling moves in the xy plane.
+        """
+        if not self.file:
+            return self.feed_rate, self.feed_rate, self.length
+        try:
+            read = self.read()
+        except InputError:
+            return 0.0, 0.0, 0.0
+        path = read.toolpath if isinstance(read, TimedPath) else read
+        milling = ~path.rapid & ~path.drilling
+        highest = float(np.max(path.feed[milling if milling.any() else ~path.rapid], initial=0.0))
+        milling = np.flatnonzero(milling & (path.plane_length > 0.0) & (path.feed > 0.0))
+        if not milling.size:
+            return highest, 0.0, path.length
+        milling = milling[np.argsort(path.feed[milling], kind="stable")]
+        time = np.cumsum(path.block_length[milling] / path.feed[milling])
+        slow = 0.1  # share of the time of the milling moves
+        return highest, float(path.feed[milling[np.searchsorted(time, slow * time[-1])]]), path.length
+
     def read(self) -> Toolpath | TimedPath:
         """Return the content of ``file``; raises InputError where it cannot be read or has another feed than the cell.
 
@@ -163,7 +194,9 @@ class PathSection(Record):
             state = os.stat(self.file)
         except (OSError, ValueError) as error:
             raise InputError(self.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
-        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, (state.st_mtime_ns, state.st_size))
+        offsets = tuple(self.offsets.tolist())
+        stamp = state.st_mtime_ns, state.st_size
+        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, offsets, stamp)
         if not (self.length or self.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
             check_feed(self.file, read, self.feed_rate)
         return read
@@ -183,6 +216,8 @@ class PathSection(Record):
     def check(self) -> None:
         if self.topic and not self.recorded:
             raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
+        if self.offsets.size % 3 or self.offsets.size > 27:
+            raise ParameterError("offsets_mm", (1e3 * self.offsets).tolist(), "three numbers each for G54 to G59.3")
         for spec in () if self.file else specs(PathSection):
             if spec.kind is float and not getattr(self, spec.name) > 0.0:
                 value = getattr(self, spec.name) / spec.scale
@@ -190,9 +225,9 @@ class PathSection(Record):
 
 
 @functools.lru_cache(maxsize=8)
-def _read_once(file: str, tool: str, topic: str, feed: float, stamp: tuple) -> Toolpath | TimedPath:
+def _read_once(file: str, tool: str, topic: str, feed: float, offsets: tuple, stamp: tuple) -> Toolpath | TimedPath:
     """Return the tool path of a file, read once for each tool as long as its stamp is the same."""
-    return read_path_file(file, tool, topic, feed)
+    return read_path_file(file, tool, topic, feed, offsets)
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,9 +90,12 @@ class Checked:
         counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
         return f"{self.points} points, {counts}"
 
-    def lines(self) -> list[str]:
-        """Return a line for each finding, then the summary."""
-        return [*self.findings_lines(), self.summary]
+    def lines(self, short: bool = False) -> list[str]:
+        """Return a line for each finding, then the summary; short: stops, warnings, stability and the summary."""
+        if not short:
+            return [*self.findings_lines(), self.summary]
+        serious = [f"{f.severity:8} {f.text}" for f in self.findings if f.severity != "note"]
+        return [*serious, *([self.stability.text] if self.stability else []), self.summary]
 
     def findings_lines(self) -> list[str]:
         """Return a line for each finding, and those about the whole path."""

@@ -17,14 +17,9 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.motion.milling_pass import silent_periods
 
-__all__ = ["CutProtocol", "NoWorkpiece"]
-
-
-class NoWorkpiece(MessageError):
-    """The cutting process is not configured."""
-
-    def __init__(self):
-        super().__init__("no workpiece yet: configure first")
+__all__ = [
+    "CutProtocol",
+]
 
 
 class CutProtocol:
@@ -87,11 +82,11 @@ class CutProtocol:
     def pose(self, sample: PoseSample) -> list[Output]:
         """Answer a tool_pose. A repeated one gets the same answer.
 
-        Raises MessageError, ExchangeError or NoWorkpiece where the pose is refused.
+        Raises MessageError or ExchangeError where the pose is refused.
         """
         checked_pose(sample)
         if self.cut is None:
-            raise NoWorkpiece
+            raise MessageError("no workpiece yet: configure first")
         self._answer(self.cut, sample.stamp, sample.position)
         self.stamp_ns = sample.stamp
         return [("wrench", WrenchSample(sample.stamp, WORKPIECE, self._wrench))]
@@ -125,13 +120,13 @@ class CutProtocol:
         self.step, self._before, self._tool = step, start, np.array(end)
 
     def workpiece(self) -> list[Output]:
-        """Return the map of the part after the last answer; raises NoWorkpiece."""
+        """Return the map of the part after the last answer; raises MessageError."""
         return [("workpiece", self.map_of_part())]
 
     def map_of_part(self) -> StockMap:
-        """Return the thinned map of the part; raises NoWorkpiece."""
+        """Return the thinned map of the part; raises MessageError."""
         if self.cut is None:
-            raise NoWorkpiece
+            raise MessageError("no workpiece yet: configure first")
         stock = self.cell.stock
         thinning = max(1, round(0.2e-3 / stock.grid_step))  # the published map has nodes every 0.2 mm
         _, _, surface = self.cut.heights(thinning=thinning)

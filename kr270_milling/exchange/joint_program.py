@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointProgram
 from kr270_milling.base.units import SECOND
@@ -20,17 +20,13 @@ from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot.kinematics import forward, joint_motion
 
-__all__ = ["JointProgramError", "joint_program"]
+__all__ = ["joint_program"]
 
 SHARE = 0.1  #: share of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
 LEAST = 0.1  #: [s], of approach and run-out
 SMOOTH = 1e-9  #: [m] by which a jump of velocity or acceleration at a knot may move the path
 #: largest speed and acceleration of 10 u^3 - 15 u^4 + 6 u^5, from rest to rest
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15 / 8, 10 / math.sqrt(3)
-
-
-class JointProgramError(MillingError):
-    """A reference trajectory that a joint controller cannot run."""
 
 
 def joint_program(cell: Cell, reference: Trajectory, joints: np.ndarray, stamp_ns: int) -> JointProgram:
@@ -41,7 +37,7 @@ def joint_program(cell: Cell, reference: Trajectory, joints: np.ndarray, stamp_n
     before the start and loses it after the end, along the tangent. Every knot carries the velocity and acceleration
     that the planned motion has there; a corner has none, and joins its neighbours by straight lines.
 
-    Raises JointProgramError where a joint exceeds a limit, and the errors of ``commanded_joints``.
+    Raises ModelError where a joint exceeds a limit, and the errors of ``commanded_joints``.
     """
     position = commanded_joints(cell, reference)
     velocity, acceleration = _rates(cell, reference, position)
@@ -117,7 +113,7 @@ def _run_in(cell: Cell, velocity: np.ndarray) -> float:
 
 
 def _check_limits(cell: Cell, program: JointProgram) -> None:
-    """Raise JointProgramError for the first joint whose speed or position exceeds its limit."""
+    """Raise ModelError for the first joint whose speed or position exceeds its limit."""
     arm = cell.arm
     for name, first, rows, low, high, unit in (  # the robot may be beyond a limit: the first position is not checked
         ("speed", 0, program.velocity, -arm.joint_speed_limit, arm.joint_speed_limit, "deg/s"),
@@ -126,7 +122,7 @@ def _check_limits(cell: Cell, program: JointProgram) -> None:
         bad = np.argwhere((rows < low) | (rows > high))
         if len(bad):
             row, joint = bad[0].tolist()
-            raise JointProgramError(
+            raise ModelError(
                 f"joint_trajectory: the {name} of {program.names[joint]} would be {math.degrees(rows[row, joint]):.2f} "
                 f"{unit} at point {first + row + 1}, but must be from {math.degrees(low[joint]):.2f} to "
                 f"{math.degrees(high[joint]):.2f} {unit}"

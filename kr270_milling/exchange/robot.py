@@ -23,7 +23,7 @@ __all__ = ["RobotProtocol"]
 
 
 class RobotProtocol:
-    """Reference trajectory and wrench in; tool_pose, deflection, joint_states and clock out.
+    """Reference trajectory and wrench in; tool_pose, deflection, joint_states and, on request, clock out.
 
     deflection_every: exchange periods from one deflection to the next; default: as ``publish.every`` states.
     """
@@ -138,6 +138,6 @@ class RobotProtocol:
         if step % self._joints_every == 0:
             joints = self._joints[step // self._joints_every]
             outputs.append(("joint_states", JointSample(stamp_ns, self.cell.joint_names, joints)))
-        if step % self._clock_every == 0:
+        if self.cell.publish.clock and step % self._clock_every == 0:
             outputs.append(("clock", ClockSample(stamp_ns)))
         return outputs

@@ -13,7 +13,7 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import TOOL_DOWN, slerp
 
-__all__ = ["REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
+__all__ = ["MOST_BLOCKS", "REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
 
 #: [m] largest coordinate of a part in a robot cell; a larger one has a wrong unit
 REACH = 100.0
@@ -185,6 +185,23 @@ class PathBuilder:
         self.last, self._last_quaternion = position, self.quaternion
         numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling)
         self._blocks.extend((*position, *self.quaternion, *numbers))
+
+    def straight_moves(self, rows: np.ndarray, feed: float) -> None:
+        """Append straight blocks at one feed [m/s]; rows: x, y, z [m] and line, (n, 4)."""
+        last = self.last
+        moved = np.any(np.diff(rows[:, :3], axis=0, prepend=[last]) != 0, axis=1)
+        rows = rows[moved]
+        blocks = np.zeros((len(rows), 14))
+        blocks[:, COLUMNS["position"]] = rows[:, :3]
+        blocks[:, COLUMNS["quaternion"]] = self._last_quaternion
+        for name, values in (
+            ("feed", feed), ("spindle_speed", self.spindle_speed), ("line", rows[:, 3]), ("feature", self.feature),
+            ("drilling", self.drilling),
+        ):  # fmt: skip
+            blocks[:, COLUMNS[name]] = values
+        self._blocks.frombytes(blocks.tobytes())
+        if len(rows):
+            self.last = tuple(rows[-1, :3].tolist())
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the blocks so far, by the names of the fields of a Toolpath."""

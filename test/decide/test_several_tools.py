@@ -170,7 +170,8 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
     checked = answered("check", drafted, *FAST)
     assert [one["tool"] for one in checked["tools"]] == ["T1", "T2", "T3"]
     assert checked["may_be_run"] and sum(one["removed_by_rapid_moves_mm3"] for one in checked["tools"]) == 0.0
-    answer = answered("compensate", drafted, *FAST, "--verdict", "0", "--gcode", "--out", tmp_path / "out")
+    words = (*FAST, "--verdict", "0", "--gcode", "--write", "joints,rsi", "--out", tmp_path / "out")
+    answer = answered("compensate", drafted, *words)
     assert answer["decision"] == "caution" and answer["may_be_run"]
     programs = [path for one in answer["tools"] for path in one["programs"]["krl_spline"]]
     names = [path.rpartition("/")[2] for path in programs]

@@ -7,13 +7,14 @@ import pytest
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.errors import ModelError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.samples import JointProgram
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import commanded_joints, compensated, simulate
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.exchange.joint_program import JointProgramError, joint_program
+from kr270_milling.exchange.joint_program import joint_program
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot.kinematics import pose
 
@@ -113,5 +114,5 @@ def test_the_program_starts_at_rest_where_the_robot_stands_and_keeps_to_a_tenth_
 
 def test_a_joint_that_would_be_too_fast_is_named(cell):
     slow = cell.replace(arm=cell.arm.replace(joint_speed_limit=np.full(6, 1e-3)))
-    with pytest.raises(JointProgramError, match=r"the speed of joint_\d would be .* deg/s at point \d+, but must be"):
+    with pytest.raises(ModelError, match=r"the speed of joint_\d would be .* deg/s at point \d+, but must be"):
         joint_program(slow, path_of(cell).target, arm_of(cell).posture, 0)

@@ -109,16 +109,17 @@ def test_a_g_or_m_word_that_is_in_no_list_is_refused():
 #: feed [mm/min] and its speed [rpm]
 HEAD, END = "G21 G90 G17\nT1 M6\nS8000 M3\nG0 X0 Y0 Z5\nG1 Z-1 F800\n", "\nG1 X30\nG0 Z5\nM30\n"
 LINES = {
-    **dict.fromkeys(("L100 P3", "M99 P100", "G98 L1", "M30 P5"), "a jump or a call"),
+    **dict.fromkeys(("M99 P100", "G98 L1", "M30 P5"), "a jump or a call"),
+    **dict.fromkeys(("L100 P3", "M98 P1", "G65 P9 A1", "O<a> call"), "is not in this file"),
+    **dict.fromkeys(("GOTO 10", "M97 P10"), "0 lines have the number N10"),
     **dict.fromkeys(("TRANS X10", "ROT Z30", "SCALE X2", "MIRROR X0", "G50.1 X0\nG51.1 X0", "DIAMON"), "without shift"),
     **dict.fromkeys(("G58 Z-2", "G59 X1 Y2"), "shifts the zero on Sinumerik"),
     **dict.fromkeys(("G126", "G500", "G15 H2", "G0 G59 X1", "G154 P5"), "2 work offsets: G54 "),
     **dict.fromkeys(("G70 I5 J0 L6", "G71 I5 J0 K2 L6"), "circle of holes on Haas"),
     **dict.fromkeys(("G4 X1 Y5", "G4 F2 X5", "G1 X5 G4 F2"), "may be the time of G4"),
-    **dict.fromkeys(("G18 G81 X5 Y3 Z-3 R4", "G19 G83 X5 Y3 Z-3 R4 Q1"), "drills along"),
     **dict.fromkeys(("G20 F10", "G20"), "controls take it in either unit"),
     **dict.fromkeys(("G93", "G93 F2 G1 X5"), "G93 needs F in each line"),
-    **dict.fromkeys(("IF R1>5 GOTOF A", "GOTO 10", 'EXTCALL "UP"', "M98 P1", "#1=5", "R1=5"), "post without macros"),
+    **dict.fromkeys(("IF R1>5 GOTOF A", 'EXTCALL "UP"'), "post without macros"),
     **dict.fromkeys(("M91", "L X+10 Y+5 R0 FMAX"), "Heidenhain"),
     "G0 X0,0 Y1,5": "decimal comma",
     "G90.1 G2 X10 I5": "needs I and J",
@@ -143,6 +144,8 @@ LINES = {
     **dict.fromkeys(("G04 U1.5", "G04 X2", "G4 F2", "G4 S30"), ("1 G4", 0, 0, 800, 8000)),
     **{line: (f"1 {line.split()[0]}", 0, 0, 800, 8000) for line in ("G92 S9000", "G50 S9000", "M19 R90.", "G26 S3000")},
     **dict.fromkeys(("N60 /Y5", "/1 Y5", "N60/2Y5"), ("1 /", 0, 5, 800, 8000)),
+    "#1=9\n#1=[2+3*2**2-9] X#1": ("", 9, 0, 800, 8000),  # the value before the assignment of the line
+    **dict.fromkeys(("G1 Y=5*(3-2)", "#<a b>=5\nY#<AB>", "R1=2\nG1 Y=R1+3"), ("", 0, 5, 800, 8000)),
     "G2 Y0 I-1.28466e-07 J20.0 F9E2": ("", 0, 0, 900, 8000),
 }
 

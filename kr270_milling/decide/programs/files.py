@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ __all__ = [
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 RSI_TICKS_NS = (4_000_000, 12_000_000)
+TABLES = ("joints", "rsi")  #: that ``write_programs`` can write beside the programs
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 OLDER = "older"  #: folder of the programs of earlier runs
 #: names of what an operator may take: those of ``write_programs`` and ``write_gcode``
@@ -104,10 +105,11 @@ def write_programs(
     date: str,
     motions: Sequence[str] | None = (),
     source: str = "",
-    decision: Sequence[str] = (),
+    decision: str = "",
     findings: Sequence[str] = (),
     released: bool = True,
     rsi: tuple[str, int] | None = None,
+    tables: Collection[str] = TABLES,
 ) -> tuple[dict[str, list[Path]], str]:
     """Write all files for a controller or a planner; return the paths by kind, and the text for ``write_manifest``.
 
@@ -116,9 +118,9 @@ def write_programs(
     tick; "joints": joint positions of both, named as well; "trajectory": the revised one as CSV, which ``simulate`` and
     ``check`` read. In a program with several tools the name of the tool is in every name.
 
-    method: for the names; date: ISO text; source: sha256 of what the original was made from; decision: its lines;
-    findings: lines of the check, both for every header. A program that is not released has NOT_RELEASED for its name.
-    rsi: address of the host of RSI, for ``rsi_context``.
+    method: for the names; date: ISO text; source: sha256 of what the original was made from; decision: its level, for
+    every header; findings: lines of the check, for the manifest. A program that is not released has NOT_RELEASED for
+    its name. rsi: address of the host of RSI, for ``rsi_context``; tables: which of "joints" and "rsi" are written.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
@@ -127,7 +129,7 @@ def write_programs(
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     suffix = cell.stage.suffix if cell.stage else ""
     program = cell.krl if released else cell.krl.replace(name=f"{NOT_RELEASED}{suffix}")
-    heading = krl.Heading(__version__, date, source, method, (time_law(path_of(cell)), *decision, *findings))
+    heading = krl.Heading(__version__, date, source, method, decision)
     named = f"{method}{suffix}"
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
     setup, origin = _setup(cell, *commanded), source_of(path_of(cell), len(original))
@@ -148,13 +150,15 @@ def write_programs(
         files["rsi_context"] = write_rsi_context(folder, program, setup, limit, rsi, lines)
     tick_ns = cell.compensation.tick_ns
     tick_ns = tick_ns if tick_ns in RSI_TICKS_NS else RSI_TICKS_NS[-1]
-    files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
-    files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
+    if "rsi" in tables:
+        files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
+        air = float(cell.stock.max[2]), setup.safe_z, cell.krl.approach_feed
+        write_rsi_table(files["rsi"][0], *commanded, tick_ns, air)
+    if "joints" in tables:
+        files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
+        for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
+            write_joint_table(path, run, q)
     files["trajectory"] = [place / f"reference_{named}.csv"]
-    air = float(cell.stock.max[2]), setup.safe_z, cell.krl.approach_feed
-    write_rsi_table(files["rsi"][0], *commanded, tick_ns, air)
-    for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
-        write_joint_table(path, run, q)
     write_csv(files["trajectory"][0], revised, joints[1])
     text = krl.filled(
         "manifest_tool.txt",
@@ -165,6 +169,7 @@ def write_programs(
         tick_ms=f"{tick_ns / 1e6:g}",
         findings=findings,
         limits=limits,
+        time_law=time_law(path_of(cell)),
         turning=_turning(program, original),
         frames=kuka_frames(cell),
     )

@@ -77,24 +77,24 @@ class Heading:
     date: str
     source_hash: str = ""  #: SHA-256 of the recording or the tool path
     method: str = ""  #: of the compensation
-    findings: tuple[str, ...] = ()  #: of the check
+    decision: str = ""  #: its level; the manifest has sentence, findings and time law
 
     def __post_init__(self):
-        for text in (self.version, self.date, self.source_hash, self.method):
+        for text in (self.version, self.date, self.source_hash, self.method, self.decision):
             if not re.fullmatch(r"[ -~]{0,100}", text):
                 raise TrajectoryError(f"{text[:100]!r} is not allowed in the header of a program")
 
     def lines(self, program: Program, kind: str, run: Trajectory) -> list[str]:
-        """Comment lines."""
+        """Five comment lines."""
+        decision = f"decision {self.decision}: see MANIFEST.txt" if self.decision else "see MANIFEST.txt"
         return comments(
             [
                 f"{KINDS[kind]}, points 1 to {len(run)}, {program.motion}"
                 + (f", method {self.method}" * (kind == "CMP")),
                 "SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
-                f"kr270_milling {self.version}, {self.date}",
+                f"kr270_milling {self.version}, {self.date}, {decision}",
                 f"sha256 of this trajectory {trajectory_hash(run)}",
                 f"sha256 of its source {self.source_hash or 'not given'}",
-                *self.findings,
             ]
         )
 

@@ -25,15 +25,6 @@ GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 PARENT = "KR270_MILLING_PARENT"
 
 
-class NoLoopback(MillingError):
-    """The loopback interface does not carry datagrams."""
-
-    def __init__(self, reason: str):
-        super().__init__(
-            f"the loopback interface 127.0.0.1 does not work ({reason}), but the nodes need it; try: ip link set lo up"
-        )
-
-
 def require_ros(what: str = "a graph of nodes") -> None:
     """Raise MissingExtra where rclpy is not installed."""
     require_extra(what, "ros", "rclpy", otherwise=", or source the setup file of an installed ROS 2")
@@ -55,7 +46,7 @@ def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
 def keep_to_this_host() -> None:
     """Set the variables of this process; call this before the first ROS context is created.
 
-    Raises NoLoopback where the nodes would wait for each other without an end.
+    Raises MillingError where the nodes would wait for each other without an end.
     """
     added = this_host_only(os.environ)
     if added:
@@ -72,7 +63,10 @@ def _check_loopback() -> None:
             end.sendto(b"?", end.getsockname())
             end.recv(1)
     except OSError as error:
-        raise NoLoopback(error.strerror or "no answer") from None
+        reason = error.strerror or "no answer"
+        raise MillingError(
+            f"the loopback interface 127.0.0.1 does not work ({reason}), but the nodes need it; try: ip link set lo up"
+        ) from None
 
 
 def child_environment() -> dict[str, str]:

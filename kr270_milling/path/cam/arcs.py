@@ -6,7 +6,7 @@ import math
 
 from kr270_milling.path.toolpath import REACH
 
-__all__ = ["ArcError", "centre_from_radius", "arc_points"]
+__all__ = ["ArcError", "arc_points", "centre_from_radius", "curve_points"]
 
 FAR = f"the arc leads more than {REACH:g} m away; wrong unit?"
 
@@ -26,6 +26,27 @@ def centre_from_radius(start, end, radius: float, clockwise: bool, tolerance: fl
     height = math.sqrt(max(0.0, radius**2 - chord**2 / 4))
     side = -1.0 if clockwise == (radius > 0) else 1.0  # side of the centre, seen along the chord: +1 left, -1 right
     return (start[0] + dx / 2 - side * height * dy / chord, start[1] + dy / 2 + side * height * dx / chord)
+
+
+def curve_points(control: list[complex], tolerance: float) -> tuple[list[complex], float]:
+    """Points of a Bezier curve of degree 2 or 3 [m] after its start, its end being the last one, and its length.
+
+    control: its control points x + i y. Between n chords of equal parameter steps the curve is within B'' / (8 n^2),
+    with B'' <= d (d - 1) max |P_k - 2 P_k+1 + P_k+2| for degree d (Farin 2002, 5.6).
+    """
+    if not all(abs(point) <= REACH for point in control):
+        raise ArcError("the control points of the curve lie too far away; wrong unit?")
+    degree = len(control) - 1
+    bends = [abs(a - 2 * b + c) for a, b, c in zip(control, control[1:], control[2:], strict=False)]
+    count = max(1, math.ceil(math.sqrt(degree * (degree - 1) * max(bends) / (8 * tolerance))))
+    points = [control[0]]
+    for k in range(1, count):
+        row = control
+        while len(row) > 1:  # de Casteljau
+            row = [a + (b - a) * k / count for a, b in zip(row, row[1:], strict=False)]
+        points += row
+    points.append(control[-1])
+    return points[1:], sum(abs(b - a) for a, b in zip(points, points[1:], strict=False))
 
 
 def arc_points(

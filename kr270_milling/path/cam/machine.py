@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
+from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points
 from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, TOP
@@ -39,7 +39,8 @@ class Machine:
         self.program = program
         self.unit = MM  #: unit of lengths in blocks
         self.position: list[float] = [math.nan] * 3
-        self.mode: int | None = None  #: 0 to 3
+        self.mode: float | None = None  #: 0 to 3, 5 and 5.1: a curve of degree 3 and 2
+        self.leaving: complex | None = None  #: last control point of the curve before, from its end
         self.incremental = False
         self.absolute_centre = False
         self.absolute: dict[str, bool] = {}  #: letters of this block that are absolute or not, whatever the mode
@@ -52,12 +53,43 @@ class Machine:
         self.no_feed = NO_FEED  #: why there is none
         self.drilled = False  #: the block drilled a hole
         self.ended = False
+        #: from coordinates of the program to those of the path: factor of x + i y, x + i y [m], z [m]; None: the same
+        self.shift: tuple[complex, complex, float] | None = None
+
+    def on_path(self, point) -> tuple[float, ...]:
+        """Return the place of a point on the path; an axis without a value keeps none."""
+        if self.shift is None:
+            return tuple(point)
+        turn, xy, height = self.shift
+        x, y, z = point
+        if turn != 1:
+            turned = complex(x, y) * turn
+            x, y = turned.real, turned.imag
+        return x + xy.real, y + xy.imag, z + height
+
+    def set_shift(self, shift: tuple[complex, complex, float] | None) -> None:
+        """Give the moves that follow other coordinates; the tool stays where it is."""
+        place = self.on_path(self.position)
+        self.shift = shift
+        if shift is not None:
+            turn, xy, height = shift
+            x, y, z = place[0] - xy.real, place[1] - xy.imag, place[2] - height
+            if turn != 1:
+                turned = complex(x, y) / turn
+                x, y = turned.real, turned.imag
+            place = x, y, z
+        self.position = list(place)
+
+    def go(self, end) -> None:
+        self.program.rapid(end if self.shift is None else self.on_path(end))
 
     # --- what moves no tool through material ---
 
     def set_mode(self, mode: float | None) -> None:
-        """G0 to G3, which end a cycle."""
-        self.mode = None if mode is None else int(mode)
+        """G0 to G3, G5, G5.1, which end a cycle."""
+        if mode != self.mode:
+            self.leaving = None
+        self.mode = mode if mode is None or mode == 5.1 else int(mode)
         self.cycle = None
 
     def set_feed_mode(self, mode: int) -> None:
@@ -84,7 +116,7 @@ class Machine:
         self.cycle = None
         if "Z" in axes:
             self.position[2] = TOP
-            self.program.rapid(tuple(self.position))
+            self.go(tuple(self.position))
         for axis in axes:
             if axis != "Z":
                 self.position[AXES[axis]] = math.nan
@@ -126,7 +158,7 @@ class Machine:
         self.position = list(end)
         if self.mode == 0:
             self._surplus(arc)
-            self.program.rapid(end)
+            self.go(end)
         elif self.mode is not None:
             self._cut(start, end, arc, axes)
 
@@ -161,7 +193,7 @@ class Machine:
             self._surplus(arc)
         known = not any(map(math.isnan, start))
         if not known and straight and self._approach(start, end):
-            self.program.rapid(end)
+            self.go(end)
         elif not known or (not straight and start[2] == TOP):
             reason = f"G{self.mode} before X, Y and Z are known"
             self.program.refuse(f"G{self.mode}", reason, START, derived=True)
@@ -171,7 +203,8 @@ class Machine:
             self._feed_to(start, [end], math.dist(start, end))
         else:
             try:
-                points, length, curvature = self._arc(start, end, arc, axes)
+                shape = self._arc if self.mode in (2, 3) else self._curve
+                points, length, curvature = shape(start, end, arc, axes)
             except ArcError as error:
                 self.program.refuse(f"G{self.mode}", str(error), derived=True)
             else:
@@ -188,6 +221,8 @@ class Machine:
         if self.feed_mode == 93:
             self.feed, self.no_feed = None, "G93 needs F in each line with a cutting move"
         if feed:
+            if self.shift is not None:
+                start, ends = self.on_path(start), [self.on_path(end) for end in ends]
             self.program.cut(start, ends, feed, curvature)
         elif length and feed == 0:
             self.program.refuse("F", "zero feed on a cutting move", derived=True)
@@ -247,22 +282,46 @@ class Machine:
         ends = [(point[x], point[y], point[z]) for point in points]
         return ends, length, curvature if self.plane == 17 else 0.0
 
+    def _curve(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
+        """Points along a curve of G5 or G5.1 (LinuxCNC), its length [m], and 0."""
+        word, cubic = f"G{self.mode:g}", self.mode == 5
+        offsets = {letter: arc[letter] for letter in "IJ" if letter in arc}
+        offsets |= {letter: axes.pop(letter) for letter in "PQ" if cubic and letter in axes}
+        if self.plane != 17 or end[2] != start[2]:
+            raise ArcError(f"{word} lies in the xy plane")
+        if not cubic and (not offsets or arc.keys() - {"I", "J"}):
+            raise ArcError(f"{word} takes X, Y, I and J")
+        if cubic and ("P" not in offsets or "Q" not in offsets or ("I" in arc) != ("J" in arc)):
+            raise ArcError(f"{word} takes X, Y, I, J, P and Q")
+        a, b = complex(*start[:2]), complex(*end[:2])
+        first = complex(offsets.get("I", 0.0), offsets.get("J", 0.0)) * self.unit
+        if cubic and "I" not in offsets:
+            if self.leaving is None:
+                raise ArcError(f"{word} without I and J, which only a curve after a curve leaves out")
+            first = -self.leaving
+        control = [a, a + first, b]
+        if cubic:
+            self.leaving = complex(offsets["P"], offsets["Q"]) * self.unit
+            control = [a, a + first, b + self.leaving, b]
+        points, length = curve_points(control, CHORD)
+        return [(point.real, point.imag, start[2]) for point in points[:-1]] + [end], length, 0.0
+
     # --- cycles ---
 
     def _drill(self, kind: float | None, axes: dict) -> None:
-        """Drill the holes of a block: a hole at its X, Y, or several in a row with G91 and L or K."""
+        """Drill the holes of a block along the axis of the plane: one hole, or several in a row with G91 and L or K."""
         self.drilled = True
-        if self.plane != 17:
-            reason = f"a drilling cycle in G{self.plane} drills along {'XYZ'[PLANES[self.plane][2]]}"
-            self.program.refuse(f"G{self.plane}", reason, "write G17 before the cycle", lost=True)
-            axes.clear()
-            return
         if not axes:
             self.program.refuse(f"G{kind:g}", "a drilling cycle without X, Y, Z or R", lost=True)
             return
-        floor, level, peck = (axes.pop(letter, None) for letter in "ZRQ")
+        across = PLANES[self.plane][2]
+        if self.shift is not None and self.shift[0] != 1 and across != 2:
+            self.program.refuse(f"G{self.plane}", "a drilling cycle across a plane that is turned", lost=True)
+            axes.clear()
+            return
+        floor, level, peck = (axes.pop(letter, None) for letter in ("XYZ"[across], "R", "Q"))
         repeats = axes.pop("L" if "L" in axes else "K", 1.0)
-        cycle = self.cycle = self.cycle or Cycle(0, self.position[2], self.position[2])
+        cycle = self.cycle = self.cycle or Cycle(0, self.position[across], self.position[across])
         if kind is not None:
             cycle.kind = int(kind)
         if level is not None:
@@ -276,17 +335,17 @@ class Machine:
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
             axes.clear()
             return
-        place = {axis: axes.pop(axis) for axis in "XY" if axis in axes}
+        place = {axis: axes.pop(axis) for axis in "XYZ" if axis in axes}
         if not repeats:  # the cycle is defined and drills nothing here
             self.program.count("L0", 1 + len(place))
         for _ in range(int(repeats)):
-            x, y, _ = self._end(dict(place))
-            if not self._hole(x, y, cycle):
+            if not self._hole(self._end(dict(place)), cycle, across):
                 return
 
-    def _hole(self, x: float, y: float, cycle: Cycle) -> bool:
+    def _hole(self, place: tuple[float, ...], cycle: Cycle, across: int) -> bool:
         word = f"G{cycle.kind}"
-        if not all(map(math.isfinite, (x, y, cycle.retract, cycle.bottom))):
+        beside = [value for axis, value in enumerate(place) if axis != across]
+        if not all(map(math.isfinite, (*beside, cycle.retract, cycle.bottom))):
             reason = "a drilling cycle whose X, Y, Z and R are not all known"
             self.program.refuse(word, reason, START, derived=True)
             return False
@@ -301,22 +360,27 @@ class Machine:
         except ValueError as error:
             self.program.refuse(word, str(error))
             return False
-        height = max(self.position[2], cycle.retract)
-        self.program.rapid((*self.position[:2], height))
-        self.program.rapid((x, y, height))
-        at = (x, y, cycle.retract)
-        self.program.rapid(at)
-        self.program.drilling = True
-        for z, rapid in strokes:
+
+        def at(point, height: float) -> tuple[float, ...]:
+            return (*point[:across], height, *point[across + 1 :])
+
+        height = max(self.position[across], cycle.retract)
+        self.go(at(self.position, height))
+        self.go(at(place, height))
+        last = at(place, cycle.retract)
+        self.go(last)
+        self.program.drilling = across == 2
+        for depth, rapid in strokes:
+            end = at(place, depth)
             if rapid:
-                self.program.rapid((x, y, z))
+                self.go(end)
             else:
-                self._feed_to(at, [(x, y, z)], abs(z - at[2]))
-            at = (x, y, z)
+                self._feed_to(last, [end], math.dist(last, end))
+            last = end
         self.program.drilling = False
         back = max(cycle.initial, cycle.retract) if self.to_initial and not math.isnan(cycle.initial) else cycle.retract
-        self.program.rapid((x, y, back))
-        self.position = [x, y, back]
+        self.go(at(place, back))
+        self.position = list(at(place, back))
         return True
 
 

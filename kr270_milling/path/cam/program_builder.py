@@ -12,7 +12,7 @@ from kr270_milling.base.errors import one_line
 from kr270_milling.base.text import short
 from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
 from kr270_milling.path.source_program import ProgramError, ProgramTool, ReadOver, Refusal, SourceProgram
-from kr270_milling.path.toolpath import TOP, PathBuilder, Toolpath, cut_features
+from kr270_milling.path.toolpath import MOST_BLOCKS, REACH, TOP, PathBuilder, Toolpath, cut_features
 
 __all__ = ["ProgramBuilder"]
 
@@ -77,6 +77,28 @@ class ProgramBuilder(PathBuilder):
             self.rapid(start)
         for end in ends:
             self.move(end, feed, False, self.line, curvature)
+
+    def cuts_from(self, place: list[float]) -> bool:
+        """Return whether the tool whose moves are wanted is at a place."""
+        return self.active and not self.away and self.last == tuple(place)
+
+    def straight_cuts(self, ends: list[tuple[float, float, float, int]], feed: float) -> int:
+        """Feed through points (x, y, z, line) from the place of the tool, as ``cut`` does, up to one out of reach.
+
+        Return the number of points.
+        """
+        rows = np.array(ends)[: MOST_BLOCKS - len(self)]
+        far = ~(np.abs(rows[:, :3]).max(axis=1) <= REACH)
+        rows = rows[: int(np.argmax(far))] if far.any() else rows
+        if not len(rows):
+            return 0
+        self.named = False
+        self._before_change = len(self.comments)
+        self._cuts[self.tool] += len(rows)
+        self._last_cut[self.tool] = self.line = ends[len(rows) - 1][3]
+        self._frames.setdefault(self._key, ends[0][3])
+        self.straight_moves(rows, feed)
+        return len(rows)
 
     def change_tool(self, tool: str) -> None:
         """The tool of the moves that follow; they make a feature of its name where no comment names the operation.
@@ -239,11 +261,13 @@ def _several_speeds(speeds: dict[float, int]) -> list[Refusal]:
     return _several("spindle speeds", words)
 
 
+EACH = "post one program for each"
+_SEVERAL = {"work offsets": f"state their places with path.offsets_mm in the cell, or {EACH}"}
+
+
 def _several(what: str, words: list[tuple[str, int]]) -> list[Refusal]:
     """A refusal of the second of several words, with their lines."""
     if len(words) < 2:
         return []
     listing = ", ".join(f"{word} (line {line})" for word, line in words[:6])
-    return [
-        Refusal(words[1][1], words[1][0].split()[0], f"{len(words)} {what}: {listing}", "post one program for each")
-    ]
+    return [Refusal(words[1][1], words[1][0].split()[0], f"{len(words)} {what}: {listing}", _SEVERAL.get(what, EACH))]

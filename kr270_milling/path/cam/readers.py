@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,7 +83,7 @@ class PathReader:
             raise InputError(path, "is not UTF-8 text") from None
 
 
-GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed"))
+GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed", "offsets"))
 APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
 RECORDING = PathReader("kr270_milling.recordings.bag.recorded_path", "read_recorded", ("topic", "feed"))
 #: the reader of each kind of file, by the end of the name
@@ -124,22 +125,26 @@ def find_tool_path(name: str, beside: Path = Path()) -> Path:
     return files[0]
 
 
-def read_path_file(path, tool: str = "", topic: str = "", feed: float = 0.0) -> Toolpath | TimedPath:
+def read_path_file(
+    path, tool: str = "", topic: str = "", feed: float = 0.0, offsets: Sequence[float] = ()
+) -> Toolpath | TimedPath:
     """Read G-code, APT/CL, a CSV of points or a recording; raise InputError with the line number, or RecordingError.
 
     tool: "T1", of a program with several; topic: of a recording with several paths; feed [m/s]: for a file without
-    feed, 0 for none.
+    feed, 0 for none; offsets [m]: x, y, z of the work offsets G54, G55 ... of G-code in the workpiece frame.
     """
     reader = reader_of(path)
+    if len(offsets) and "offsets" not in reader.options:
+        raise InputError(path, f"a {Path(path).suffix} file has no work offsets G54 to G59.3")
     if tool and "tool" not in reader.options:
         raise InputError(path, f"a {Path(path).suffix} file has no tools, so {tool} cannot be chosen")
-    options = {"tool": tool, "topic": topic, "feed": feed}
+    options = {"tool": tool, "topic": topic, "feed": feed, "offsets": offsets}
     return reader.read(path, **{name: options[name] for name in reader.options})
 
 
-def read_toolpath(path, tool: str = "", feed: float = 0.0) -> Toolpath:
+def read_toolpath(path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = ()) -> Toolpath:
     """Read the tool path of a CAM program or of a CSV of points, as ``read_path_file``."""
-    toolpath = None if reader_of(path).recorded else read_path_file(path, tool, feed=feed)
+    toolpath = None if reader_of(path).recorded else read_path_file(path, tool, feed=feed, offsets=offsets)
     if not isinstance(toolpath, Toolpath):
         raise InputError(path, "is a recording, not a program")
     return toolpath

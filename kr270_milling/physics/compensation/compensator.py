@@ -129,7 +129,7 @@ class Compensator:
         return max((part.missing for part in self.limited if part.kind == "size"), default=0.0)
 
     def revise(self, record: PassRecord) -> Trajectory:
-        """Return the reference for the next pass from the pass along the present one; raise RevisionError."""
+        """Return the reference for the next pass from the pass along the present one; raise ModelError."""
         if not self.errors and self.reference is self.target:
             self.first = record
         self.errors += (remaining_error(self.target, record),)

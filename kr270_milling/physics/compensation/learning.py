@@ -21,6 +21,7 @@ import dataclasses
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from kr270_milling.base.errors import ModelError
 from kr270_milling.path.controller_motion import block_ends, controller_motion
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.arm_fit import Evidence, Identified, fit_arm
@@ -28,9 +29,7 @@ from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
 from kr270_milling.physics.compensation.revision import (
-    KnotsError,
     PassRecord,
-    RevisionError,
     corrected,
     resting_segments,
 )
@@ -90,9 +89,14 @@ class Learner:
         return cls(target, arm, conditions, criterion, models)
 
     def cubic(self, reference: Trajectory) -> np.ndarray:
-        """Cubics of reference minus target, (m, 4, 3); raises KnotsError where their knots differ in time."""
+        """Cubics of reference minus target, (m, 4, 3); raises ModelError where their knots differ in time."""
         if not np.array_equal(reference.time_ns, self.target.time_ns):
-            raise KnotsError(reference, self.target)
+            of = self.target
+            raise ModelError(
+                f"the reference trajectory that was run ({len(reference)} knots in {reference.duration_ns * 1e-9:g} s) "
+                f"must have its knots at the times of the target's ({len(of)} in {of.duration_ns * 1e-9:g} s): "
+                "another target or another compensator led to it"
+            )
         return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
 
     def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:
@@ -125,7 +129,7 @@ class Learner:
     def expect(self) -> Learner:
         """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""
         if self._cut is None:
-            raise RevisionError("without a pass the wrench must come from the model's cut")
+            raise ModelError("without a pass the wrench must come from the model's cut")
         ran = self._cut(self.target)
         self._ideal, self.scored = self._wrench(ran), self._scored(ran)
         self.expected = self.arm.swing(self.segments, self.path, self.path[0, 1])

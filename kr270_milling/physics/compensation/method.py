@@ -61,4 +61,4 @@ class Method(Protocol):
         """Return whether ``best`` and the verdict compare it; a method of another package need not state it."""
 
     def revise(self, task: RevisionTask) -> Correction:
-        """Return the correction for the next pass; raise RevisionError where the pass does not allow one."""
+        """Return the correction for the next pass; raise ModelError where the pass does not allow one."""

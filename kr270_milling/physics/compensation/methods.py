@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kr270_milling.base.errors import ModelError
 from kr270_milling.base.extensions import load_as, refused, registered
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 
@@ -35,10 +36,8 @@ class MirrorMethod:
     recommended: bool = False
 
     def revise(self, task: RevisionTask) -> Correction:
-        from kr270_milling.physics.compensation.revision import RevisionError
-
         if task.models.mirror is None:
-            raise RevisionError(f"the method {self.name} needs the model of the arm")
+            raise ModelError(f"the method {self.name} needs the model of the arm")
         target = task.target
         modified = task.models.mirror(target, task.ran.mean_wrench(target.time_ns))
         offset, smooth = modified.position - target.position, target.velocity is not None

@@ -7,24 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot import Arm, Mount, equilibrium, inverse_near
 
-__all__ = ["Mirror", "MirrorError", "loaded_pose", "mirror"]
+__all__ = ["Mirror", "loaded_pose", "mirror"]
 
 LEVER = 0.1  # [m]; weighs a rotation against a displacement in the convergence measure: about a tool's length
-
-
-class MirrorError(MillingError):
-    """The iteration (32) did not converge; history holds its largest remaining error [m] at every iteration."""
-
-    def __init__(self, history: tuple[float, ...], tolerance: float):
-        self.history, self.tolerance = history, tolerance
-        super().__init__(
-            f"the compensated target point did not converge: {history[-1]:.3g} m left after {len(history)} iterations "
-            f"of (32), wanted {tolerance:.3g} m; lower compensation.relaxation or check the load"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +60,7 @@ def mirror(
     """Solve (31) by the iteration (32) for target poses (n,) in base_link under wrenches (n, 6) [N, N m], base axes.
 
     seed: a posture [rad], (6,), of the branch that the first target is on. tolerance [m]; a rotation error counts
-    with a lever of 0.1 m. Raises MirrorError, and the errors of the inverse kinematics and of the equilibrium.
+    with a lever of 0.1 m. Raises ModelError, and the errors of the inverse kinematics and of the equilibrium.
     """
     wrench = np.broadcast_to(wrench, target.position.shape[:-1] + (6,))
     modified, history = target, []
@@ -86,4 +75,7 @@ def mirror(
             return Mirror(modified, joints, tuple(history))
         step = Rotation.from_rotvec(relaxation * vector).as_matrix()
         modified = Pose(modified.position + relaxation * shift, step @ modified.rotation)  # (32)
-    raise MirrorError(tuple(history), tolerance)
+    raise ModelError(
+        f"the compensated target point did not converge: {history[-1]:.3g} m left after {len(history)} iterations "
+        f"of (32), wanted {tolerance:.3g} m; lower compensation.relaxation or check the load"
+    )

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import ModelError
 from kr270_milling.path.controller_motion import block_ends, controller_motion, spline_slopes
 from kr270_milling.path.trajectory import Trajectory, slerp
 from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 
 __all__ = [
-    "KnotsError",
     "PassRecord",
-    "RevisionError",
     "chord_error",
     "corrected",
     "resting_segments",
@@ -26,22 +24,6 @@ __all__ = [
 ]
 
 ROUNDS = 30  #: rounds of tightening the limits at the knots until the spline between them keeps them too
-
-
-class RevisionError(MillingError):
-    """A pass from which no revision can be made."""
-
-
-class KnotsError(RevisionError):
-    """A pass along a reference trajectory whose knots have other times than the target's."""
-
-    def __init__(self, reference: Trajectory, target: Trajectory):
-        self.reference, self.target = reference, target
-        super().__init__(
-            f"the reference trajectory that was run ({len(reference)} knots in {reference.duration_ns * 1e-9:g} s) "
-            f"must have its knots at the times of the target's ({len(target)} in {target.duration_ns * 1e-9:g} s): "
-            "another target or another compensator led to it"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +49,7 @@ class PassRecord:
     def mean_wrench(self, knots_ns: np.ndarray) -> np.ndarray:
         """(k, 6): mean over the samples that are nearer to a knot than to any other; 0 where there is none."""
         if self.wrench is None:
-            raise RevisionError("the method needs the wrench of the pass, which was not measured")
+            raise ModelError("the method needs the wrench of the pass, which was not measured")
         nearest = np.searchsorted(0.5 * (knots_ns[:-1] + knots_ns[1:]), self.time_ns)
         count = np.bincount(nearest, minlength=knots_ns.size)
         total = np.stack([np.bincount(nearest, w, knots_ns.size) for w in self.wrench.T], axis=1)
@@ -96,7 +78,7 @@ class PassRecord:
 def sampled_correction(target: Trajectory, reference: Trajectory, record: PassRecord) -> np.ndarray:
     """c_k = -delta(t_k) [m], (k, 3), Fig. 14: the displacement of a pass along ``reference`` at the target's knots."""
     if len(record.time_ns) < 2 or not np.all(np.isfinite(record.position)):
-        raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
+        raise ModelError("a pass of at least two finite tool positions is needed to revise the reference")
     return -record.sampled_displacement(reference, target.time_ns)
 
 

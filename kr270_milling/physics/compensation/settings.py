@@ -25,12 +25,12 @@ class CompensationSettings(Record):
     relaxation: float = parameter(0.9, above=0.0, high=1.0, text="alpha of (32)")
     sag_compensated: bool = parameter(True, text="the controller already compensates the sag under the link weights")
     criterion: str = parameter(
-        "min_max", text="what 'learned' and 'inverse' minimise", choices=("min_max", "least_squares")
+        "least_squares", text="what 'learned' and 'inverse' minimise", choices=("min_max", "least_squares")
     )
     interpolation: str = parameter(
         "spline", text="of 'inverse' and 'learned' between the knots", choices=("spline", "linear")
     )
-    max_passes: int = parameter(12, low=1, high=1000, text="most passes of 'learned' and of ``repeat``")
+    max_passes: int = parameter(6, low=1, high=1000, text="most passes of 'learned' and of ``repeat``")
     repeat: bool = parameter(
         False, text="simulate and revise until the path error stops improving; 'learned' always does"
     )

@@ -14,10 +14,11 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
+__all__ = ["RESOLVED_NODES", "Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
 
 TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
 LEVELS = 65535
+RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: a slot then has 97 % of its force
 MAX_TILES = 32768  # of 128 KiB each; a node's place in the pool then fits an int32
 
 
@@ -37,7 +38,13 @@ class Stock(Record):
 
     min: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="lower corner in the workpiece frame")
     max: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="upper corner in the workpiece frame")
-    grid_step: float = parameter(10e-6, unit="um", low=0.5, high=1000.0, text="distance of grid nodes, ds")
+    grid_step: float = parameter(
+        math.nan,
+        unit="um",
+        low=0.5,
+        high=1000.0,
+        text="distance of grid nodes, ds; default: by tool and feed, so that the teeth meet enough nodes",
+    )
     engagement_step: float = parameter(
         200e-6,
         unit="um",
@@ -46,20 +53,40 @@ class Stock(Record):
         text="distance of grid nodes where cutting.detail is engagement; at most 1/50 of the radius of the tool",
     )
     floor_tolerance: float = parameter(
-        2e-6, unit="um", low=0.0, high=100.0, text="how far the tool may sink before its whole footprint is cut again"
+        1e-6, unit="um", low=0.0, high=100.0, text="how far the tool may sink before its whole footprint is cut again"
     )
 
     def check(self) -> None:
-        if not np.all(self.max - self.min >= [self.grid_step, self.grid_step, 1e-6]):
+        step = 1e-6 if math.isnan(self.grid_step) else self.grid_step
+        if not np.all(self.max - self.min >= [step, step, 1e-6]):
             raise ParameterError("max_mm", (1e3 * self.max).tolist(), "above min_mm in x, y and z by a grid step")
         # the table takes 4 bytes for each tile, used or not
-        if max(self.nodes) > 2**30 or math.prod(tile_count(self)) > 1 << 24:
+        if not math.isnan(self.grid_step) and (max(self.nodes) > 2**30 or math.prod(tile_count(self)) > 1 << 24):
             raise ParameterError("grid_step_um", 1e6 * self.grid_step, "larger: the grid has too many nodes")
 
     def for_engagement(self, radius: float) -> Stock:
         """Return the stock with the grid of the mean-force model; radius [m]: of the tool."""
         # the mean-force model needs 50 nodes in the radius of the tool
         return self.replace(grid_step=min(self.engagement_step, radius / 50))
+
+    def for_teeth(self, radius: float, micro_step: float, feeds: tuple[float, float], length: float) -> Stock:
+        """Return the stock with a grid for the sweep of the teeth; a grid step that is given stays.
+
+        The grid step is a fifth of the largest feed per tooth, of thin chips up to 3/8 of it, above which a grid has
+        noise. A tooth at the slow feed meets ``RESOLVED_NODES``, f R dphi / ds^2. radius [m]: of the tool; micro_step
+        [rad]; feeds: largest and slow feed per tooth [m], 0: not known; length of the path [m].
+        """
+        if not math.isnan(self.grid_step):
+            return self
+        largest, slow = feeds
+        fine, finest, coarsest = 20e-6, 2e-6, 100e-6  # [m]
+        widest = 0.05 * radius  # with fewer nodes across a cut its force is noise
+        most_nodes = 1e8  # assumed: 200 MB
+        wanted = min(max(0.2 * largest, min(fine, 0.375 * largest)) or fine, widest, coarsest)
+        resolved = math.sqrt(slow * radius * micro_step / RESOLVED_NODES) or wanted
+        area = min(math.prod((self.max - self.min)[:2]), 2.0 * radius * (length + 2.0 * radius))
+        step = max(min(wanted, resolved), math.sqrt(area / most_nodes), finest)
+        return self.replace(grid_step=1e-6 * math.floor(1e6 * step + 1e-6))  # whole um
 
     @property
     def nodes(self) -> tuple[int, int]:

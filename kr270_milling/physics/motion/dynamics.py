@@ -23,7 +23,7 @@ from numba import njit
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import ModelError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
@@ -42,10 +42,6 @@ __all__ = [
 ]
 
 Side = Literal["left", "right"]
-
-
-class DynamicsError(MillingError):
-    """Mass or compliance that cannot belong to an arm."""
 
 
 class ArmFactors(NamedTuple):
@@ -149,10 +145,10 @@ def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]
     inertial = np.flatnonzero(np.diag(mass) > 0.0)
     free = np.setdiff1d(np.arange(6), inertial)
     if inertial.size == 0 or np.any(mass[free]) or np.linalg.eigvalsh(mass[np.ix_(inertial, inertial)])[0] <= 0.0:
-        raise DynamicsError("the mass matrix must be symmetric and positive definite in the components with inertia")
+        raise ModelError("the mass matrix must be symmetric and positive definite in the components with inertia")
     softness = compliance[np.ix_(inertial, inertial)]
     if not (np.isfinite(softness).all() and np.linalg.cond(softness) < 1e12):
-        raise DynamicsError("the compliance matrix is singular or not finite where there is inertia")
+        raise ModelError("the compliance matrix is singular or not finite where there is inertia")
     stiffness = np.linalg.inv(softness)
     stiffness = 0.5 * (stiffness + stiffness.T)  # rounding only: K_C is symmetric under link weights
     force, output, feedthrough = np.zeros((inertial.size, 6)), np.zeros((6, inertial.size)), np.zeros((6, 6))
@@ -171,7 +167,7 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
     mass_i = mass[np.ix_(inertial, inertial)]
     squared, shape = eigh(stiffness, mass_i)
     if not squared[0] > 0.0:
-        raise DynamicsError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
+        raise ModelError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
     return ModalModel(inertial, np.sqrt(squared), shape, mass_i, force, output, feedthrough, np.eye(6)[inertial])
 
 

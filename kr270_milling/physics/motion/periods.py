@@ -17,7 +17,9 @@ __all__ = ["Clock", "Exchange", "Publish"]
 class Exchange(Record):
     """YAML ``exchange``: how often robot and cutting process exchange pose and wrench."""
 
-    period: float = parameter(0.5e-3, unit="ms", above=0.0, high=20.0, text="exchange period H")
+    period: float = parameter(
+        math.nan, unit="ms", above=0.0, high=20.0, text="exchange period H; default: 0.25 ms, in whole micro-steps"
+    )
     micro_step: float = parameter(np.radians(1.0), unit="deg", low=0.01, high=15.0, text="spindle angle a micro-step")
     engagement_period: float = parameter(
         4e-3,
@@ -38,8 +40,17 @@ class Exchange(Record):
 
     def for_engagement(self, spindle_speed: float) -> Exchange:
         """Return the exchange of the mean-force model at a spindle speed [rad/s]: its period in whole micro-steps."""
+        return self._rounded(self.engagement_period, spindle_speed)
+
+    def for_teeth(self, spindle_speed: float) -> Exchange:
+        """Return the exchange of the sweep of the teeth at a spindle speed [rad/s]; a period that is given stays."""
+        usual = 0.25e-3  # [s], that of the shipped test piece; convergence in guide/numbers.md
+        return self._rounded(usual, spindle_speed) if math.isnan(self.period) else self
+
+    def _rounded(self, period: float, spindle_speed: float) -> Exchange:
+        """Return the exchange with a period [s] in whole micro-steps at a spindle speed [rad/s]."""
         unit = self.micro_step / spindle_speed
-        return self.replace(period=unit * max(1, round(self.engagement_period / unit)))
+        return self.replace(period=unit * max(1, round(period / unit)))
 
     def steps_of(self, period: float) -> int:
         """Exchange periods that make ``period`` [s] at least."""
@@ -66,6 +77,10 @@ class Publish(Record):
         low=0,
         high=1_000_000,
         text="exchange periods from one deflection, and one joint state, to the next; 1: all; 0: as many as make 10 ms",
+    )
+    clock: bool = parameter(
+        False,
+        text="publish clock every 10 ms of the pass; at the root it drives every node with use_sim_time",
     )
 
     def steps(self, exchange: Exchange) -> int:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.errors import ModelError, ParameterError
 from kr270_milling.base.record import Record, build, read_tree
 from kr270_milling.physics.robot.arm import BARE, Arm, Mount
 from kr270_milling.physics.robot.elastostatics import compliance, equilibrium, stiffness
-from kr270_milling.physics.robot.errors import ConditionError
 from kr270_milling.physics.robot.kinematics import pose, rotate_matrix
 from kr270_milling.physics.robot.mass import MODELS, cartesian_mass, mode_frequencies
 
@@ -50,7 +49,10 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
     loaded = equilibrium(arm, mount, q, both.T @ np.asarray(wrench, float), gravity)
     condition = float(np.linalg.cond(loaded.jacobian))
     if not condition <= MOST_CONDITION:
-        raise ConditionError(condition, MOST_CONDITION)
+        raise ModelError(
+            "the arm is too near a singular posture for a stiffness: the condition number of its Jacobian is "
+            f"{condition:.3g}, but must be at most {MOST_CONDITION:g}"
+        )
     shift = loaded.pose.position - start.position
     tilt = Rotation.from_matrix(loaded.pose.rotation @ start.rotation.T).as_rotvec()
     soft = compliance(loaded, arm)

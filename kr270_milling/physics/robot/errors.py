@@ -13,7 +13,6 @@ __all__ = [
     "ReachError",
     "JointLimitError",
     "SingularityError",
-    "ConditionError",
     "UnstableLoadError",
     "DeflectionError",
     "EquilibriumError",
@@ -58,17 +57,6 @@ class SingularityError(MillingError):
             "wrist": "keep axis 5 away from 0 deg",
         }[which]
         super().__init__(f"the arm is in its {which} singularity (measure {measure:.2g}); {cure}{_place(index)}")
-
-
-class ConditionError(MillingError):
-    """The Jacobian's condition number (lengths in m) is too large for its inverse to be computed."""
-
-    def __init__(self, condition: float, limit: float):
-        self.condition, self.limit = condition, limit
-        super().__init__(
-            f"the arm is too near a singular posture for a stiffness: the condition number of its Jacobian is "
-            f"{condition:.3g}, but must be at most {limit:g}"
-        )
 
 
 class UnstableLoadError(MillingError):

@@ -124,7 +124,7 @@ def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
     import pyarrow.parquet
 
     with contextlib.ExitStack() as stack:
-        writer = None
+        writer: pyarrow.parquet.ParquetWriter | None = None
         for table in _tables(rows):
             schema = writer.schema if writer else None
             group = pyarrow.table(dict(zip(columns, map(list, zip(*table, strict=True)), strict=True)), schema=schema)

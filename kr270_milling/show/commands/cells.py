@@ -56,14 +56,17 @@ def run_init(args) -> Answer:
 def run_keys(args) -> Answer:
 
     entries = keys_of(args.section)
+    shown = [k for k in entries if args.all or not k["expert"] or k["key"] == args.section]
     rows = [("key", "unit", "range", "default", "meaning")]
-    for k in entries:
+    for k in shown:
         rows.append(
             (k["key"], k["unit"], k["range"], "required" if k["required"] else default_text(k["default"]), k["text"])
         )
     # never cut off by the width of the terminal: a key is copied
     widths = [*(max(len(row[column]) for row in rows) for column in range(4)), 0]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    if hidden := len(entries) - len(shown):
+        lines.append(f"{hidden} keys for experts are not shown: kr270_milling keys --all")
     return Answer({"section": args.section, "keys": entries}, lines)
 
 

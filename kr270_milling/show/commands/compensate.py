@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.column import CONVERGED, TextTable, as_dict, columns, columns_of, fixed, table_of
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.jobs import joint_ranges
 from kr270_milling.cell.models import cut_of, cut_text_of, path_of
 from kr270_milling.decide.compensation import compensate, limit_sentence
-from kr270_milling.decide.decision import CAUTION, NO
+from kr270_milling.decide.decision import CAUTION, NO, YES
+from kr270_milling.decide.levers import Lever, levers
 from kr270_milling.decide.part import FeatureRow, write_part
 from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, write_manifest, write_programs
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
@@ -25,6 +27,7 @@ from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
 from kr270_milling.decide.tolerance import um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
+from kr270_milling.decide.verdict import SAMPLES
 from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (
@@ -63,7 +66,10 @@ def run_compensate(args) -> Answer:
     source, cells = find_file(args.cell), read_cells(find_file(args.cell), args.set)
     if args.gcode:
         check_gcode(cells)
+    reached: list = []
     with staged(args.out) as (draft, final), steps() as whole:
+        if args.reach:
+            reached, cells = _reach(cells, args, whole)
         jobs = in_turn(
             cells,
             lambda cell: run(cell, whole),
@@ -74,11 +80,31 @@ def run_compensate(args) -> Answer:
         if args.json and decision.level == CAUTION:
             print(f"warning: {decision.text}", file=sys.stderr)
         whole.say("files")
-        values = _write(draft, final, jobs, decision, args, source, whole)
+        values = _write(draft, final, jobs, decision, args, source, whole, reached)
         if older := set_aside(args.out):
             print(f"programs of an earlier run moved to {Path(args.out, OLDER)}: {', '.join(older)}", file=sys.stderr)
-    shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
+    shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args, reached)
     return Answer(values, shown, code=decision.exit_code)
+
+
+def _reach(cells, args, whole) -> tuple[list, tuple]:
+    """Return the levers that were tried, and the cell with the cheapest that is enough."""
+    if len(cells) > 1:
+        raise InputError("--reach", "takes a program with one tool, or one of its tools: --set path.tool=T1")
+    motion = (args.krl or [cells[0].krl.motion])[0]
+    with whole("levers") as report:
+        rows = levers(cells[0], args.verdict or SAMPLES, args.seed, motion, report)
+    return [lever for lever, _ in rows], (rows[-1][1],)
+
+
+def _levers_table(reached) -> TextTable:
+    """The levers side by side, for terminal and report."""
+    last = reached[-1]
+    state = "the last row is run" if last.enough else "none is enough; the last row is run"
+    note = f"{state}: {', '.join(last.keys)}"
+    rows = [as_dict(lever) for lever in reached]
+    columns = [(head, key, 0 if key in ("within_tolerance", "robots") else 2) for head, key, _ in columns_of(Lever)]
+    return table_of("Levers: simulated robots within the tolerance", columns, rows, note)
 
 
 def _values(cell, result) -> dict:
@@ -124,18 +150,17 @@ def _correction(cell, revised, by) -> dict:
     return values
 
 
-def _write(draft, final, jobs, decision, args, source, whole) -> dict:
+def _write(draft, final, jobs, decision, args, source, whole, reached) -> dict:
     """Write all files of all tools and return the values for ``--json``; jobs: cell and compensation of each tool."""
     date, released = now(), decision.level != NO
     tools, texts, pages = [], [], []
     for cell, result in jobs:
-        lines = decision.lines(cell.stage.tool) if len(jobs) > 1 else decision.lines()
         values = _values(cell, result)
-        placed, text = _write_programs(draft, final, cell, result, lines, released, args, date)
+        placed, text = _write_programs(draft, final, cell, result, decision.level, args, date)
         tools.append(values | placed)
         texts.append(text)
-        pages.append(_report_of_tool(cell, result, args, source, date, whole))
-        if result.parts:
+        pages.append(_report_of_tool(cell, result, args, source, date, whole, reached))
+        if result.parts and "stl" in args.write:
             stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
             write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock)
             tools[-1]["part"] = str(final(stl))
@@ -156,7 +181,8 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
         ]
         return {**as_dict(decision), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
     tools[0]["programs"]["manifest"] = [manifest]
-    return tools[0] | report | gcode
+    shown = {"levers": [as_dict(lever) for lever in reached]} if reached else {}
+    return tools[0] | report | gcode | shown
 
 
 def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dict, str]:
@@ -181,8 +207,9 @@ def _gcode_lines(values: dict):
         yield SCORED
 
 
-def _write_programs(draft, final, cell, result, lines, released, args, date: str) -> tuple[dict, str]:
+def _write_programs(draft, final, cell, result, level: str, args, date: str) -> tuple[dict, str]:
     """Write programs and tables of one tool; return their final paths by kind, and the text for the manifest."""
+    released = level != NO
     files, text = write_programs(
         draft,
         cell,
@@ -192,17 +219,18 @@ def _write_programs(draft, final, cell, result, lines, released, args, date: str
         date=date,
         motions=result.motions if released or args.force else None,
         source=cell.path.sha256,
-        decision=lines,
+        decision=level,
         findings=[*result.checked.findings_lines(), result.checked.counts],
         released=released,
         rsi=args.rsi and rsi_address(args.rsi),
+        tables=[*args.write, *["rsi"] * bool(args.rsi)],
     )
     placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
     placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
     return placed, text
 
 
-def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
+def _report_of_tool(cell, result, args, source, date: str, whole, reached) -> str:
     """Return the report of one tool as text."""
     revised = result.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
@@ -216,7 +244,11 @@ def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
         parts=result.parts,
         decision=result.decision,
         checked=result.checked,
-        tables=[_joints_table(cell, revised), _time_law_table(cell, result, whole)],
+        tables=[
+            *([_levers_table(reached)] if reached else []),
+            _joints_table(cell, revised),
+            _time_law_table(cell, result, whole),
+        ],
     )
 
 
@@ -258,10 +290,14 @@ def _shown_tools(jobs, decision, values: dict, args):
     yield from (f"{kind}: {values[kind]}" for kind in ("manifest", "report") if kind in values)
 
 
-def _shown(cell, result, decision, values: dict, args):
+def _shown(cell, result, decision, values: dict, args, reached):
     """Yield the output for the terminal, the decision first."""
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
+    if reached:
+        yield _levers_table(reached)
+    elif decision.level != YES and decision.verdict and not path_of(cell).straight:
+        yield "levers: compensate --reach tries softer ramps of the path, which let the arm swing less after corners"
     yield from _details(cell, result, values)
     if decision.level == NO:
         yield NOT_RELEASED if args.force else NOT_WRITTEN

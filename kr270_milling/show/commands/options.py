@@ -9,7 +9,8 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch
+from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch, words
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.version import __version__
 from kr270_milling.live.nodes.play_arguments import PLAY
 
@@ -102,6 +103,8 @@ def run(args: argparse.Namespace) -> Answer:
             from kr270_milling.show.commands.recordings import run_recover as command
         case name, _:
             raise ValueError(f"no function for the command {name}")
+    if (args.command in ("compensate", "demo", "report")) or ("self_contained" in args and args.out):
+        require_extra(f"the page of {args.command}", "", "plotly")  # before the computation
     return command(args)
 
 
@@ -137,6 +140,7 @@ def _add_init(parser) -> None:
 def _add_keys(parser) -> None:
     _example(parser, "keys tool")
     parser.add_argument("section", metavar="SECTION", default="", nargs="?", help="for example tool; default: all")
+    parser.add_argument("--all", action="store_true", help="show also the keys for experts, which init does not write")
 
 
 def _add_stiffness(parser) -> None:
@@ -179,6 +183,11 @@ def _add_compensate(parser) -> None:
         ),
     )
     add(
+        "--reach",
+        action="store_true",
+        help="try softer ramps of the path, up to 1.5 times its time, until 90 %% of the robots meet the tolerance",
+    )
+    add(
         "--force",
         action="store_true",
         help="also write the programs after the decision no, marked NOT RELEASED in name and header",
@@ -186,7 +195,20 @@ def _add_compensate(parser) -> None:
     add(
         "--rsi",
         metavar="ADDRESS[:PORT]",
-        help=("also write the RSI context of a KR C4 and the program around it, for 'kr270_milling rsi' on that host"),
+        help=(
+            "also write the table of offsets, the RSI context of a KR C4 and the program around it, for "
+            "'kr270_milling rsi' on that host"
+        ),
+    )
+    add(
+        "--write",
+        metavar="KIND,...",
+        type=words("joints", "rsi", "stl"),
+        default=(),
+        help=(
+            "also write joints: tables of joint positions; rsi: the table of offsets for 'kr270_milling rsi'; "
+            "stl: the machined part"
+        ),
     )
     add(
         "--gcode",
@@ -502,7 +524,14 @@ def _add_simulate(parser) -> None:
     add = parser.add_argument
     _shared(parser, "cell", "--set", "--plant", "--noise-um")
     add("--reference", metavar="FILE.csv", help="run along this trajectory, as written by compensate")
-    add("--out", metavar="DIR", help="write the series of the pass here as CSV; of a tool path also the part as STL")
+    add("--out", metavar="DIR", help="write the series of the pass here as CSV")
+    add(
+        "--write",
+        metavar="KIND",
+        type=words("stl"),
+        default=(),
+        help="stl: with --out, of a tool path, write also the machined part",
+    )
 
 
 def _add_check(parser) -> None:
@@ -511,6 +540,12 @@ def _add_check(parser) -> None:
     _shared(parser, "cell", "--set")
     add("--reference", metavar="FILE.csv", help="check this trajectory, as written by compensate")
     add("--motion", choices=MOTIONS, help="default: the cell's program.motion")
+    add(
+        "-v",
+        "--verbose",
+        action="store_true",
+        help="print everything that was checked, not only tolerance, stops, warnings, stability and the last line",
+    )
 
 
 def _add_stability(parser) -> None:

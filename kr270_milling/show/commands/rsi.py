@@ -98,6 +98,8 @@ def _table(name: str) -> Path:
         return path
     tables = sorted(path.glob("rsi_offsets_*.csv"))
     if len(tables) != 1:
-        reason = f"holds {len(tables)} tables rsi_offsets_*.csv" + "; name one of them" * bool(tables)
+        reason = f"holds {len(tables)} tables rsi_offsets_*.csv" + (
+            "; name one of them" if tables else ": kr270_milling compensate --write rsi writes one"
+        )
         raise InputError(path, reason)
     return tables[0]

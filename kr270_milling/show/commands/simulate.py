@@ -13,7 +13,7 @@ from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import jobs
 from kr270_milling.cell.cell_file import read_cell, read_cells
-from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, path_of
+from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, path_of, thin_chips
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide import check as decision
 from kr270_milling.decide.check_cut import residue_of
@@ -57,7 +57,7 @@ def _simulated(cell, args, draft, final, whole):
         summary |= as_dict(part)
     if draft and final:
         files = write_series(draft, arm_of(cell), path_of(cell).target, [scored])
-        if not path_of(cell).straight:
+        if "stl" in args.write and not path_of(cell).straight:
             files.append(draft / f"part{suffix}.stl")
             write_part(files[-1], cut_of(cell), scored.result, path_of(cell).clock)
         summary["files"] = [str(final(path)) for path in files]
@@ -121,7 +121,9 @@ def _checked(cell, args, whole):
     tolerance = judge(cell, checked.ran) if checked.ran else None
     values = {"cut": cell.cutting.detail, **as_dict(checked), "tolerance": tolerance and as_dict(tolerance)}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
-    return checked, values, [*words, cut_text_of(cell), *kuka_frames(cell), *checked.lines()]
+    if args.verbose:
+        return checked, values, [*words, cut_text_of(cell), *kuka_frames(cell), *checked.lines()]
+    return checked, values, [*words, *[cut_text_of(cell)] * bool(thin_chips(cell)), *checked.lines(short=True)]
 
 
 def _refuse_reference(args, cells) -> None:

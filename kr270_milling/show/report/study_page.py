@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.column import TextTable
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import write_files
 from kr270_milling.show.report.page import page
 from kr270_milling.show.report.tables import micro, typographic
@@ -21,6 +22,7 @@ DIVERGING = page.COLOURS["light"]["diverging"]  #: for values about zero
 
 def figure_of(title: str, x: str, y: str):
     """Return a Plotly figure without a trace; x, y: titles of its axes."""
+    require_extra("a figure", "", "plotly")
     import plotly.graph_objects as go
 
     figure = go.Figure(layout=dict(template="plotly_white", colorway=COLOURS, height=380))

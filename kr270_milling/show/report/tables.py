@@ -45,7 +45,7 @@ TABLE_2 = {
 }
 
 
-def fixed_text(value: float, digits: int, least: float = 0.0) -> str:
+def fixed_text(value: float | None, digits: int, least: float = 0.0) -> str:
     """``fixed`` with a typographer's minus; a dash where there is no number."""
     return "–" if value is None or not np.isfinite(value) else fixed(value, digits, least).replace("-", "−")
 

@@ -7,21 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import fftconvolve
 
-from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency
 from kr270_milling.studies.identification.signals import resampled
 
 __all__ = [
-    "ComparedChannel", "ComparedSeries", "Comparison", "LinearFit", "NoOverlapError", "VectorSeries", "best_lag",
+    "ComparedChannel", "ComparedSeries", "Comparison", "LinearFit", "VectorSeries", "best_lag",
     "compare", "line_through",
 ]  # fmt: skip
 
 LEAST_OVERLAP = 0.6  #: share of the shorter series that both must have in common
 LEAST_LIKENESS = 0.5  #: below it two series are not of the same pass
-
-
-class NoOverlapError(MillingError):
-    """The series do not resemble each other at any lag."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ class Comparison:
 def compare(measured: ComparedSeries, simulated: ComparedSeries, target, feed, revolution: float) -> Comparison:
     """target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
 
-    Raises InputError without a measured series, NoOverlapError for one of another pass.
+    Raises InputError without a measured series, ModelError for one of another pass.
     """
     channels: list[ComparedChannel] = []
     lags, ringing = {}, {}
@@ -149,7 +145,7 @@ def _aligned(what: str, measured: VectorSeries, simulated: VectorSeries, same_si
     theirs, ours = (resampled(p.time, p.values, step) - middle for p in (measured, simulated))
     lag, likeness = best_lag(theirs, ours, same_size)
     if likeness < LEAST_LIKENESS:
-        raise NoOverlapError(
+        raise ModelError(
             f"the measured {what} does not resemble the simulated one at any lag (best correlation {likeness:.2f}): "
             "check the topic, the axes of the sensor and the cell"
         )

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import ModelError
 from kr270_milling.studies.identification.intervals import half_interval, robust_variance, robust_weights, scatter
 from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem
 
-__all__ = ["Fit", "TooFewError", "fit_compliance"]
+__all__ = ["Fit", "fit_compliance"]
 
 #: relative standard deviation of a number that the data cannot identify, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15
@@ -28,10 +28,6 @@ PRIOR = 0.15
 #: foundations or rigid
 BASE_PRIOR = 1.0
 ROUNDS = 30
-
-
-class TooFewError(MillingError):
-    """Fewer numbers were measured than are sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +104,7 @@ class Fit:
 
 
 def fit_compliance(problem: Problem, robust: bool = False) -> Fit:
-    """Identify the arm; robust: tests that contradict the others lose their weight. Raises TooFewError, SoftArmError.
+    """Identify the arm; robust: tests that contradict the others lose their weight. Raises ModelError.
 
     A number keeps the value of the arm file if it has no effect, if another number has the same effect, or if its
     interval would include zero. The intervals of the other numbers then include its uncertainty, PRIOR.
@@ -131,7 +127,7 @@ def _fitted(problem: Problem, exclusions: dict[int, Exclusion], robust: bool) ->
     free = np.array([k not in exclusions for k in range(len(x))])
     sought, measured = int(free.sum()), int(problem.finite.sum())
     if measured <= sought:
-        raise TooFewError(f"{measured} measured numbers for {sought} unknown ones; measure more loads or postures")
+        raise ModelError(f"{measured} measured numbers for {sought} unknown ones; measure more loads or postures")
     for _ in range(ROUNDS):
         x = problem.solve(x, free, weights)
         left = problem.weighted(problem.predict(x))

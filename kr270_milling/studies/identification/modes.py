@@ -30,13 +30,13 @@ from scipy import signal
 from scipy.optimize import nnls
 
 from kr270_milling.base.column import column, computed
-from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
-__all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "check_hammer", "find_modes", "free_decay",
+__all__ = ["Mode", "by_compliance", "by_hammer", "check_hammer", "find_modes", "free_decay",
            "split_modes", "tool_compliance"]  # fmt: skip
 
 MOST_SAMPLES = 1200  #: samples of the pencil; longer series are thinned after a low-pass
@@ -51,10 +51,6 @@ QUIET = 0.2  #: share of the largest motion in the band, below which no ring-dow
 PHASE = math.radians(10)  #: phase of the drive point without a finding; the shape is off by 1 - sqrt(cos PHASE) = 0.8 %
 MOST_PHASE = math.radians(30)  #: phase of the drive point; the shape is then off by 7 %
 BLOW = 5.0, 5e4  #: [N] of a hammer; from the smallest for tool tips to a sledge hammer: assumed
-
-
-class NoModeError(MillingError):
-    """No mode rings in the band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +96,14 @@ class Mode:
 
 
 def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list[Mode]:
-    """The modes between two frequencies [Hz] that exceed the noise, the lowest first. Raises NoModeError."""
+    """The modes between two frequencies [Hz] that exceed the noise, the lowest first. Raises ModelError."""
     return split_modes(signals, low, high, most)[0]
 
 
 def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tuple[list[Mode], list[Mode]]:
     """The modes between two frequencies [Hz], the lowest first, and the faint ones that may be noise.
 
-    Raises NoModeError where there is no mode.
+    Raises ModelError where there is no mode.
     """
     data = signals.values - signals.values[-max(1, len(signals.values) // 10) :].mean(0)
     if signals.force is not None:
@@ -122,7 +118,7 @@ def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tup
     shown &= energy > LEAST * energy[shown].max(initial=0.0)
     if not shown.any():
         reason = f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {MOST_DAMPED}"
-        raise NoModeError(reason)
+        raise ModelError(reason)
     strong = shown & ((energy > FAINT * energy[shown].max()) | (clear > CLEAR))
     order = np.flatnonzero(strong)[np.argsort(frequency[strong])][:most]
     faint = [k for k in np.flatnonzero(shown)[np.argsort(frequency[shown])] if k not in order]

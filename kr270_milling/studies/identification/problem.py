@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.base.errors import ModelError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import specs
 from kr270_milling.physics.robot.arm import Arm, GravityCompensator, Mount
@@ -31,7 +31,12 @@ from kr270_milling.physics.robot.kinematics import LinkFrames, forward, jacobian
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 from kr270_milling.studies.identification.measurements import Measurements
 
-__all__ = ["TILTS", "Cause", "Exclusion", "Problem", "SoftArmError"]
+__all__ = [
+    "TILTS",
+    "Cause",
+    "Exclusion",
+    "Problem",
+]
 
 COMPENSATOR = tuple(spec.name for spec in specs(GravityCompensator))
 #: where the base may tilt, and the size of the unknown: [rad/(N m)], assumed, a third of the stiffest joint's
@@ -62,17 +67,6 @@ class Exclusion(NamedTuple):
 
     cause: Cause
     partner: int = -1  #: the other number, for ALIKE
-
-
-class SoftArmError(MillingError):
-    """Compliances with which the arm has no equilibrium under its load."""
-
-    def __init__(self, row: int, compliance: np.ndarray):
-        self.row, self.compliance = row, compliance
-        shown = ", ".join(f"{1e6 * c:.3g}" for c in compliance)
-        super().__init__(
-            f"with the compliances {shown} urad/(N m) the arm has no equilibrium under the load of row {row + 1}"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +230,7 @@ class Problem:
     # --- the loaded model ---
 
     def predict(self, x) -> np.ndarray:
-        """Displacements [m, rad], (n, 6), with these factors. Raises SoftArmError."""
+        """Displacements [m, rad], (n, 6), with these factors. Raises ModelError."""
         return self._linear(x)[0]
 
     def _linear(self, x) -> tuple[np.ndarray, np.ndarray]:
@@ -272,11 +266,18 @@ class Problem:
             theta = theta + step
             far = ~(np.abs(theta).max(1) < MOST_BEND)
             if far.any():
-                raise SoftArmError(int(far.argmax()) % len(self.measured), c[-6:])
+                raise self._no_equilibrium(int(far.argmax()), c)
             if np.abs(step).max() < PRECISION:
                 by_axis = np.linalg.solve(left, torque[:, :, None] * np.eye(len(c)))
                 return self._frames(q + theta), by_axis
-        raise SoftArmError(int(np.abs(step).max(1).argmax()) % len(self.measured), c[-6:])
+        raise self._no_equilibrium(int(np.abs(step).max(1).argmax()), c)
+
+    def _no_equilibrium(self, row: int, c: np.ndarray) -> ModelError:
+        shown = ", ".join(f"{1e6 * compliance:.3g}" for compliance in c[-6:])
+        return ModelError(
+            f"with the compliances {shown} urad/(N m) the arm has no equilibrium under the load of row "
+            f"{row % len(self.measured) + 1}"
+        )
 
     def _frames(self, q: np.ndarray) -> LinkFrames:
         """All frames of (n,) or twice (n,) postures, with the tool point where each row's load acts."""

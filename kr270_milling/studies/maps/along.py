@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import PchipInterpolator
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.path.timing import limit_by_joints
@@ -29,15 +29,11 @@ from kr270_milling.physics.robot import inverse_near
 from kr270_milling.studies.maps.placements import MARGIN, PathPlaces, about_z
 from kr270_milling.studies.maps.postures import postures
 
-__all__ = ["NoTurnsError", "Turns", "TurnPath", "constant_turn", "best_turns", "turned"]
+__all__ = ["Turns", "TurnPath", "constant_turn", "best_turns", "turned"]
 
 FINEST = 1e-4  #: [rad] of the last grid
 NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a path
 ROUNDS = 60
-
-
-class NoTurnsError(MillingError):
-    """No turns keep the joints within their limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +96,7 @@ def _shortest(paths: Iterable[TurnPath | None]) -> TurnPath | None:
 
 
 def best_turns(turns: Turns, grid: np.ndarray) -> TurnPath:
-    """Return the best path of all branches over a grid of turns (s,) [rad], then refined. Raises NoTurnsError.
+    """Return the best path of all branches over a grid of turns (s,) [rad], then refined. Raises ModelError.
 
     A grid of a whole turn has no ends: the path may pass from the last to the first.
     """
@@ -108,7 +104,7 @@ def best_turns(turns: Turns, grid: np.ndarray) -> TurnPath:
     period = 2 * np.pi if np.ptp(grid) + 1.5 * step > 2 * np.pi else np.inf
     best = _least(turns, grid, period)
     if best is None:
-        raise NoTurnsError(
+        raise ModelError(
             f"no turns of the tool at {len(turns.places.position)} places keep every joint within its range and its "
             "speed: lower the feed, or move the workpiece"
         )

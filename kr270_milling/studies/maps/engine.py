@@ -30,10 +30,10 @@ from concurrent.futures import (
 from multiprocessing import connection
 from pathlib import Path
 
-from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.base.record import read_tree
 
-__all__ = ["EngineError", "StudyRows", "Study", "content", "run_chunks"]
+__all__ = ["StudyRows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
 ALONE = 4.0  #: [s] of work before local workers have imported the package
@@ -47,10 +47,6 @@ QUIET = {
     "distributed.scheduler.allowed-failures": 3,
     "distributed.admin.low-level-log-length": 10,  # each of its entries holds a task with the cell: 1000 grew by 90 MB
 }
-
-
-class EngineError(MillingError):
-    """The scheduler does not answer, or the workers have stopped."""
 
 
 class StudyRows:
@@ -136,7 +132,7 @@ def run_chunks(
     """Make the missing ones of ``count`` chunks; rows_of(number): the bytes of a Parquet file. Returns seconds.
 
     A Dask scheduler lets another worker make the chunk of a killed worker again; a killed driver loses the chunks under
-    way. Raises EngineError where the scheduler cannot be reached or has no worker, and where the workers stop.
+    way. Raises ModelError where the scheduler cannot be reached or has no worker, and where the workers stop.
     """
     missing, start = study.missing(count), time.monotonic()
     first = count - len(missing)
@@ -154,7 +150,7 @@ def run_chunks(
                     progress(complete, count)
     except (BrokenExecutor, CancelledError, OSError, TimeoutError) as error:
         text = f"the workers have stopped, or lack this package ({error}); the same command continues the study"
-        raise EngineError(text) from None
+        raise ModelError(text) from None
     return time.monotonic() - start
 
 
@@ -200,7 +196,7 @@ def _executor(scheduler: str | None, rows_of: Callable[[int], bytes]) -> Iterato
         try:
             client = Client(scheduler, timeout=ANSWER)
         except (OSError, ValueError) as error:
-            raise EngineError(f"the scheduler {scheduler} does not answer: {error}") from None
+            raise ModelError(f"the scheduler {scheduler} does not answer: {error}") from None
         with client:
             client.wait_for_workers(1, timeout=PATIENCE)
             yield client.get_executor(pure=False), max(1, sum(client.nthreads().values()))

@@ -151,14 +151,17 @@ def test_names_are_krl_names_and_what_no_controller_reads_is_refused(tmp_path):
             Program(**wrong)
 
 
-def test_the_head_states_version_date_source_and_hash(tmp_path):
+def test_the_five_lines_of_the_head_state_version_date_decision_source_and_hash(tmp_path):
     pair = swaying(20)
-    write(tmp_path, Program(), *pair, source_hash="abc")
+    write(tmp_path, Program(), *pair, source_hash="abc", method="spline", decision="caution")
     for kind, run, word in (("ORG", pair[0], "original"), ("CMP", pair[1], "compensated")):
         for suffix in ("src", "dat"):
             text = (tmp_path / f"MILLING_{kind}.{suffix}").read_text()
             for piece in (trajectory_hash(run), "abc", "2025-06-01", "1.2.3", word, "SIMULATION RESULT", "T1"):
                 assert piece in text
+            lines = text.splitlines()[4:9]
+            assert all(line.startswith("; ") for line in lines) and lines[-1] == "; sha256 of its source abc"
+            assert "decision caution: see MANIFEST.txt" in text
     assert ",S 2,T 35," in text
 
 
@@ -176,12 +179,11 @@ def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_
 
 
 @pytest.mark.parametrize("sign", ["\x0b", "\x0c", "\x85", "\u2028", "\u2029", "\x1c", "\x00", "\x7f", "\r", "\n", "\t"])
-def test_a_name_of_an_operation_and_a_finding_are_one_line_of_ascii(tmp_path, sign):
+def test_a_name_of_an_operation_is_one_line_of_ascii(tmp_path, sign):
     run = swaying(20)[0]
     name = f"Tasche \u00dc1{sign}HALT {sign} \u2205"
     source = Source(np.arange(20) + 1, (name,) * 20)
-    heading = Heading("1.2.3", "2025-06-01", findings=(name,))
-    write_krl(tmp_path, Program(tolerance=0.0), setup(run, run), run, run, heading, source)
+    write_krl(tmp_path, Program(tolerance=0.0), setup(run, run), run, run, Heading("1.2.3", "2025-06-01"), source)
     text = (tmp_path / "MILLING_CMP.src").read_bytes()
     assert not set(text) - {*range(32, 127), 10, 13} and len(text.splitlines()) == text.count(b"\r\n")
     gap = b" " if sign.isspace() else b""
@@ -448,7 +450,7 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     cell, original = part
     cell = cell.replace(krl=cell.krl.replace(line_limit=limit))
     run = compensated(cell, original, "spline").reference
-    files, _ = write_programs(
+    files, text = write_programs(
         tmp_path, cell, path_of(cell).target, run, method="spline", date="2030-01-01", motions=[motion]
     )
     folder = files[f"krl_{motion.lower()}"][0].parent
@@ -458,7 +460,7 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     assert [1, *robot.rests] == written.number[written.stops].tolist()
     assert written.pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
     assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
-    assert any(time_law(path_of(cell))[:40] in line for line in robot.steps)
+    assert time_law(path_of(cell)) in text
 
 
 @pytest.mark.parametrize("motion", ["SPLINE", "LIN"])

@@ -12,14 +12,13 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from kr270_milling import read_cell
-from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.errors import ConfigError, ModelError
 from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.cell.jobs import compensated, mirrored, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, modal_model_of, path_of
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.arm_model import Dynamics, MeasuredModes, arm_model, measured_model, modal_models
 from kr270_milling.physics.motion.dynamics import (
-    DynamicsError,
     advance,
     approach,
     discretise,
@@ -101,7 +100,7 @@ def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_s
     *((softness, TRANSLATIONS) for softness in (-COMPLIANCE, np.zeros((6, 6)), np.full((6, 6), np.nan))),
 ])  # fmt: skip
 def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
-    with pytest.raises(DynamicsError):
+    with pytest.raises(ModelError):
         modes(softness, mass)
 
 

@@ -143,13 +143,16 @@ def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(wor
     ("rclpy", "ros", "run paper.yaml --out out"),
     ("rclpy", "ros", "replay nowhere"),
     ("rclpy", "ros", "the node recorder"),
+    ("plotly", "", "compensate paper.yaml --out out"),
+    ("plotly", "", "stability paper.yaml --out out"),
 ])  # fmt: skip
 def test_a_missing_extra_is_named_before_anything_is_computed(capsys, monkeypatch, tmp_path, module, extra, words):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == module else find(name, *more))
     monkeypatch.chdir(tmp_path)
     assert (start("recorder") if words == "the node recorder" else main(words.split())) == 2
-    assert f"needs {module}, which is not installed: pip install '.[{extra}]'" in capsys.readouterr().err
+    source = f"'.[{extra}]'" if extra else module
+    assert f"needs {module}, which is not installed: pip install {source}" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

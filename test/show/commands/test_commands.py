@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hostile import answered, ask, contents, refused
+from hostile import answered, ask, contents, refused, settings
 from samples import pass_recording as made
 
-from kr270_milling.base.record import flatten
+from kr270_milling.base.parameter_file import from_display
+from kr270_milling.base.record import flat, flatten
 from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.keys import keys_of
-from kr270_milling.cell.models import arm_model_of, path_of
+from kr270_milling.cell.models import arm_model_of, path_of, thin_chips
 from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -62,7 +63,7 @@ def test_the_stock_leaves_room_where_the_tool_comes_down_rapidly(tmp_path):
 def test_a_program_that_takes_an_hour_is_modelled_at_as_many_postures_as_a_cell_may_have(tmp_path):
     (tmp_path / "slow.nc").write_text(SLOT.replace("F1200", "F1"))  # 18 mm at 1 mm/min
     cell = cell_of(tmp_path, "--gcode", tmp_path / "slow.nc")
-    assert path_of(cell).target.duration_ns > 1000e9 and cell.dynamics.posture_spacing > 5e-3
+    assert path_of(cell).target.duration_ns > 1000e9
     assert len(arm_model_of(cell, path_of(cell).target).transition) < 50_000  # more than 100,000 are refused
 
 
@@ -128,6 +129,55 @@ def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
     assert len(rows) == len(keys_of())
     for key, row in rows.items():
         assert row["text"] and key.endswith(row["unit"]), key
+
+
+def test_keys_lists_those_that_init_writes_and_with_all_or_by_its_name_a_key_for_experts():
+    drafts = [read_tree_of(answered("init", *words)["cell"]) for words in ((), ("--gcode", TEST_PIECE))]
+    written = {key for draft in drafts for key in flat(draft)} | {"tool.spindle_speed_rpm", "path.tool"}
+    listed, all_keys, chosen = (ask("keys", *words).out for words in ((), ("--all",), ("tool.helix_deg",)))
+    assert {line.split()[0] for line in listed.splitlines()[1:-1]} == written
+    assert {line.split()[0] for line in all_keys.splitlines()[1:]} == {row["key"] for row in keys_of()}
+    assert f"{len(keys_of()) - len(written)} keys for experts are not shown" in listed and "tool.helix_deg" in chosen
+    assert {row["key"] for row in answered("keys")["keys"] if not row["expert"]} == written
+
+
+def read_tree_of(text: str) -> dict:
+    tree = yaml.safe_load(text)["/**"]["ros__parameters"]
+    del tree["includes"]
+    return from_display(tree, "")
+
+
+SLOW = "(T1 D={0} - flat end mill, {1} flutes)\nG21 G90 G54\nS{2} M3\nG0 X-20 Y0 Z5\nZ-0.5\nG1 X20 F{3}\nG0 Z5\nM30\n"
+
+
+@pytest.mark.parametrize(("diameter", "teeth", "speed", "feed"), [
+    (20, 4, 8000, 4000), (10, 4, 8000, 640), (6, 2, 15000, 600), (4, 3, 18000, 540),
+    (12, 4, 6000, 1200), (3, 2, 20000, 400),
+])  # fmt: skip
+def test_grid_and_period_follow_tool_and_feed_where_the_cell_does_not_state_them(
+    tmp_path, diameter, teeth, speed, feed
+):
+    """The teeth resolve the chips: f R dphi / ds^2 >= 10; and the period is 0.25 ms in whole micro-steps."""
+    (tmp_path / "slot.nc").write_text(SLOW.format(diameter, teeth, speed, feed))
+    cell = cell_of(tmp_path, "--gcode", tmp_path / "slot.nc")
+    per_tooth = 1e-3 * feed / (speed * teeth)
+    step = cell.stock.grid_step
+    assert per_tooth * 0.5e-3 * diameter * np.radians(1.0) / step**2 >= 10.0 and not thin_chips(cell)
+    assert 2e-6 <= step <= 0.4 * per_tooth and step <= 0.05 * 0.5e-3 * diameter
+    steps = cell.exchange.period * speed * 6.0
+    assert steps == pytest.approx(round(steps)) and abs(cell.exchange.period - 0.25e-3) < 1.0 / (6.0 * speed)
+    stated = read_cell(tmp_path / "my.yaml", ["stock.grid_step_um=50", f"exchange.period_ms={60 / speed * 1e3}"])
+    assert stated.stock.grid_step == pytest.approx(50e-6) and stated.exchange.period == pytest.approx(60 / speed)
+    assert "stock:" in answered("init")["cell"] and "grid_step" not in (tmp_path / "my.yaml").read_text()
+
+
+def test_check_prints_tolerance_stability_and_the_answer_and_with_v_everything(tmp_path):
+    words = ("check", "paper.yaml", *settings("path.length_mm=4", "stock.grid_step_um=40", "stock.max_mm=[4,12,0]"))
+    short, long = (ask(*words, *more).out.splitlines() for more in ((), ("-v",)))
+    assert [line.partition(":")[0] for line in short] == ["as programmed", "stability", "3 points, 0 stops, 0 warnings"]
+    assert set(short) < set(long) and any(line.startswith("$TOOL=") for line in long)
+    stopped = ask(*words, *settings("limits.spindle_power_kw=0.001"))
+    assert stopped.code == 1 and any(line.startswith("stop     the spindle power") for line in stopped.out.splitlines())
 
 
 def test_keys_of_a_section_have_bounds_and_defaults_in_their_unit():

@@ -28,7 +28,8 @@ def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[
 
 
 def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path):
-    answer = ask(*command(tmp_path, "--method", "spline", "--krl", "SPLINE", "--krl", "LIN"))
+    words = ("--method", "spline", "--krl", "SPLINE", "--krl", "LIN", "--write", "joints,rsi,stl")
+    answer = ask(*command(tmp_path, *words))
     out = tmp_path / "out"
     assert answer.code == 0 and "Commanded joints [deg]" in (out / "report.html").read_text()
     assert all(word in answer.out for word in ("leg", "arc", "whole part", "largest correction", "0 stops"))
@@ -47,7 +48,7 @@ def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path):
 
 
 def test_json_has_features_and_paths_and_the_reference_is_checked_and_simulated_as_predicted(quick, tmp_path):
-    result = answered(*command(tmp_path, "--method", "linear"))
+    result = answered(*command(tmp_path, "--method", "linear", "--write", "stl"))
     rows = {name: {row["feature"]: row for row in table} for name, table in result["features"].items()}
     assert set(rows) == {"original", "linear"} and {"leg", "arc", "whole part"} <= set(rows["original"])
     before, after = (rows[name]["whole part"]["max_normal_um"] for name in ("original", "linear"))
@@ -69,7 +70,7 @@ def test_json_has_features_and_paths_and_the_reference_is_checked_and_simulated_
 def test_a_straight_cut_keeps_its_contract_and_gets_programs_and_a_reference(tmp_path):
     cell = ["paper.yaml", *settings("path.length_mm=20", "stock.grid_step_um=40", "stock.max_mm=[20,12,0]")]
     result = answered("compensate", *cell, "--method", "spline", "--out", tmp_path / "out", "--verdict", "0")
-    assert set(result["programs"]) == {"krl_spline", "rsi", "joints", "manifest"}
+    assert set(result["programs"]) == {"krl_spline", "manifest"} and "part" not in result
     assert "<h1>paper.yaml: before and after" in Path(result["report"]).read_text()
     assert result["max_deviation_um"] < 0.1 * result["original"]["max_deviation_um"]
     again = answered("simulate", *cell, "--reference", result["trajectory"])["max_deviation_um"]
@@ -89,7 +90,7 @@ def test_limited_corrections_are_a_warning_and_a_stop_leaves_no_program(quick, t
 def test_programs_of_an_earlier_run_move_aside_also_where_the_decision_is_no(quick, tmp_path):
     """A second cell gives other programs of the same names; no program stays in the folder after the decision no."""
     out, older = tmp_path / "out", tmp_path / "out" / "older"
-    ask(*command(tmp_path, "--method", "linear"))
+    ask(*command(tmp_path, "--method", "linear", "--write", "joints,rsi"))
     first = {path.name for path in [*out.glob("krl_*"), *out.glob("joints_*"), *out.glob("rsi_*")]}
     assert len(first) == 4 and not older.exists()
     answer = ask(*command(tmp_path, "--method", "linear", sets=["limits.spindle_power_kw=0.01"]))

@@ -284,8 +284,8 @@ def ran(tmp_path_factory) -> dict:
         results.append(answer.result)
         return show(answer, as_json)
 
-    def run(line: str) -> str:
-        text = pages.run_here(line)
+    def run(line: str, expected: int) -> str:
+        text = pages.run_here(line, expected)
         if not line.startswith("cat "):
             outcome[line] = results[-1]
         return text

@@ -11,7 +11,7 @@ from book import check
 from samples.campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
 from scipy.linalg import eigh
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
@@ -21,7 +21,6 @@ from kr270_milling.studies.identification.doubts import hammer_doubts
 from kr270_milling.studies.identification.forces import OneFeedError, fit_forces, law_sections
 from kr270_milling.studies.identification.modes import (
     Mode,
-    NoModeError,
     by_compliance,
     by_hammer,
     check_hammer,
@@ -173,7 +172,7 @@ def test_tables_are_read_and_refused_with_a_sentence_and_a_creep_does_not_ring(t
         with pytest.raises(InputError, match=reason):
             read_signals(file)
     creep = Signals(1e-3, np.linspace(1.0, 0.0, 500)[:, None] ** 2, ("x",))
-    with pytest.raises(NoModeError, match="nothing rings"):
+    with pytest.raises(ModelError, match="nothing rings"):
         find_modes(creep, 5.0, 50.0)
 
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from hostile import answered, settings
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.base.record import find_file
-from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, run_chunks
+from kr270_milling.studies.maps.engine import AHEAD, Study, run_chunks
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -134,5 +134,5 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
 
 def test_a_scheduler_that_is_not_there_is_refused_in_one_sentence(tmp_path, monkeypatch):
     monkeypatch.setattr("kr270_milling.studies.maps.engine.ANSWER", 0.3)
-    with pytest.raises(EngineError, match="does not answer"):
+    with pytest.raises(ModelError, match="does not answer"):
         run_chunks(Study(tmp_path, {}), 1, rows_of(), "tcp://127.0.0.1:9")

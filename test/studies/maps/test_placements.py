@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hostile import answered, refused, settings
 
-from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.errors import ModelError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
@@ -18,7 +18,7 @@ from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import NO_COMPENSATOR, GravityCompensator
-from kr270_milling.studies.maps.along import NoTurnsError, Turns, best_turns, constant_turn
+from kr270_milling.studies.maps.along import Turns, best_turns, constant_turn
 from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell, present_row
 from kr270_milling.studies.maps.postures import whole_turns
 from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
@@ -257,7 +257,7 @@ def test_no_turn_that_stays_the_same_is_better_joints_keep_to_their_limits_and_w
     assert 1e6 * way.value == pytest.approx(own, rel=0.01)
     assert np.all(np.abs(np.diff(way.q, axis=0)) <= arm.joint_speed_limit * 0.5)
     assert np.all((way.q >= arm.joint_lower) & (way.q <= arm.joint_upper))
-    with pytest.raises(NoTurnsError, match="lower the feed"):
+    with pytest.raises(ModelError, match="lower the feed"):
         best_turns(Turns(across.arm, places, 1e-3, across.weight), GRID)
 
 

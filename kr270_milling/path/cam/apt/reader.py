@@ -357,7 +357,7 @@ class _AptReader(Machine):
         self.to_initial = "back" in holes
         if math.isfinite(back) and back > 0.0:
             cycle.initial = z + back
-        self._hole(x, y, cycle)
+        self._hole((x, y, z), cycle, 2)
         cycle.initial = before
 
     def _circle(self, values: list[str]) -> None:

@@ -6,9 +6,12 @@ and counted, or it is refused with its block: used + counted + refused = all (``
 
 from __future__ import annotations
 
+import cmath
 import math
+from collections.abc import Sequence
 from typing import Any
 
+from kr270_milling.path.cam.gcode.offsets import NAMES, Offsets
 from kr270_milling.path.cam.gcode.words import (
     ADVICE,
     BELONGS,
@@ -17,6 +20,7 @@ from kr270_milling.path.cam.gcode.words import (
     G_GROUPS,
     LEFT,
     M_GROUPS,
+    MACROS,
     MODAL,
     OFFSETS,
     SILENT_G,
@@ -25,7 +29,7 @@ from kr270_milling.path.cam.gcode.words import (
     UNKNOWN_M,
     word_of,
 )
-from kr270_milling.path.cam.machine import AXES, OF_ARCS, Machine
+from kr270_milling.path.cam.machine import AXES, MM, OF_ARCS, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 
 __all__ = ["Interpreter"]
@@ -38,13 +42,30 @@ TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 class Interpreter(Machine):
     """Runs blocks of words; what cannot be run goes to the refusals, what moves nothing is counted."""
 
-    def __init__(self, program: ProgramBuilder, feed: float, changes: bool):
+    watched = False  #: each move of a block is to be noted
+
+    def __init__(self, program: ProgramBuilder, feed: float, changes: bool, offsets: Sequence[float] = ()):
+        """offsets: x, y, z of G54, G55 ... in the workpiece frame [m], empty where the cell states none."""
         super().__init__(program, feed)
         self.changes = changes  #: M6 changes the tool, else its T does
+        self.offsets = Offsets(offsets)
+        self.shift = self.offsets.shift
+        self.fixed = True  #: the places of the cell hold, whatever G10 says
         self.next_tool = ""
         self.turning = 0
         self.speed = 0.0  #: [rad/s]
         self.preset = False  #: G92 gave the tool its place
+        self.calls = False  #: sub-programs can be called
+        self.call: tuple[str, float, float, dict[str, float]] | None = None  #: kind, name, repeats, values
+        self.end_word = 0.0  #: number of the M word that ended the program
+
+    @property
+    def cuts_straight(self) -> bool:
+        """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
+        return (
+            self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
+            and self.shift is None and bool(self.feed) and not self.watched
+        )  # fmt: skip
 
     def run(self, words: list[tuple[str, Any]]) -> None:
         """Run a block of letters and numbers, for T also a name: first its settings, then the move, then its end."""
@@ -62,6 +83,8 @@ class Interpreter(Machine):
                 groups["T"] = 0
             elif letter != "N" and (letter != "O" or axes or groups):
                 axes[letter] = value
+        if "call" in groups or "L" in axes:
+            self._call(groups, axes)
         if not groups.keys() <= MOVES:
             self._set(groups, axes)
         if "F" in axes:
@@ -79,9 +102,63 @@ class Interpreter(Machine):
             for letter, value in axes.items():
                 self._left(letter, value)
         if "end" in groups:
-            self.ended = True
+            self.ended, self.end_word = True, groups["end"]
         fate = "used" if program.refusals == refusals else "refused"
         program.words[fate] += len(words) - (program.words["counted"] - counted)
+
+    def _call(self, groups: dict, axes: dict) -> None:
+        """M98 P L, M97 P L, G65 P L with the values of its letters, L P of Sinumerik: noted for the flow."""
+        word = groups.get("call")
+        if word is None:
+            if self.calls and not groups and axes.keys() <= {"L", "P"}:
+                self.call = "L", axes.pop("L"), axes.pop("P", 1.0), {}
+            return
+        name = word_of("G" if word == 65 else "M", word)
+        if not self.calls or "P" not in axes:
+            self.program.refuse(name, "" if "P" in axes else f"{name} without P, the sub-program", MACROS, lost=True)
+            axes.clear()
+            return
+        number, repeats = axes.pop("P"), axes.pop("L", 1.0)
+        values = {}
+        if word == 65:
+            values = {letter: axes.pop(letter) for letter in list(axes) if letter not in "LNOP"}
+        self.call = name, number, repeats, values
+
+    def parameter(self, key: int | str) -> float | None:
+        """Return the value of a parameter that is a state of the machine, None for another parameter."""
+        if isinstance(key, str):
+            return self._named(key)
+        if 5420 <= key <= 5422:
+            value = self.position[key - 5420] / self.unit
+            return value if math.isfinite(value) else None
+        offsets = self.offsets
+        index = key - 5221
+        if 5211 <= key <= 5213:
+            return offsets.stored[key - 5211] / self.unit
+        if key == 5220 and offsets.active in NAMES:
+            return NAMES.index(offsets.active) + 1.0
+        if 0 <= index < 20 * len(NAMES) and index % 20 < 3 and offsets.known(NAMES[index // 20]):
+            return offsets.systems[NAMES[index // 20]][index % 20] / self.unit
+        return None
+
+    def _named(self, name: str) -> float | None:
+        """Return the value of a named parameter of LinuxCNC that states a mode or a place."""
+        metric = self.unit == MM
+        if name in ("_X", "_Y", "_Z"):
+            return self.parameter(5420 + "XYZ".index(name[1]))
+        modes = {
+            "_METRIC": metric,
+            "_IMPERIAL": not metric,
+            "_ABSOLUTE": not self.incremental,
+            "_INCREMENTAL": self.incremental,
+            "_PLANE": {17: 170, 18: 180, 19: 190}[self.plane],
+            "_RPM": self.speed * 30 / math.pi,
+            "_FEED": self.feed_word or 0.0,
+            "_TASK": 0.0,
+            "_VALUE": 0.0,
+            "_VALUE_RETURNED": 0.0,
+        }
+        return float(modes[name]) if name in modes else None
 
     # --- what the words are ---
 
@@ -145,10 +222,10 @@ class Interpreter(Machine):
         if "offset" in groups or "G15" in groups:
             self._offset(groups, axes)
         for word in [group for group in groups if group[0] in "GM"]:
-            self._silent(word, groups[word], axes)
+            self._silent(word, groups, axes)
         if "home" in groups:
             self._home(groups, axes)
-        for group, word in (("preset", "G92"), ("shift", "G52"), ("data", "G10")):
+        for group, word in (("preset", "G92"), ("shift", "G52"), ("data", "G10"), ("turn", "G68")):
             if group in groups:
                 self._datum(word, groups, axes)
         if "refused" in groups:
@@ -167,9 +244,36 @@ class Interpreter(Machine):
             value = groups["offset"]
             names.append(OFFSETS.get(value) or f"{word_of('G', value)} {word_of('P', axes.pop('P', 1))}")
         for name in names:
-            self.program.set_frame("work offsets", name)
+            self._use_offset(name)
         if len(names) > 1:
             self.program.refuse(names[1], f"{names[1]} contradicts {names[0]} in the same line")
+
+    @property
+    def _began(self) -> bool:
+        """Return whether the tool was at a known place: what moves the coordinates now moves them against the path."""
+        return len(self.program) > 0 or self.program.cuts > 0 or not any(map(math.isnan, self.position))
+
+    def _use_offset(self, name: str) -> None:
+        """Go on in another work offset; where its place or that of the last one is not known, the path has two."""
+        offsets = self.offsets
+        if offsets.given and not offsets.known(name):
+            self.program.refuse(name, f"path.offsets_mm does not state {name}")
+        elif offsets.given or (self._began and offsets.known(name) and offsets.known(offsets.active)):
+            self._change(active=name)
+        else:
+            offsets.active = name
+            self.program.set_frame("work offsets", name)
+
+    def _change(self, **values) -> None:
+        """Change what places the coordinates; the tool stays where it is."""
+        offsets = self.offsets
+        if self._began and offsets.base is None:
+            offsets.base = offsets.affine
+        for name, value in values.items():
+            setattr(offsets, name, value)
+        self.set_shift(offsets.shift)
+        if self.shift is not None and self.cycle is not None:
+            self.cycle = None
 
     def _claimed(self, groups: dict, axes: dict) -> None:
         """Refuse letters that are a move on one control and something else on another."""
@@ -193,18 +297,24 @@ class Interpreter(Machine):
         else:
             self._read_over("G4", axes, times[0])
 
-    def _silent(self, word: str, value: float, axes: dict) -> None:
+    def _silent(self, word: str, groups: dict, axes: dict) -> None:
         """A word that changes no path, except together with certain words: G5, G54.4, G74, G75, G92.1 to G92.3."""
-        began = len(self.program) > 0
+        began, value = len(self.program) > 0, groups[word]
         letters = (SILENT_G if word[0] == "G" else SILENT_M)[value]
-        if word in ("G92.1", "G92.2", "G92.3") and began and (self.preset or value == 92.3):
+        if word in ("G92.1", "G92.2", "G92.3") and ((began and self.preset) or self.offsets.local):
             self.program.refuse(word, advice=DATUM, lost=True)
-        elif word in ("G74", "G75") or (word == "G5" and not axes.keys().isdisjoint("XYIJ")):
+        elif word in ("G5", "G5.1") and not axes.keys().isdisjoint("XYIJ"):
+            groups["motion"] = value
+        elif word in ("G74", "G75"):
             self.program.refuse(word, advice=ADVICE.get(word, UNKNOWN), lost=True)
             axes.clear()
         elif word == "G54.4" and axes.get("P"):
             self.program.refuse(word, advice=DATUM, lost=True)
         else:
+            if word in ("G92.1", "G92.2", "G92.3"):
+                self._restore(value)
+            elif word == "G69":
+                self._change(turn=1 + 0j, centre=0j)
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
             if word == "G43":
                 self.program.length_offsets.add(self.program.tool)
@@ -225,25 +335,119 @@ class Interpreter(Machine):
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
         self.home(text.split()[1:])
 
+    def _restore(self, value: float) -> None:
+        """G92.1 and G92.2 end the shift of G92, which G92.3 restores after G92.2."""
+        stored = [0.0] * 3 if value == 92.1 else self.offsets.stored
+        self._change(preset=stored if value == 92.3 else [0.0] * 3, stored=stored)
+
     def _datum(self, word: str, groups: dict, axes: dict) -> None:
-        """G10, G52, G92: harmless before the first move, for tool data, and as a shift by nothing; G92 S is a limit."""
+        """G10, G52, G68, G92: before the first move they place the frame of the path; G92 S is a limit."""
         lengths = {axis: axes[axis] for axis in AXES if axis in axes}
-        began = len(self.program) > 0
-        limit = word == "G92" and "S" in axes and not lengths
-        harmless = {
-            "G92": limit or (bool(lengths) and not began),
-            "G52": not any(lengths.values()),
-            "G10": not began or axes.get("L") in (1, 10, 11, 12, 13),
-        }
-        if not harmless[word] or not groups.keys().isdisjoint(MOVES):
-            self.program.refuse(word, advice=DATUM, lost=True)
-            axes.clear()
+        if not groups.keys().isdisjoint(MOVES):
+            reason = f"{word} is in the line of a move"
+        elif word == "G92" and "S" in axes and not lengths:
+            self._read_over(word, axes, "S")
+            return
+        elif word == "G10":
+            reason = self._data(lengths, axes)
         else:
-            if lengths and word == "G92":
-                self.preset = True
-                for axis, value in lengths.items():
-                    self.position[AXES[axis]] = value * self.unit
-            self._read_over(word, axes, {"G92": "S" if limit else "XYZ", "G52": "XYZ", "G10": "LPQRXYZIJKHD"}[word])
+            reason = {"G92": self._preset, "G52": self._local, "G68": self._turned}[word](lengths, axes)
+        if reason:
+            self.program.refuse(word, reason, DATUM, lost=True)
+            axes.clear()
+            return
+        self._read_over(word, axes, {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD"}[word])
+
+    def _preset(self, lengths: dict, _) -> str:
+        """G92: the tool is at these coordinates."""
+        if not lengths:
+            return "G92 without X, Y or Z"
+        if not self._began:
+            self.preset = True
+            for axis, value in lengths.items():
+                self.position[AXES[axis]] = value * self.unit
+            return ""
+        if self.offsets.turn != 1 or self.offsets.local:
+            return "controls differ in G92 after G52 or G68"
+        preset = [*self.offsets.preset]
+        for axis, value in lengths.items():
+            preset[AXES[axis]] += self.position[AXES[axis]] - value * self.unit
+        if not all(map(math.isfinite, preset)):
+            return "G92 where the place of the tool is not known"
+        self._change(preset=preset, stored=preset)
+        return ""
+
+    def _local(self, lengths: dict, _) -> str:
+        """G52: a shift of all work offsets."""
+        if self.preset or (any(self.offsets.preset) and not self.offsets.local) or self.offsets.turn != 1:
+            return "controls differ in G52 after G92 or G68"
+        preset = [lengths[axis] * self.unit if axis in lengths else self.offsets.preset[n] for axis, n in AXES.items()]
+        if not self._began and any(preset) and not self.offsets.given:
+            self.offsets.base = self.offsets.affine  # a shift of the zero that the post knows
+        self._change(preset=preset, local=any(preset))
+        return ""
+
+    def _turned(self, lengths: dict, axes: dict) -> str:
+        """G68: the coordinates turn about X, Y, without them about the place of the tool."""
+        if self.plane != 17 or "Z" in lengths or "R" not in axes:
+            return "G68 takes X, Y and R in G17"
+        if self.incremental or self.offsets.turn != 1:
+            return "controls differ in G68 with G91 and in a second G68"
+        x, y = (lengths[axis] * self.unit if axis in lengths else self.position[AXES[axis]] for axis in "XY")
+        if not math.isfinite(x) or not math.isfinite(y):
+            return "G68 without X and Y where the place of the tool is not known"
+        if not self._began and not self.offsets.given:
+            self.offsets.base = self.offsets.affine
+        self._change(turn=cmath.rect(1.0, math.radians(axes["R"])), centre=complex(x, y))
+        return ""
+
+    def _system_at(self, lengths: dict, system: list[float]) -> list[float]:
+        """Return the work offset in which the tool has these coordinates; other axes keep theirs."""
+        offsets = self.offsets
+        turn, xy, z = offsets.affine
+        place = complex(*self.position[:2]) * turn + xy
+        wanted = [lengths.get(axis, self.position[n] / self.unit) * self.unit for axis, n in AXES.items()]
+        origin = place - cmath.rect(1.0, system[3]) * complex(
+            wanted[0] + offsets.preset[0], wanted[1] + offsets.preset[1]
+        )
+        height = self.position[2] + z - wanted[2] - offsets.preset[2]
+        turned = [origin.real, origin.imag, height]
+        if not system[3]:  # the axes do not mix
+            turned = [turned[n] if axis in lengths else system[n] for axis, n in AXES.items()]
+        return [*turned, system[3]]
+
+    def _data(self, lengths: dict, axes: dict) -> str:
+        """G10: the place of a work offset by L2 and, by the coordinates that the tool is to have there, L20."""
+        kind, number = axes.get("L"), axes.get("P", 0.0)
+        if kind not in (2, 20):
+            return "" if kind in (1, 10, 11, 12, 13) or not self._began else "G10 of this kind"
+        offsets = self.offsets
+        if number not in range(len(NAMES) + 1) or (not number and offsets.active not in NAMES):
+            return "" if not self._began else f"G10 L{kind:g} P{number:g} names no work offset G54 to G59.3"
+        name = NAMES[int(number) - 1] if number else offsets.active
+        if self.incremental or (offsets.given and self.fixed):
+            return "the cell states the work offsets" if offsets.given else "controls differ in G10 with G91"
+        if "R" in axes and any(offsets.preset):
+            return "G10 with R while G92 or G52 is active"  # LinuxCNC 2.9 gives the tool another place
+        known = offsets.known(offsets.active)
+        if self._began and (name == offsets.active or kind == 20) and not known:
+            return f"G10 changes {name}, whose place is not known"
+        system = [*offsets.systems.get(name, [math.nan] * 3 + [0.0])]
+        if kind == 20 and not self._began:
+            system = [math.nan] * 3 + [0.0]
+        elif kind == 20:
+            system = self._system_at(lengths, system)
+            if offsets.turn != 1 or (system[3] and name != offsets.active):
+                return "G10 L20 while the coordinates are turned"
+        else:
+            for axis, value in lengths.items():
+                system[AXES[axis]] = value * self.unit
+            system[3] = math.radians(axes["R"]) if "R" in axes else system[3]
+        if self._began:
+            self._change(systems=offsets.systems | {name: system})
+        else:
+            offsets.systems[name] = system
+        return ""
 
     def _turn(self, groups: dict, axes: dict) -> None:
         """S counts only while the spindle turns."""

@@ -9,10 +9,13 @@ mm. A line with the sign of block skip is run, as with the switch off.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
+from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
+from kr270_milling.path.cam.gcode.flow import Flow, has_flow
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -26,6 +29,13 @@ EXPONENT = r"E[-+]?[0-9]+(?![0-9.])"
 NUMBER = rf"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:{EXPONENT}|(?!{EXPONENT}))"
 WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
 SIMPLE = re.compile(rf"(?:[ \t]*[A-Z][ \t]*{NUMBER})*[ \t]*")  # a line of words of one letter alone
+#: a straight cutting move and nothing else: most lines of a long program
+PLAIN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
+STRAIGHT = re.compile(
+    r"[ \t]*(N[ \t]*[0-9]+)?[ \t]*(G0?1(?![0-9.]))?[ \t]*"
+    + r"[ \t]*".join(rf"(?:{letter}[ \t]*({PLAIN}))?" for letter in "XYZF")
+    + r"[ \t]*"
+)
 #: a comment in brackets, nested twice at most where they pair, or after a semicolon; the brackets of a call are none
 COMMENT = re.compile(
     r"(?P<call>[A-Z_]{2,}[0-9_]*[ \t]*\([^()]*\))"
@@ -47,28 +57,41 @@ PIECE = re.compile(
 )
 ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
+#: a word that Sinumerik computes from R parameters or functions; and its name
+COMPUTED = re.compile(
+    r"(?:^|[ \t])R[0-9]+[ \t]*="
+    r"|[A-Z][0-9]*[ \t]*=[ \t]*(?:[-+(]*(?:R[0-9]|[A-Z]{3,}2?[ \t]*\()|[-+]?[0-9.]*[ \t]*[*/(])",
+    re.I,
+)
+NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
+NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
+BLANK = re.compile(r"[ \t]+")
+LETTER = re.compile(r"[A-Z]")
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
 LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
 SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
 HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
-def read_gcode(path, tool: str = "", feed: float = 0.0) -> Toolpath:
+def read_gcode(path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = ()) -> Toolpath:
     """Read the path of one tool; raises ProgramError with all words that cannot be run.
 
-    tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none.
+    tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none; offsets
+    [m]: x, y, z of G54, G55 ... in the workpiece frame, where the cell states them.
     """
     lines = read_lines(path)
     number = re.fullmatch(r"\s*[Tt]?0*([0-9]+)\s*", tool)
     program = ProgramBuilder(path, f"T{number.group(1)}" if number else tool.strip())
-    machine = Interpreter(program, feed, changes_by_m6(lines))
+    machine = Interpreter(program, feed, changes_by_m6(lines), offsets)
     GcodeReader(program, machine).read(lines)
     return program.finish(machine.unit)
 
 
 def changes_by_m6(lines: list[str]) -> bool:
     """Return whether a tool comes with M6, else with its T."""
-    return any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
+    return CHANGE.search("\n".join(lines)) is not None and any(
+        CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line)
+    )
 
 
 class GcodeReader:
@@ -77,25 +100,71 @@ class GcodeReader:
     def __init__(self, program: ProgramBuilder, machine: Interpreter):
         self.program = program
         self.machine = machine
+        self.variables = Variables(machine.parameter)
         self.announced = ""  #: operation that a post announced by word
         self.percent = 0
 
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
-        program, cuts = self.program, 0
-        for program.line, line in enumerate(lines, 1):
-            if program.line == len(lines):
-                cuts, program.moved = program.cuts, False
-            self.run_line(line)
-            if self.machine.ended or program.hopeless:
-                codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[program.line :])
-                program.silent["lines after the end"] += sum(map(bool, codes))
-                program.silent = +program.silent
-                return
+        program, cuts, read = self.program, 0, len(lines)
+        if has_flow("\n".join(lines)):
+            flow = Flow(self, lines)
+            flow.run()
+            read = flow.furthest if self.machine.ended else read
+        else:
+            index = 0
+            while index < len(lines) and not self.machine.ended and not program.hopeless:
+                index = self._straight_moves(lines, index)
+                if index == len(lines) - 1:
+                    cuts, program.moved = program.cuts, False
+                program.line = index + 1
+                self.run_line(lines[index])
+                index += 1
+            read = index
+        if self.machine.ended or program.hopeless:
+            codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[read:])
+            program.silent["lines after the end"] += sum(map(bool, codes))
+            program.silent = +program.silent
+            return
         # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move
         retract = program.moved and program.cuts == cuts > 0
         if (reason := unended(lines)) and not (retract or LAST.fullmatch(_split_comments(lines[-1])[0])):
             program.refuse("", reason)
+
+    def _straight_moves(self, lines: list[str], index: int) -> int:
+        """Run the lines from ``index`` that are straight cuts at the same feed, but for the last line; return the next
+        index. The result is that of ``run_line``."""
+        machine, program = self.machine, self.program
+        if not machine.cuts_straight or not program.cuts_from(machine.position):
+            return index
+        unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
+        x, y, z = machine.position
+        ends: list[tuple[float, float, float, int]] = []
+        words = 0
+        for number in range(index, len(lines) - 1):
+            match = match_line(lines[number])
+            if match is None:
+                break
+            _, _, to_x, to_y, to_z, feed = found = match.groups()
+            if feed is not None and float(feed) != feed_word:
+                break
+            if to_x is not None:
+                x = float(to_x) * unit
+            if to_y is not None:
+                y = float(to_y) * unit
+            if to_z is not None:
+                z = float(to_z) * unit
+            elif to_x is None and to_y is None:
+                break
+            ends.append((x, y, z, number + 1))
+            words += 6 - found.count(None)
+        run = program.straight_cuts(ends, machine.feed) if ends else 0
+        if run < len(ends):
+            words = sum(6 - match_line(line).groups().count(None) for line in lines[index : index + run])
+        if run:
+            program.words["used"] += words
+            machine.position = list(ends[run - 1][:3])
+        return index + run
 
     def run_line(self, line: str) -> None:
         """Run the blocks of one line."""
@@ -110,6 +179,9 @@ class GcodeReader:
             self.machine.run(words)
 
     def _line(self, line: str) -> None:
+        if "=" in line and '"' not in line and COMPUTED.search(line):
+            self._assigned_values(line.partition(";")[0].upper())
+            return
         code, comments = _split_comments(line)
         if code[:1] == "%":
             self.percent += 1
@@ -123,13 +195,75 @@ class GcodeReader:
             self.program.silent["/"] += 1
         if code[:1] == ":":
             code = "O" + code[1:]
+        if NAMED_PROGRAM.fullmatch(code):
+            code = ""
         if comments:
             self._comments(code, comments)
         code = code.upper()
         if SIMPLE.fullmatch(code):
             self._run(code)
+        elif "#" in code or "[" in code:
+            self._macro("".join(code.split()))
         else:
             self._pieces(code)
+
+    def _macro(self, code: str) -> None:
+        """A line with parameters or expressions; assignments count after all values of the line are known."""
+        scanner = Scanner(code, self.variables)
+        words: list[tuple[str, Any]] = []
+        assigned: list[tuple[int | str, float]] = []
+        try:
+            while not scanner.ended:
+                if scanner.take("#"):
+                    key = scanner.key()
+                    if not scanner.take("="):
+                        raise ExpressionError("a parameter without a word or the sign =")
+                    assigned.append((key, scanner.expression()))
+                elif letter := scanner.match(LETTER):
+                    words.append((letter, scanner.value()))
+                else:
+                    raise ExpressionError(f"{short(code[scanner.place :])!r} is no word")
+            for key, value in assigned:
+                self.variables.set(key, value)
+        except ExpressionError as fault:
+            self._no_value(code, fault)
+            return
+        self.program.words["used"] += len(assigned)
+        if words:
+            self.machine.run(words)
+
+    def _assigned_values(self, code: str) -> None:
+        """A line of Sinumerik with R parameters: R1=5, G1 X=R1+2 F=R3, S1=R4."""
+        scanner = Scanner(code, self.variables)
+        words: list[tuple[str, Any]] = []
+        try:
+            while not scanner.ended:
+                if scanner.match(BLANK):
+                    continue
+                name = scanner.match(NAMED).partition("=")[0].strip()
+                if not name:
+                    word = scanner.match(WORD).replace(" ", "").replace("\t", "")
+                    if not word:
+                        raise ExpressionError(f"{short(code[scanner.place :])!r} is no word")
+                    words.append((word[0], float(word[1:])))
+                    continue
+                value = scanner.expression()
+                if name[0] == "R" and name[1:].isdigit():
+                    self.variables.set(f"R {name[1:]}", value)
+                    self.program.words["used"] += 1
+                elif name in ("CR", "TURN") or len(name) == 1:
+                    words.append((name, value))
+                else:
+                    raise ExpressionError(f"{name} takes no computed value")
+        except ExpressionError as fault:
+            self._no_value(code.strip(), fault)
+            return
+        if words:
+            self.machine.run(words)
+
+    def _no_value(self, code: str, fault: ExpressionError) -> None:
+        self.program.refuse(short(code), str(fault), MACROS, lost=True)
+        self.program.words["refused"] += 1
 
     def _pieces(self, code: str) -> None:
         """A line that is more than words of one letter; nothing of it is run where one piece cannot be."""
@@ -223,6 +357,9 @@ class GcodeReader:
             self.program.title = comments[0]
         if LABEL.fullmatch(code):
             self._name(comments[0], title)
+        if any(comment.lower().startswith("abort,") for comment in comments):
+            self.program.refuse("(abort,", "the program stops itself with (abort, ...)", lost=True)
+            self.machine.ended = True
 
     def _name(self, comment: str, title: bool) -> None:
         name, announced = operation_name(comment)

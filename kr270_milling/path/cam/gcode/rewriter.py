@@ -39,6 +39,7 @@ class SourceMove:
 class _Watch(Interpreter):
     """Notes the move of a line; refuses a move of a corrected tool that the corrected program would change."""
 
+    watched = True
     tools: Collection[str] = ()
     top = -math.inf  #: [m], of the stock
     move_of_line: SourceMove | None = None

@@ -41,7 +41,9 @@ OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *ran
 #: G words that change no path -> the letters that belong to them: cancelled modes, look-ahead, exact stop, the
 #: tool length, limits. 5, 74 and 75 change none together with some other words.
 SILENT_G: dict[float, str] = {
-    **dict.fromkeys((9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""),
+    **dict.fromkeys(
+        (28.1, 30.1, 9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""
+    ),
     **dict.fromkeys((290, 291, 450, 451, *range(601, 604), *range(641, 647)), ""),
     **dict.fromkeys((5, 8, 54.4, 61.1, 103), "P"),
     **dict.fromkeys((25, 26), "XYZS"),  # working area, least and largest speed
@@ -72,13 +74,16 @@ G_GROUPS: dict[float, str] = {
     **dict.fromkeys((28, 30, 53, 153), "home"),
     **dict.fromkeys((*OFFSETS, 54.1, 154), "offset"),
     4: "dwell",
+    65: "call",
     10: "data",
     52: "shift",
+    68: "turn",
     92: "preset",
 }
 M_GROUPS: dict[float, str] = {
     **{n: f"M{n:g}" for n in SILENT_M},
     **dict.fromkeys((2, 30, 99, 17), "end"),
+    **dict.fromkeys((97, 98), "call"),
     **dict.fromkeys((3, 4, 5, 13, 14, 19), "spindle"),
     **dict.fromkeys((6, 61), "tool"),
 }
@@ -124,9 +129,9 @@ ADVICE = {
         ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
         MACROS,
     ),
-    **_each("G16 G51 G51.1 G68 G44 G100 G101 DIAMON DIAM90", DATUM),
+    **_each("G16 G51 G51.1 G44 G100 G101 DIAMON DIAM90", DATUM),
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
-    **_each("G5 G5.2 G5.3 G6 G6.1 G6.2 G6.3 G2.3 G3.3", CURVES),
+    **_each("G5.2 G5.3 G6 G6.1 G6.2 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
     **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
     **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),

@@ -13,6 +13,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.version import __version__
 
 __all__ = ["COLOURS", "PLOTLY_FILE", "REPORT_SCRIPTS", "page_text", "plotly_script", "to_json"]
@@ -40,6 +41,7 @@ COLOURS = {
 @functools.cache
 def plotly_script() -> Markup:
     """plotly.min.js as the plotly package ships it."""
+    require_extra("a page", "", "plotly")
     import plotly
 
     text = (Path(plotly.__file__).parent / "package_data" / PLOTLY_FILE).read_text(encoding="utf-8")

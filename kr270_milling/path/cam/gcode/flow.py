@@ -1,0 +1,331 @@
+"""Control flow of G-code: sub-programs, conditions and loops, as a list of lines with a table of jumps.
+
+O words and M98/M99 of LinuxCNC, M97 of Haas, IF, GOTO, WHILE and G65 of Fanuc, L sub-programs of Sinumerik. A program
+without them is run line by line, without this module.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from kr270_milling.base.text import short
+from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner
+from kr270_milling.path.cam.gcode.words import MACROS
+
+if TYPE_CHECKING:
+    from kr270_milling.path.cam.gcode.reader import GcodeReader
+
+__all__ = ["Flow", "has_flow"]
+
+MOST_BLOCKS = 1_000_000  #: lines that a program with sub-programs or loops runs; assumed
+DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVELS
+#: a text that has one of these somewhere may jump
+MAY_JUMP = re.compile(
+    r"M[ \t]*0*9[789](?![0-9])|G[ \t]*65(?![0-9])|GOTO|WHILE|^[ \t/]*(?:N[ \t0-9]+)?(?:L[ \t]*[0-9]"
+    r"|O[ \t]*(?:[<\[#]|[0-9]+[ \t]*[A-Z]))",
+    re.I | re.M,
+)
+WORDS = "SUB|ENDSUB|RETURN|CALL|ELSEIF|IF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|CONTINUE"
+CONTROL = re.compile(
+    rf"/*(?:N[0-9.]+)?/*(?:O(?P<label>[0-9]+|<[^>]*>|\[.*?\]|\#.*?)(?P<word>{WORDS})(?P<rest>[\[\#0-9.+-].*)?"
+    r"|(?P<fanuc>IF(?=\[)|WHILE(?=\[)|GOTO(?=[0-9\[\#])|END(?=[0-9]+\Z))(?P<condition>.*))"
+)
+NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
+#: a comment; the words before a bracket are not the name of a cycle here
+REMARK = re.compile(r"\([^)]*\)|;.*")
+HEADER = re.compile(r"[O:]0*([0-9]+)")
+SINUMERIK = re.compile(r"%_N_(L[0-9]+)_SPF", re.I)
+ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
+#: letters of G65 -> numbers of the parameters (Fanuc, argument specification I)
+ARGUMENTS = dict(zip("ABCIJKDEFHQRSTUVWXYZ", (*range(1, 10), 11, *range(17, 27)), strict=True))
+
+
+class _Line(NamedTuple):
+    """A line that jumps."""
+
+    label: str
+    word: str
+    rest: str  #: condition, arguments
+
+
+class _Call(NamedTuple):
+    """A sub-program that runs."""
+
+    back: int  #: index of the line after the call
+    start: int  #: its first line
+    repeats: int  #: how often it is still to run after this time
+    scoped: bool  #: it has its own parameters
+
+
+class _Stop(Exception):
+    """The place where the program continues is not known."""
+
+
+def has_flow(text: str) -> bool:
+    """Return whether a program may jump."""
+    return MAY_JUMP.search(text) is not None
+
+
+class Flow:
+    """Runs the lines of a program in the order that its jumps give."""
+
+    def __init__(self, reader: GcodeReader, lines: list[str]):
+        self.reader = reader
+        self.lines = lines
+        self.controls: dict[int, _Line] = {}
+        self.programs: dict[str, int] = {}  #: name of a sub-program -> index of its line
+        self.numbers: dict[int, list[int]] = {}  #: N -> indices of its lines
+        self.pairs: dict[int, int] = {}  #: line -> the line that ends its construct, or begins it for an end
+        self.branches: dict[int, int] = {}  #: if, elseif -> the next branch
+        self.loops: dict[int, int] = {}  #: break, continue -> the line that begins their loop
+        self.calls: list[_Call] = []
+        self.counters: dict[tuple[int, int], int] = {}
+        self.furthest = 0  #: index after the last line that ran
+        self.faults: list[tuple[int, str]] = []
+        self._scan()
+
+    # --- the table of jumps ---
+
+    def _scan(self) -> None:
+        opened: list[tuple[int, str, str]] = []
+        for index, line in enumerate(self.lines):
+            text = "".join(REMARK.sub("", line).split()).upper()
+            if match := NUMBER.match(text.lstrip("/")):
+                self.numbers.setdefault(int(match[1]), []).append(index)
+            if match := HEADER.fullmatch(text):
+                self.programs.setdefault(match[1], index + 1)
+            elif match := SINUMERIK.match(text):
+                self.programs.setdefault(match[1].upper(), index + 1)
+            elif match := CONTROL.fullmatch(text):
+                control = _Line(_label(match["label"] or ""), match["word"] or match["fanuc"], match["rest"] or "")
+                if match["fanuc"]:
+                    control = self._fanuc(match["fanuc"], match["condition"])
+                self.controls[index] = control
+                self._pair(index, control, opened)
+        self.faults += [(index, f"{word} of {label or 'its loop'} has no end") for index, label, word in opened]
+
+    def _fanuc(self, word: str, rest: str) -> _Line:
+        """WHILE [...] DO1, END1; IF [...] GOTO 10, IF [...] THEN #1=5; GOTO 10."""
+        if word == "WHILE":
+            condition, _, label = rest.rpartition("DO")
+            return _Line(f"DO{label}", "WHILE", condition)
+        return _Line(f"DO{rest}", "END", "") if word == "END" else _Line("", f"F{word}", rest)
+
+    def _pair(self, index: int, line: _Line, opened: list) -> None:
+        label, word, _ = line
+        if word in ("SUB", "IF", "DO", "REPEAT") or (word == "WHILE" and (label, "DO") != self._top(opened)):
+            if word == "SUB" and any(kind == "SUB" for _, _, kind in opened):
+                self.faults.append((index, f"O{label} is defined in another sub-program"))
+            opened.append((index, label, word))
+            if word == "SUB":
+                self.programs.setdefault(f"SUB {label}", index + 1)
+        elif word in ("ELSEIF", "ELSE", "WHILE", *ENDS):
+            if (label, ENDS.get(word, "DO" if word == "WHILE" else "IF")) != self._top(opened):
+                self.faults.append((index, f"{word} of O{label} does not follow its beginning"))
+                return
+            begin = opened[-1][0]
+            if word in ("ELSEIF", "ELSE", "ENDIF"):
+                last = begin
+                while last in self.branches:
+                    last = self.branches[last]
+                self.branches[last] = index
+            if word in ("ELSEIF", "ELSE"):
+                self.pairs[index] = begin
+            else:
+                self.pairs[begin], self.pairs[index] = index, begin
+                opened.pop()
+        elif word in ("BREAK", "CONTINUE"):
+            loop = [begin for begin, other, kind in opened if other == label and kind in ("WHILE", "DO", "REPEAT")]
+            if loop:
+                self.loops[index] = loop[-1]
+            else:
+                self.faults.append((index, f"{word} of O{label} is in no loop of this label"))
+
+    @staticmethod
+    def _top(opened: list) -> tuple[str, str]:
+        return opened[-1][1:] if opened else ("", "")
+
+    # --- the run ---
+
+    def run(self) -> None:
+        """Run up to the end of the program, or to the first line after which its way is not known."""
+        program, machine = self.reader.program, self.reader.machine
+        machine.calls = True
+        if self.faults:
+            for index, reason in self.faults:
+                program.refuse("O", reason, MACROS, line=index + 1)
+            return
+        index = executed = 0
+        refused: set[int] = set()
+        while index < len(self.lines) and not machine.ended and not program.hopeless:
+            refusals, program.line = program.refusals, index + 1
+            executed += 1
+            try:
+                if executed > MOST_BLOCKS:
+                    raise _Stop(f"the program runs more than {MOST_BLOCKS} lines; does a loop end?")
+                following = self._step(index)
+            except (_Stop, ExpressionError) as fault:
+                program.refuse(short(self.lines[index].strip()), str(fault), MACROS, lost=True)
+                program.words["refused"] += 1
+                break
+            self.furthest = max(self.furthest, index + 1)
+            if program.refusals > refusals:
+                if index in refused:
+                    break
+                refused.add(index)
+            index = following
+
+    def _step(self, index: int) -> int:
+        """Run a line and return the index of the next one."""
+        machine = self.reader.machine
+        if index in self.controls:
+            self.reader.program.words["used"] += 1
+            return self._control(index, self.controls[index])
+        self.reader.run_line(self.lines[index])
+        if machine.call is not None:
+            (kind, number, repeats, arguments), machine.call = machine.call, None
+            return self._called(kind, number, repeats, arguments, index + 1)
+        if machine.ended and self.calls and machine.end_word in (99, 17):
+            machine.ended = False
+            return self._leave()
+        return index + 1
+
+    def _value(self, text: str) -> float:
+        scanner = Scanner(text, self.reader.variables)
+        value = scanner.value()
+        if not scanner.ended:
+            raise ExpressionError(f"{short(text[scanner.place :])!r} follows the value")
+        return value
+
+    def _control(self, index: int, line: _Line) -> int:
+        label, word, rest = line
+        if word[0] == "F":
+            return self._jump(index, word, rest)
+        if word in ("SUB", "ELSEIF", "ELSE"):  # a definition; the end of the branch that ran
+            return self.pairs[index if word == "SUB" else self.pairs[index]] + 1
+        if word in ("ENDSUB", "RETURN"):
+            return self._return(rest)
+        if word == "CALL":
+            return self._call_of(label, rest, index + 1)
+        if word == "IF":
+            return self._branch(index)
+        if word in ("BREAK", "CONTINUE"):
+            begin = self.loops[index]
+            self.counters.pop((len(self.calls), begin), None) if word == "BREAK" else None
+            end = self.pairs[begin]
+            return end + 1 if word == "BREAK" else end
+        if word == "WHILE" and self.pairs[index] < index:  # of a do loop
+            return self.pairs[index] + 1 if self._value(rest) else index + 1
+        if word == "WHILE":
+            return index + 1 if self._value(rest) else self.pairs[index] + 1
+        if word == "REPEAT":
+            return self._repeat(index, round(self._value(rest)))
+        if word == "ENDREPEAT":
+            begin = self.pairs[index]
+            return self._repeat(begin, self.counters.pop((len(self.calls), begin)))
+        return self.pairs[index] if word in ("ENDWHILE", "END") else index + 1  # DO, ENDIF
+
+    def _branch(self, index: int) -> int:
+        """Return the line after the first branch of an if whose condition holds."""
+        while self.controls[index].word in ("IF", "ELSEIF"):
+            if self._value(self.controls[index].rest):
+                return index + 1
+            index = self.branches[index]
+        return index + 1
+
+    def _repeat(self, begin: int, count: int) -> int:
+        if count <= 0:
+            return self.pairs[begin] + 1
+        self.counters[len(self.calls), begin] = count - 1
+        return begin + 1
+
+    def _jump(self, index: int, word: str, rest: str) -> int:
+        """IF [...] GOTO 10, IF [...] THEN ..., GOTO 10."""
+        scanner = Scanner(rest, self.reader.variables)
+        if word == "FIF":
+            holds = scanner.value()
+            if scanner.take("THEN"):
+                if holds:
+                    self.reader.run_line(rest[scanner.place :])
+                return index + 1
+            if not scanner.take("GOTO"):
+                raise ExpressionError("IF [...] takes GOTO or THEN")
+            if not holds:
+                return index + 1
+        number = scanner.value()
+        return self._numbered(number) if scanner.ended else self._numbered(-1)
+
+    def _numbered(self, number: float) -> int:
+        places = self.numbers.get(int(number), [])
+        if len(places) != 1 or number != int(number):
+            raise _Stop(f"{len(places)} lines have the number N{number:g}")
+        return places[0]
+
+    # --- sub-programs ---
+
+    def _called(self, kind: str, number: float, repeats: float, arguments: dict, back: int) -> int:
+        """M98 P, M97 P, G65 P, L of Sinumerik."""
+        if repeats != int(repeats) or not 0 <= repeats <= 9999:
+            raise _Stop(f"a sub-program does not run {repeats:g} times")
+        if kind == "M97":
+            return self._enter(self._numbered(number), back, int(repeats), None)
+        name = f"L{number:g}" if kind == "L" else f"{number:g}"
+        if name not in self.programs and kind == "M98" and number >= 10_000 and repeats == 1:  # P30012: 3 times O12
+            repeats, name = number // 10_000, f"{number % 10_000:g}"
+        if name not in self.programs:
+            raise _Stop(f"the sub-program {name if kind == 'L' else 'O' + name} is not in this file")
+        scope = None
+        if kind == "G65":
+            scope = 33, {ARGUMENTS[letter]: value for letter, value in arguments.items()}
+        return self._enter(self.programs[name], back, int(repeats), scope)
+
+    def _call_of(self, label: str, rest: str, back: int) -> int:
+        if label[:1] in ("#", "["):
+            label = f"{round(self._value(label))}"
+        scanner = Scanner(rest, self.reader.variables)
+        arguments: list[float] = []
+        while not scanner.ended:
+            arguments.append(scanner.value())
+        start = self.programs.get(f"SUB {label}")
+        if start is None:
+            raise _Stop(f"the sub-program O{label.lower()} is not in this file")
+        if len(arguments) > 30:
+            raise _Stop("a sub-program takes 30 values at most")
+        values: dict[int | str, float] = dict(enumerate([*arguments, *[0.0] * (30 - len(arguments))], 1))
+        return self._enter(start, back, 1, (30, values))
+
+    def _enter(self, start: int, back: int, repeats: int, scope: tuple[int, dict] | None) -> int:
+        if not repeats:
+            return back
+        if len(self.calls) >= DEEPEST:
+            raise _Stop(f"more than {DEEPEST} sub-programs call one another")
+        self.calls.append(_Call(back, start, repeats - 1, scope is not None))
+        if scope:
+            self.reader.variables.scopes.append(scope)
+        return start
+
+    def _return(self, rest: str) -> int:
+        if not self.calls:
+            raise _Stop("RETURN or ENDSUB is in no sub-program that runs")
+        value = self._value(rest) if rest else None
+        values = self.reader.variables.values
+        values["_VALUE_RETURNED"] = float(value is not None)
+        values["_VALUE"] = value or 0.0
+        return self._leave()
+
+    def _leave(self) -> int:
+        """Return from a sub-program, or run it once more."""
+        call = self.calls.pop()
+        self.counters = {key: count for key, count in self.counters.items() if key[0] <= len(self.calls)}
+        if call.repeats:
+            self.calls.append(call._replace(repeats=call.repeats - 1))
+            return call.start
+        if call.scoped:
+            self.reader.variables.scopes.pop()
+        return call.back
+
+
+def _label(text: str) -> str:
+    """Return the label of an O word: a number without zeros before it, a name, or what computes a number."""
+    return f"{int(text)}" if text.isdigit() else text

@@ -1,0 +1,137 @@
+"""G-code as LinuxCNC's interpreter runs it: kind of each move, end point, length of arcs with their turns, and feed."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+from budget import budget
+from samples.rs274 import RS274, difference, random_program
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.path.cam.gcode import flow
+from kr270_milling.path.cam.gcode.interpreter import Interpreter
+from kr270_milling.path.cam.gcode.reader import read_gcode
+
+SAME_START = "G10 L2 P1 X0 Y0 Z0\nG10 L2 P2 X0 Y0 Z0\nG21 G90 G17\nF600\nG0 X0 Y0 Z5\nG1 Z0\n"
+#: a program after its start -> ends of its cutting moves [mm], which rs274 2.9 gives, too
+ENDS = {
+    "#1=3\n#1=4 X#1\nX#1": [3, 4],  # an assignment counts after its line
+    "X[2**3**2] Y[-2**2]\nX[7 MOD -3]\nX[ATAN[1]/[1]]": [(64, 4), 1, 45],
+    "X[1 OR 0 AND 0] Y9\nX[ROUND[-2.5]]\nX[1 EQ 1.00005]": [(0, 9), -3, 1],
+    "#<a b>=7\nX#<AB>\n#<_g>=8\nX#<_g>": [7, 8],
+    "o1 sub\nX#1 Y#2\n#1=99\no1 endsub [#1+1]\n#1=5\no1 call [7]\nX#1\nX#<_value>": [(7, 0), 5, 100],
+    "o1 repeat [3]\no2 if [#<_x> GT 4]\nX0\no2 elseif [#<_x> LT 1]\nX2\no2 else\nX9\no2 endif\no1 endrepeat": [2, 9, 0],
+    "#1=0\no1 while [1]\n#1=[#1+1]\no2 if [#1 EQ 2]\no1 continue\no2 endif\no3 if [#1 GT 3]\no1 break\no3 endif\n"
+    "X#1\no1 endwhile": [1, 3],
+    "#1=2\no1 do\nX#1\n#1=[#1-1]\no1 while [#1 GT 0]": [2, 1],
+    "#1=1\nM98 P7 L2\nM30\nO7\nX#1\n#1=[#1+1]\nM99": [1, 2],
+    "G92 X10\nX0\nG92.2\nX0\nG92.3\nX0\nG92.1\nX0": [-10, 0, -10, 0],
+    "G10 L2 P1 X1\nG1 X0\nG10 L2 P1 R90 X1\nX3 Y0": [1, (1, 3)],
+    "G10 L2 P2 X5\nG55\nG1 X1\nG10 L20 P0 X4\nX1\nG54\nG1 X1": [6, 3, 1],
+    "G52 X4\nX1\nG52 X0\nX1": [5, 1],
+    "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
+}
+#: the same for words that LinuxCNC has not, by their definition
+OTHER_ENDS = {
+    "G68 X0 Y0 R90\nX5\nG69\nX5": [(0, 5), (5, 5)],
+    "M97 P5 L2\nM30\nN5 G91 X1\nM99": [1, 2],
+    "G65 P9 A1.5 X4\nM30\nO9\nX#1 Y#24\nM99": [(1.5, 4)],
+    "#1=1\nWHILE [#1 LE 2] DO1\nX#1\n#1=[#1+1]\nEND1\nIF [#1 EQ 3] GOTO 9\nX50\nN9 Y1": [1, 2, (2, 1)],
+    "IF [2 GT 1] THEN X7\nGOTO 20\nX1\nN20 X8": [7, 8],
+    "R1=2 R2=R1*(3+1)\nX=R2 Y=SQRT(R1*8)\nL7 P2\nM30\n%_N_L7_SPF\nG91 X=R1\nM17": [(8, 4), (10, 4), (12, 4)],
+}
+REFUSED = {
+    "o1 sub\no1 call\no1 endsub\no1 call": "more than 10 sub-programs call one another",
+    "o1 while [1]\no1 endwhile": "runs more than 1000 lines",
+    "o1 if [1]\nX1": "IF of 1 has no end",
+    "o1 sub\no2 sub\no2 endsub\no1 endsub": "defined in another sub-program",
+    "o1 break": "in no loop",
+    **dict.fromkeys(("X[1/0]", "X[SQRT[-1]]", "X[0**-1]", "X[ASIN[2]]", "X[9**99]"), "no result"),
+    **dict.fromkeys(("X#9", "X#<a>", "#1=#0", "X#5161"), "has no value|is no parameter"),
+    **dict.fromkeys(("#5220=1", "#<_x>=1"), "belongs to the control"),
+    **dict.fromkeys(("X[1", "X[", "X" + "[" * 200, "X[1+]", "#1", "X ATAN[1]", "EXISTS[1]"), "bracket|value|word"),
+    **dict.fromkeys(("G92 X5\nG52 X1", "G52 X1\nG92 X5", "G52 X1\nG92.1"), "controls differ|one work offset"),
+    "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",
+    "(abort, no part)": "stops itself",
+}
+
+
+def program(tmp_path, lines: str):
+    (tmp_path / "part.ngc").write_text(f"{SAME_START}{lines}\n" + ("" if "M30" in lines else "M30\n"))
+    return tmp_path / "part.ngc"
+
+
+@pytest.mark.parametrize("lines", [*ENDS, *OTHER_ENDS])
+def test_parameters_sub_programs_loops_and_offsets_lead_to_the_right_places(tmp_path, lines):
+    file = program(tmp_path, lines)
+    path = read_gcode(file)
+    ends = 1e3 * path.position[1:][~path.rapid[1:]][1:]
+    for end, known in zip(ends, (ENDS | OTHER_ENDS)[lines], strict=True):
+        known = (known,) if isinstance(known, (int, float)) else known
+        assert end[: len(known)] == pytest.approx(known, abs=1e-6)
+    if RS274 and lines in ENDS and "[#<_x>" not in lines:
+        assert difference(file) == ""
+
+
+@pytest.mark.parametrize("lines", REFUSED)
+def test_a_program_whose_way_or_value_is_not_known_is_refused_with_a_sentence(tmp_path, monkeypatch, lines):
+    monkeypatch.setattr(flow, "MOST_BLOCKS", 1000)
+    with pytest.raises(InputError, match=REFUSED[lines]) as caught:
+        read_gcode(program(tmp_path, lines))
+    assert "\n" not in str(caught.value) and caught.value.line
+
+
+def test_work_offsets_of_the_cell_place_the_moves_in_the_workpiece_frame(tmp_path):
+    file = tmp_path / "part.nc"
+    file.write_text("G21 G90 F600\nG0 X0 Y0 Z5\nG1 Z0\nG55\nG1 X1 Y0 Z0\nG54\nG1 X1 Y1 Z0\nM30\n")
+    path = read_gcode(file, offsets=[0, 0, 0, 0, 0.02, 0.003])
+    assert (1e3 * path.position[1:]).round(6).tolist() == [[0, 0, 0], [1, 20, 3], [1, 1, 0]]
+    with pytest.raises(InputError, match="path.offsets_mm does not state G55"):
+        read_gcode(file, offsets=[0.0] * 3)
+
+
+def test_curves_are_bezier_curves_within_the_tolerance_of_arcs(tmp_path):
+    """Their points at any parameter are those of the Bernstein polynomials; G5 without I, J continues smoothly."""
+    path = read_gcode(program(tmp_path, "G5 I0 J30 P0 Q-30 X10 Y10\nG5 P0 Q30 X20 Y0\nG5.1 X40 Y40 I10 J0"))
+    points = 1e3 * path.position[1:, :2]
+    controls = [(0, 30j, 10 - 20j, 10 + 10j), (10 + 10j, 10 + 40j, 20 + 30j, 20 + 0j), (20 + 0j, 30 + 0j, 40 + 40j)]
+    t = np.linspace(0, 1, 400)
+    for control in controls:
+        n = len(control) - 1
+        binomial = (1, 3, 3, 1) if n == 3 else (1, 2, 1)
+        curve = sum(b * (1 - t) ** (n - k) * t**k * p for k, (b, p) in enumerate(zip(binomial, control, strict=True)))
+        start, end = points[:-1, 0] + 1j * points[:-1, 1], points[1:, 0] + 1j * points[1:, 1]
+        way = curve[:, None] - start
+        share = np.clip((way * np.conj(end - start)).real / np.abs(end - start) ** 2, 0, 1)
+        assert np.abs(way - share * (end - start)).min(axis=1).max() < 2e-3
+
+
+def test_a_row_of_straight_cuts_gives_the_path_of_its_blocks(tmp_path, monkeypatch):
+    rng = random.Random(1)
+    for trial in range(budget(200)):
+        blocks = ["G1 X1 F600", "X2", "N7 Y3.5", "Z-1", "X1Y2 Z3", "G01 X.5 F600.0", "X0 F300", "G0 Z5", "(wall)", "F1",
+                  "G91", "G90", "X9E1", "X200000", "G81 Z-1 R1", "N5", "", "G1", "g1x5"]  # fmt: skip
+        (tmp_path / "part.nc").write_text("\n".join(["G21", "G0 X0 Y0 Z0", *rng.choices(blocks, k=20), "M30", ""]))
+        results = []
+        for watched in (False, True):
+            monkeypatch.setattr(Interpreter, "watched", watched)
+            try:
+                path = read_gcode(tmp_path / "part.nc")
+                results.append(repr([getattr(path, name).tolist() for name in ("position", "feed", "line", "feature")]))
+                results[-1] += repr(path.program)
+            except InputError as error:
+                results.append(str(error))
+        assert results[0] == results[1], trial
+
+
+@pytest.mark.skipif(not RS274, reason="rs274 of LinuxCNC is not installed (linuxcnc-uspace); RS274 may name it")
+def test_random_programs_run_as_in_linuxcnc_or_are_refused(tmp_path):
+    results: dict[str, int] = {}
+    for seed in range(10_000 if budget(100) == 100 else 300):
+        (tmp_path / "part.ngc").write_text(random_program(random.Random(seed)))
+        result = difference(tmp_path / "part.ngc")
+        results[result.partition(":")[0]] = results.get(result.partition(":")[0], 0) + 1
+        assert not result.startswith("differs"), (seed, result)
+    assert results[""] > 0.7 * sum(results.values()), results
