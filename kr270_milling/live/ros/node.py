@@ -331,7 +331,7 @@ class ManagedNode(ReportingNode, LifecycleNode):
             self.end(self.message)
 
     def stop(self) -> None:
-        """Report the end of a pass once every subscriber has its messages, which this node keeps until then."""
+        """Report the end of a pass when every subscriber has its messages; this node keeps them so long."""
         received = all(outlet.wait_for_all_acked(CATCH_UP) for outlet in self.outlets.values())
         lacking = "" if received else f"; a subscriber has not received the end of the pass; {NOT_COMPLETE}"
         self.report(OK if received else WARN, f"stopped{lacking}")
