@@ -96,28 +96,16 @@ class Silence:
         return self._reported and not before
 
 
-class Ending:
-    """Mixin: a node that may end its process (``spin.run_nodes``)."""
+class ReportingNode(Node):
+    """A node with one report, published in /diagnostics five times a second and at every change.
 
+    The node may end its process (``spin.run_nodes``).
+    """
+
+    state = ""  #: lifecycle state of a managed node
     finished = False  #: the node has nothing more to do
     failure: str | None = None  #: sentence of a failed node; the exit code is then 1
     lap: Future | None = None  #: the executor returns when this future is done
-
-    def end(self, failure: str | None = None) -> None:
-        """End the process after the current callback."""
-        self.finished, self.failure = True, failure or self.failure
-        if self.lap is not None:
-            self.lap.set_result(None)
-
-    def close(self) -> str | None:
-        """Close files before the process ends; return a sentence if that failed."""
-        return None
-
-
-class ReportingNode(Ending, Node):
-    """A node with one report, published in /diagnostics five times a second and at every change."""
-
-    state = ""  #: lifecycle state of a managed node
 
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
@@ -128,6 +116,16 @@ class ReportingNode(Ending, Node):
         self._values: dict[str, object] = {"process": os.getpid()}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._report_timer = self.create_timer(0.2, self._report)  # [s] of the wall clock
+
+    def end(self, failure: str | None = None) -> None:
+        """End the process after the current callback."""
+        self.finished, self.failure = True, failure or self.failure
+        if self.lap is not None:
+            self.lap.set_result(None)
+
+    def close(self) -> str | None:
+        """Close files before the process ends; return a sentence if that failed."""
+        return None
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
         """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
@@ -333,7 +331,7 @@ class ManagedNode(ReportingNode, LifecycleNode):
             self.end(self.message)
 
     def stop(self) -> None:
-        """Report the end of a pass once every subscriber has its messages, which this node keeps until then."""
+        """Report the end of a pass when every subscriber has its messages; this node keeps them so long."""
         received = all(outlet.wait_for_all_acked(CATCH_UP) for outlet in self.outlets.values())
         lacking = "" if received else f"; a subscriber has not received the end of the pass; {NOT_COMPLETE}"
         self.report(OK if received else WARN, f"stopped{lacking}")

@@ -65,7 +65,7 @@ class Readiness:
 
     def check(self) -> None:
         """Decide again, and publish the answer in the report of the node where it has changed."""
-        before, self.waiting_for = self.waiting_for, self._missing()
+        before, self.waiting_for = self.waiting_for, self._missing()[:300]  # a stranger may send long values
         if self.waiting_for != before:
             self._node.set_values(waiting_for=self.waiting_for)
             self._node.publish_report()
