@@ -87,7 +87,7 @@ def statuses(change) -> dict[str, Status]:
     (lambda robot, cut, rec: rec["sources"].clear(), "recorder has not discovered a publisher of /a"),
     (lambda robot, cut, rec: rec["values"].update(records=["/*"]), "recorder has not discovered a publisher of /b"),
     (lambda robot, cut, rec: rec["values"].update(records=["/*"], left_out=["/b", "/w"]), ""),
-    (lambda robot, cut, rec: cut["values"].update(reference="2"), "not every node has the reference"),
+    (lambda robot, cut, rec: cut["values"].update(reference="2"), "not every node has the reference: robot has "),
 ])  # fmt: skip
 def test_a_pass_may_start_when_every_end_of_every_topic_is_matched(change, sentence):
     assert unmatched(statuses(change)).startswith(sentence) and bool(unmatched(statuses(change))) == bool(sentence)
