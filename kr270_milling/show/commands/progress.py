@@ -55,7 +55,7 @@ class Progress:
 
     @property
     def under_way(self) -> bool:
-        """Return whether a count has begun and has not reached its total."""
+        """Return whether a count runs that has not reached its total."""
         return self.completed < self.total
 
     @property
