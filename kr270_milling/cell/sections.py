@@ -441,7 +441,18 @@ class Uncertainty(Record):
         10e-6, unit="um", low=0.0, high=1e4, text="deviations below this do not matter to the part"
     )
 
+    learned_from: tuple[str, ...] = parameter((), text="measured parts, as ``compensate --measured`` writes them")
+    learned: np.ndarray = parameter(
+        [], low=-10.0, high=10.0, text="mean of the standard normal numbers behind a plant, learned from these parts"
+    )
+    learned_directions: np.ndarray = parameter(
+        [], low=-1.0, high=1.0, text="D of the covariance I - D^T D of these numbers, row after row"
+    )
+
     def check(self) -> None:
+        if self.learned_directions.size % max(1, self.learned.size) or not (self.learned.size or not self.learned_from):
+            allowed = "empty, or rows with as many numbers as uncertainty.learned, which learned_from belongs to"
+            raise ParameterError("learned_directions", self.learned_directions.size, allowed)
         if self.joint_compliances.size not in (0, 6):
             raise ParameterError("joint_compliances", self.joint_compliances.tolist(), "empty or one number a joint")
 

@@ -71,6 +71,8 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     count: robots drawn for each unknown; four know a share to about a third of it.
     """
     model, assumed = coarser(cell), cell.uncertainty
+    if assumed.learned.size:  # a measured part ties the unknowns to each other
+        return ()
     ran = Plant(model, model, Imperfections()).run(reference)
     known = assumed.replace(
         repeatability=0.0, **{key: _nothing(assumed, key) for keys, _ in UNKNOWNS.values() for key in keys}

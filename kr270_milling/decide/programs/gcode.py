@@ -48,6 +48,7 @@ class WrittenGcode:
     error: float = column("error_um", 1e6)  #: [m], distance of the read path from the planned path, in the feed moves
     duration: float = column("duration_s")  #: [s], by the time law of the controller, without the limits of the joints
     planned_duration: float = column("planned_duration_s")  #: [s], duration of the source by the same law
+    written_out: bool = column("written_out")  #: without the parameters, sub-programs and shifts of the source
 
     @computed("sentence")
     def text(self) -> str:
@@ -57,6 +58,8 @@ class WrittenGcode:
             f"{tool}{self.blocks} G1 blocks for {self.source_blocks} feed moves; read back, they are within "
             f"{1e6 * self.error:.2g} um of the planned path and take {self.duration:.4g} s by the time law "
             f"(the source {self.planned_duration:.4g} s)"
+            + "; parameters, sub-programs and shifts of the source are written out"
+            * self.written_out
         )
 
 
@@ -72,7 +75,10 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
         raise InputError("--gcode", reason)
     if not all(cell.path.source.spindle_speeds for cell in cells):
         raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
-    return read_source(file, {cell.path.source.tool for cell in cells}, float(cells[0].stock.max[2]))
+    if cells[0].path.offsets.size:
+        raise InputError(file, "corrected G-code is written in one work offset, so path.offsets_mm must be left out")
+    tools = {cell.path.source.tool for cell in cells}
+    return read_source(file, tools, float(cells[0].stock.max[2]), cells[0].path.feed_rate)
 
 
 def write_gcode(
@@ -130,15 +136,17 @@ class _Plan:
     block: np.ndarray  #: (p,) bool: end of a block; else the start of a row, to which a rapid move leads
     ends: dict[int, np.ndarray]  #: line -> points [m]
     source_blocks: int
+    written_out: bool
 
     @classmethod
     def of(cls, cell: Cell, run: Trajectory, source: GcodeSource) -> _Plan:
         timed = _timed(cell)
         path = timed.toolpath
         cuts = ~path.rapid & ~path.drilling
-        other = (path.line[2:] != path.line[1:-1]) | (cuts[2:] != cuts[1:-1])
+        lines = source.lines_of(path, cell.path.file, cell.path.feed_rate)
+        other = (lines[2:] != lines[1:-1]) | (cuts[2:] != cuts[1:-1])
         last = np.flatnonzero(np.append(other, True)) + 1  #: block at the end of each move
-        line, feed = path.line[last].tolist(), cuts[last]
+        line, feed = lines[last].tolist(), cuts[last]
         times = np.append(0, _time_at(timed, np.cumsum(path.block_length)[last]))
         points = _point_times(cell, run, times[np.append(feed, False) | np.append(False, feed)])
         after = np.searchsorted(points, times, side="right")
@@ -152,7 +160,7 @@ class _Plan:
             if begins:
                 start, time_ns = path.position[last[move - 1] if move else 0], times[move : move + 1]
                 moved = np.abs(run.sample(time_ns[0]) - start).max() > same_place
-                before = line[move - 1] if move else int(path.line[0])
+                before = line[move - 1] if move else int(lines[0])
                 rapid = before in source.moves and source.moves[before].kind == "rapid"
                 if moved or rapid:
                     ends.setdefault(before if rapid else line[move], []).append(run.sample(time_ns))
@@ -168,6 +176,7 @@ class _Plan:
             np.repeat([block for _, _, block in rows], count),
             {number: np.concatenate(parts) for number, parts in ends.items()},
             len(set(np.array(line)[feed])),
+            source.written_out,
         )
 
     def compared(self, file: Path) -> WrittenGcode:
@@ -188,6 +197,7 @@ class _Plan:
             self._error(places),
             _duration(cell, read),
             _duration(cell, _timed(cell).toolpath),
+            self.written_out,
         )
 
     def _error(self, places: np.ndarray) -> float:

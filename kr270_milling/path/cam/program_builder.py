@@ -17,6 +17,9 @@ from kr270_milling.path.toolpath import MOST_BLOCKS, REACH, TOP, PathBuilder, To
 __all__ = ["ProgramBuilder"]
 
 
+ROUNDING = 1e-12  #: [m] of a place that a shift of the coordinates leads away from and back to
+
+
 class ProgramBuilder(PathBuilder):
     """Collects the moves of one tool and, of all of them, what cannot be run.
 
@@ -73,7 +76,7 @@ class ProgramBuilder(PathBuilder):
         self._frames.setdefault(self._key, self.line)
         if not self.active:
             return
-        if self.last != start or self.away:
+        if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
         for end in ends:
             self.move(end, feed, False, self.line, curvature)

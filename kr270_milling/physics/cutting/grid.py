@@ -79,7 +79,7 @@ class Stock(Record):
         if not math.isnan(self.grid_step):
             return self
         largest, slow = feeds
-        fine, finest, coarsest = 20e-6, 2e-6, 100e-6  # [m]
+        fine, finest, coarsest = 20e-6, 5e-6, 100e-6  # [m], assumed: half the step takes four times as long
         widest = 0.05 * radius  # with fewer nodes across a cut its force is noise
         most_nodes = 1e8  # assumed: 200 MB
         wanted = min(max(0.2 * largest, min(fine, 0.375 * largest)) or fine, widest, coarsest)

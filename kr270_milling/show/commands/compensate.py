@@ -5,19 +5,23 @@ Exit code 1 where the decision is ``no``; then no program is written, unless by 
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.column import CONVERGED, TextTable, as_dict, columns, columns_of, fixed, table_of
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
-from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.parameter_file import find_file, write_include
+from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.jobs import joint_ranges
 from kr270_milling.cell.models import cut_of, cut_text_of, path_of
 from kr270_milling.decide.compensation import compensate, limit_sentence
-from kr270_milling.decide.decision import CAUTION, NO
+from kr270_milling.decide.decision import CAUTION, NO, YES
+from kr270_milling.decide.levers import Lever, levers
 from kr270_milling.decide.part import FeatureRow, write_part
 from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, write_manifest, write_programs
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
@@ -25,6 +29,8 @@ from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
 from kr270_milling.decide.tolerance import um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
+from kr270_milling.decide.verdict import SAMPLES
+from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (
@@ -38,9 +44,11 @@ from kr270_milling.show.commands.progress import steps, title_of
 from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
 from kr270_milling.show.report.tools_page import tools_page
+from kr270_milling.studies.identification.measured_part import keys_of, learn, read_part
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
+ROBUST, ORIGINAL, LEARNED_FILE = "robust", "original", "learned.yaml"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: color of a level of the decision
 
 
@@ -50,11 +58,12 @@ def run_compensate(args) -> Answer:
         plant = plant_of(args, cell)
         return compensate(
             cell,
-            args.method,
+            args.method or (ROBUST if parts else None),
             plant=plant,
             motions=args.krl or (),
             robots=args.verdict,
             seed=args.seed,
+            former=parts[-1][1] if parts else None,
             progress=whole.under(title_of(cell)),
         )
 
@@ -63,7 +72,16 @@ def run_compensate(args) -> Answer:
     source, cells = find_file(args.cell), read_cells(find_file(args.cell), args.set)
     if args.gcode:
         check_gcode(cells)
+    parts, learned, reached = _measured_parts(args, cells), None, []
+    if parts and args.reach:
+        raise InputError("--reach", "changes the times of the path; include what was learned in the cell first")
     with staged(args.out) as (draft, final), steps() as whole:
+        if parts:
+            with whole("measured parts") as report:
+                learned = learn(cells[0], parts, report)
+            cells = (learned.cell,)
+        if args.reach:
+            reached, cells = _reach(cells, args, whole)
         jobs = in_turn(
             cells,
             lambda cell: run(cell, whole),
@@ -74,11 +92,59 @@ def run_compensate(args) -> Answer:
         if args.json and decision.level == CAUTION:
             print(f"warning: {decision.text}", file=sys.stderr)
         whole.say("files")
-        values = _write(draft, final, jobs, decision, args, source, whole)
+        values = _write(draft, final, jobs, decision, args, source, whole, reached)
+        if learned:
+            notes = [f"learned by kr270_milling {__version__} from measured parts", *learned.lines()]
+            file = write_include(draft / LEARNED_FILE, keys_of(learned.cell), notes)
+            values |= learned.as_dict() | {"learned_file": str(final(file))}
         if older := set_aside(args.out):
             print(f"programs of an earlier run moved to {Path(args.out, OLDER)}: {', '.join(older)}", file=sys.stderr)
-    shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
+    shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args, reached)
+    if learned:
+        keep = f"to keep it, include {values['learned_file']} in the cell (includes)"
+        shown = (*itertools.islice(shown := iter(shown), 1), *learned.lines(), keep, *shown)
     return Answer(values, shown, code=decision.exit_code)
+
+
+def _measured_parts(args, cells) -> list:
+    """Read places and reference of each measured part, with a text on its source; raises InputError."""
+    files, ran = args.measured or [], args.reference or []
+    if len(ran) > len(files):
+        raise InputError("--reference", f"is given {len(ran)} times, but --measured {len(files)} times")
+    if files and len(cells) > 1:
+        raise InputError("--measured", "needs a cell with one tool, or path.tool")
+    parts = []
+    for file, run in itertools.zip_longest(files, ran):
+        target = path_of(cells[0]).target
+        reference = read_csv(find_file(run))[0] if run and run != ORIGINAL else target
+        if not np.array_equal(reference.time_ns, target.time_ns):
+            raise InputError(
+                run, "has its knots at other times than the path of the cell: it belongs to another program"
+            )
+        places = read_part(find_file(file))
+        along = f"along {Path(run).name}" if run and run != ORIGINAL else "as programmed"
+        parts.append((places, reference, f"{Path(file).name}, {len(places.error)} places, {along}, {now()[:10]}"))
+    return parts
+
+
+def _reach(cells, args, whole) -> tuple[list, tuple]:
+    """Return the levers that were tried, and the cell with the cheapest that is enough."""
+    if len(cells) > 1:
+        raise InputError("--reach", "takes a program with one tool, or one of its tools: --set path.tool=T1")
+    motion = (args.krl or [cells[0].krl.motion])[0]
+    with whole("levers") as report:
+        rows = levers(cells[0], args.verdict or SAMPLES, args.seed, motion, report)
+    return [lever for lever, _ in rows], (rows[-1][1],)
+
+
+def _levers_table(reached) -> TextTable:
+    """The levers side by side, for terminal and report."""
+    last = reached[-1]
+    state = "the last row is run" if last.enough else "none is enough; the last row is run"
+    note = f"{state}: {', '.join(last.keys)}"
+    rows = [as_dict(lever) for lever in reached]
+    columns = [(head, key, 0 if key in ("within_tolerance", "robots") else 2) for head, key, _ in columns_of(Lever)]
+    return table_of("Levers: simulated robots within the tolerance", columns, rows, note)
 
 
 def _values(cell, result) -> dict:
@@ -124,7 +190,7 @@ def _correction(cell, revised, by) -> dict:
     return values
 
 
-def _write(draft, final, jobs, decision, args, source, whole) -> dict:
+def _write(draft, final, jobs, decision, args, source, whole, reached) -> dict:
     """Write all files of all tools and return the values for ``--json``; jobs: cell and compensation of each tool."""
     date, released = now(), decision.level != NO
     tools, texts, pages = [], [], []
@@ -133,7 +199,7 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
         placed, text = _write_programs(draft, final, cell, result, decision.level, args, date)
         tools.append(values | placed)
         texts.append(text)
-        pages.append(_report_of_tool(cell, result, args, source, date, whole))
+        pages.append(_report_of_tool(cell, result, args, source, date, whole, reached))
         if result.parts and "stl" in args.write:
             stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
             write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock)
@@ -155,7 +221,8 @@ def _write(draft, final, jobs, decision, args, source, whole) -> dict:
         ]
         return {**as_dict(decision), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
     tools[0]["programs"]["manifest"] = [manifest]
-    return tools[0] | report | gcode
+    shown = {"levers": [as_dict(lever) for lever in reached]} if reached else {}
+    return tools[0] | report | gcode | shown
 
 
 def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dict, str]:
@@ -203,7 +270,7 @@ def _write_programs(draft, final, cell, result, level: str, args, date: str) -> 
     return placed, text
 
 
-def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
+def _report_of_tool(cell, result, args, source, date: str, whole, reached) -> str:
     """Return the report of one tool as text."""
     revised = result.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
@@ -217,7 +284,11 @@ def _report_of_tool(cell, result, args, source, date: str, whole) -> str:
         parts=result.parts,
         decision=result.decision,
         checked=result.checked,
-        tables=[_joints_table(cell, revised), _time_law_table(cell, result, whole)],
+        tables=[
+            *([_levers_table(reached)] if reached else []),
+            _joints_table(cell, revised),
+            _time_law_table(cell, result, whole),
+        ],
     )
 
 
@@ -259,10 +330,14 @@ def _shown_tools(jobs, decision, values: dict, args):
     yield from (f"{kind}: {values[kind]}" for kind in ("manifest", "report") if kind in values)
 
 
-def _shown(cell, result, decision, values: dict, args):
+def _shown(cell, result, decision, values: dict, args, reached):
     """Yield the output for the terminal, the decision first."""
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
+    if reached:
+        yield _levers_table(reached)
+    elif decision.level != YES and decision.verdict and not path_of(cell).straight:
+        yield "levers: compensate --reach tries softer ramps of the path, which let the arm swing less after corners"
     yield from _details(cell, result, values)
     if decision.level == NO:
         yield NOT_RELEASED if args.force else NOT_WRITTEN

@@ -162,6 +162,18 @@ def _add_compensate(parser) -> None:
         choices=("best", *_methods()),
         help="default: the cell's compensation.method; best: compare the methods and run the best",
     )
+    add(
+        "--measured",
+        metavar="WALL.csv",
+        action="append",
+        help="errors of a part that was cut, the table of compare, 6 to 200 places: learn from it; may be given again",
+    )
+    add(
+        "--reference",
+        metavar="REFERENCE.csv",
+        action="append",
+        help="the reference that cut the part, one for each --measured (default: original, the path as programmed)",
+    )
     add("--out", metavar="DIR", default="out", help="where everything goes (default: %(default)s)")
     add(
         "--krl",
@@ -181,6 +193,11 @@ def _add_compensate(parser) -> None:
             "number of simulated robots, drawn from the cell's uncertainty, that judge the compensation; 0: "
             "no verdict (default: %(default)s)"
         ),
+    )
+    add(
+        "--reach",
+        action="store_true",
+        help="try softer ramps of the path, up to 1.5 times its time, until 90 %% of the robots meet the tolerance",
     )
     add(
         "--force",

@@ -116,21 +116,62 @@ def test_everything_but_the_feed_moves_stays_in_place_and_order(tmp_path):
     assert re.search(r"N160 G0 X[\d.]+ Y[\d.]+ Z[\d.]+\n", text)  # to the corrected start of the cut
 
 
-@pytest.mark.parametrize("post", POSTS, ids=lambda path: path.name)
-def test_programs_of_six_posts_take_any_end_points(tmp_path, post):
+MACRO = """%
+O1 (PART)
+G20 G90 G54
+T1 M6 (10 mm end mill)
+S5000 M3
+o10 sub
+(wall)
+G0 X0 Y0 Z.5
+G1 Z-#1 F[20*2]
+G2 X1 Y0 I.5
+G5.1 X1.5 Y1 I.5 J0
+G0 Z.5
+o10 endsub
+G0 X0 Y0 Z1
+o10 call [.1]
+G52 X2 Z.1
+o10 call [.2]
+G52 X0 Z0
+G68 X0 Y0 R30
+G91 G93 G1 X3 F2
+G90 G94 F30
+G69
+(holes)
+G98 G81 X.3 Y.3 Z-.2 R.1
+X.5 M8
+G80
+G91 G28 Z0
+M30
+%
+"""
+
+
+@pytest.mark.parametrize("post", [*POSTS, Path("macro.ngc")], ids=lambda path: path.name)
+def test_programs_of_six_posts_and_one_with_macros_take_any_end_points(tmp_path, post):
     """In all of them the shift of each point by up to 0.1 mm is read back to the written digits."""
     tool = "T1" if post.stem == "haas" else ""
+    if post.stem == "macro":
+        post = tmp_path / post
+        post.write_text(MACRO)
     path = read_gcode(post, tool)
+    source = read_source(post, {path.program.tool})
+    written = source.lines_of(path, post, 0.0)
     cut = ~path.rapid & ~path.drilling
     wanted = path.position + np.random.default_rng(3).uniform(-1e-4, 1e-4, path.position.shape)
-    ends = {line: wanted[cut & (path.line == line)] for line in np.unique(path.line[cut]).tolist()}
+    ends = {line: wanted[cut & (written == line)] for line in np.unique(written[cut]).tolist()}
     copy = tmp_path / f"copy{post.suffix}"
-    copy.write_text("\n".join(read_source(post, {path.program.tool}).rewritten(ends)))
+    copy.write_text("\n".join(source.rewritten(ends)))
     read = read_gcode(copy, tool)
     moved = ~read.rapid & ~read.drilling
     assert np.abs(read.position[moved] - wanted[cut]).max() < 0.13e-6
     lines = iter(copy.read_text().splitlines())
-    assert all(line in lines for k, line in enumerate(post.read_text().splitlines(), 1) if k not in ends)
+    assert all(line in lines for k, line in enumerate(source.lines, 1) if k not in ends and line)
+    assert (
+        source.written_out == (post.stem == "macro")
+        and read.program.tools[0].diameter == path.program.tools[0].diameter
+    )
     assert [read.features[k] for k in read.feature[moved]] == [path.features[k] for k in path.feature[cut]]
     np.testing.assert_allclose(read.feed[moved], path.feed[cut], rtol=1e-12)
     np.testing.assert_array_equal(read.spindle_speed[moved], path.spindle_speed[cut])

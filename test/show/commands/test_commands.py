@@ -163,7 +163,7 @@ def test_grid_and_period_follow_tool_and_feed_where_the_cell_does_not_state_them
     per_tooth = 1e-3 * feed / (speed * teeth)
     step = cell.stock.grid_step
     assert per_tooth * 0.5e-3 * diameter * np.radians(1.0) / step**2 >= 10.0 and not thin_chips(cell)
-    assert 2e-6 <= step <= 0.4 * per_tooth and step <= 0.05 * 0.5e-3 * diameter
+    assert 4.9e-6 <= step <= max(0.4 * per_tooth, 5e-6) and step <= 0.05 * 0.5e-3 * diameter
     steps = cell.exchange.period * speed * 6.0
     assert steps == pytest.approx(round(steps)) and abs(cell.exchange.period - 0.25e-3) < 1.0 / (6.0 * speed)
     stated = read_cell(tmp_path / "my.yaml", ["stock.grid_step_um=50", f"exchange.period_ms={60 / speed * 1e3}"])

@@ -181,9 +181,11 @@ class Flow:
         machine = self.reader.machine
         if index in self.controls:
             self.reader.program.words["used"] += 1
+            self.reader.computed = True
             return self._control(index, self.controls[index])
         self.reader.run_line(self.lines[index])
         if machine.call is not None:
+            self.reader.computed = True
             (kind, number, repeats, arguments), machine.call = machine.call, None
             return self._called(kind, number, repeats, arguments, index + 1)
         if machine.ended and self.calls and machine.end_word in (99, 17):

@@ -21,7 +21,7 @@ from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILEN
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
-__all__ = ["COMMENT", "PIECE", "SKIP", "GcodeReader", "changes_by_m6", "read_gcode"]
+__all__ = ["COMMENT", "PIECE", "SKIP", "GcodeReader", "changes_by_m6", "gcode_path", "read_gcode"]
 
 #: an E directly after the digits begins an exponent if an integer follows; else, as after a blank, it is a letter of
 #: its own. One of two alternatives, so that a row of E words has one meaning.
@@ -79,7 +79,11 @@ def read_gcode(path, tool: str = "", feed: float = 0.0, offsets: Sequence[float]
     tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none; offsets
     [m]: x, y, z of G54, G55 ... in the workpiece frame, where the cell states them.
     """
-    lines = read_lines(path)
+    return gcode_path(path, read_lines(path), tool, feed, offsets)
+
+
+def gcode_path(path, lines: list[str], tool: str, feed: float, offsets: Sequence[float] = ()) -> Toolpath:
+    """Return the path of the lines of a program, as ``read_gcode``; path: their file."""
     number = re.fullmatch(r"\s*[Tt]?0*([0-9]+)\s*", tool)
     program = ProgramBuilder(path, f"T{number.group(1)}" if number else tool.strip())
     machine = Interpreter(program, feed, changes_by_m6(lines), offsets)
@@ -101,6 +105,7 @@ class GcodeReader:
         self.program = program
         self.machine = machine
         self.variables = Variables(machine.parameter)
+        self.computed = False  #: words were computed, or lines not run in their order
         self.announced = ""  #: operation that a post announced by word
         self.percent = 0
 
@@ -179,9 +184,12 @@ class GcodeReader:
             self.machine.run(words)
 
     def _line(self, line: str) -> None:
-        if "=" in line and '"' not in line and COMPUTED.search(line):
-            self._assigned_values(line.partition(";")[0].upper())
-            return
+        if "=" in line and '"' not in line:
+            text = line.partition(";")[0]
+            found = COMPUTED.search(text)
+            if found and "(" not in text[: found.start()]:  # else it is in a comment
+                self._assigned_values(text.upper())
+                return
         code, comments = _split_comments(line)
         if code[:1] == "%":
             self.percent += 1
@@ -209,6 +217,7 @@ class GcodeReader:
 
     def _macro(self, code: str) -> None:
         """A line with parameters or expressions; assignments count after all values of the line are known."""
+        self.computed = True
         scanner = Scanner(code, self.variables)
         words: list[tuple[str, Any]] = []
         assigned: list[tuple[int | str, float]] = []
@@ -234,6 +243,7 @@ class GcodeReader:
 
     def _assigned_values(self, code: str) -> None:
         """A line of Sinumerik with R parameters: R1=5, G1 X=R1+2 F=R3, S1=R4."""
+        self.computed = True
         scanner = Scanner(code, self.variables)
         words: list[tuple[str, Any]] = []
         try:

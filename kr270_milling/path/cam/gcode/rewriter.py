@@ -14,13 +14,16 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.text import read_lines
+from kr270_milling.path.cam.gcode.expansion import expanded
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
-from kr270_milling.path.cam.gcode.reader import COMMENT, PIECE, SKIP, GcodeReader, changes_by_m6
+from kr270_milling.path.cam.gcode.reader import COMMENT, PIECE, SKIP, GcodeReader, changes_by_m6, gcode_path
 from kr270_milling.path.cam.machine import MM
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.toolpath import Toolpath
 
 __all__ = ["GcodeSource", "SourceMove", "read_source"]
 
+SAME_PLACE = 1e-9  #: [m], of a position and its number with seven decimals of a mm
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
 #: words that end a block: they stay on the last of its new blocks
@@ -104,6 +107,7 @@ class GcodeSource:
 
     lines: tuple[str, ...]
     moves: dict[int, SourceMove]  #: line number, from 1 -> blocks
+    written_out: bool = False  #: the lines are not those of the file, which has parameters, sub-programs or shifts
 
     def rewritten(self, ends: dict[int, np.ndarray]) -> list[str]:
         """Return the lines with other end points; ends: line -> points (k, 3) [m].
@@ -119,6 +123,15 @@ class GcodeSource:
             else:
                 lines += _rewritten(line, move, [_words(point, move.unit) for point in points])
         return lines
+
+    def lines_of(self, path: Toolpath, file, feed: float) -> np.ndarray:
+        """Return the line of each block of a path of the file, in these lines."""
+        if not self.written_out:
+            return path.line
+        read = gcode_path(file, list(self.lines), path.program.tool, feed)
+        if len(read) != len(path) or np.abs(read.position - path.position).max() > SAME_PLACE:
+            raise InputError(file, "cannot be written out without parameters and sub-programs")
+        return read.line
 
     @property
     def comment(self) -> str:
@@ -136,13 +149,16 @@ class GcodeSource:
         return next(named, 0)
 
 
-def read_source(path, tools: Collection[str], top: float = -math.inf) -> GcodeSource:
+def read_source(path, tools: Collection[str], top: float = -math.inf, feed: float = 0.0) -> GcodeSource:
     """Read a program whose lines are to be rewritten for some of its tools, ``""`` for a program without tools.
 
-    top [m]: of the stock. Raises InputError for incremental moves, feeds in inverse time, and moves home sideways below
+    A program with parameters, sub-programs or shifts is written out first. top [m]: of the stock; feed [m/s]: for a
+    program without F. Raises InputError for incremental moves, feeds in inverse time, and moves home sideways below
     the top of these tools.
     """
     lines = read_lines(path)
+    written_out = expanded(path, lines, feed)
+    lines = written_out or lines
     program = ProgramBuilder(path, "")
     machine = _Watch(program, 0.0, changes_by_m6(lines))
     machine.tools, machine.top = tools, top
@@ -155,7 +171,7 @@ def read_source(path, tools: Collection[str], top: float = -math.inf) -> GcodeSo
             moves[program.line] = machine.move_of_line
         if machine.ended:
             break
-    return GcodeSource(tuple(lines), moves)
+    return GcodeSource(tuple(lines), moves, written_out is not None)
 
 
 def _words(point: np.ndarray, unit: float) -> str:

@@ -1,0 +1,115 @@
+"""Softer ramps of the path: a lever beside the correction, because an arm swings after each stop and corner.
+
+The swing of the slowest mode follows from the acceleration of the path. A ramp that lasts longer than a period of this
+mode leaves little. Scaling the acceleration by s and the jerk by s^2 makes all ramps 1/s times as long; the feed stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.column import column
+from kr270_milling.base.errors import InputError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.plant import coarser, perturbed
+from kr270_milling.decide.decision import ENOUGH
+from kr270_milling.decide.programs.written import written_trajectory
+from kr270_milling.decide.tolerance import Gauge
+from kr270_milling.decide.verdict import plants_at_once, run_sample
+from kr270_milling.path.timing import Timing
+from kr270_milling.path.trajectory import Trajectory
+
+__all__ = ["Lever", "levers", "softened"]
+
+RATIOS = (1.0, 1.1, 1.25, 1.5)  #: cycle times that are tried, of the programmed one; ramps take no more than the last
+SOFTEST = 0.02  #: share of the programmed acceleration
+
+
+@dataclass(frozen=True)
+class Lever:
+    """A path and its correction, run by the simulated robots of a verdict."""
+
+    name: str = column("lever", short="lever")
+    within: int = column("within_tolerance", short="within")
+    robots: int = column("robots", short="of")
+    median: float = column("median_um", 1e6, unit="um", short="median")
+    high: float = column("q95_um", 1e6, unit="um", short="95 %")
+    duration: float = column("duration_s", unit="s", short="time")
+    timing: Timing = column("")
+
+    @property
+    def enough(self) -> bool:
+        return self.within >= ENOUGH * self.robots
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The values of the cell file, as behind ``--set``."""
+        timing = self.timing
+        return (
+            f"timing.acceleration_m_per_s2={timing.acceleration:.3g}",
+            f"timing.jerk_m_per_s3={timing.jerk:.3g}",
+        )
+
+
+def softened(cell: Cell, ratio: float) -> Cell:
+    """Return the cell with softer ramps, so that its path takes at most ``ratio`` times as long."""
+    limit, low, high = ratio * path_of(cell).target.duration_ns, SOFTEST, 1.0
+    for _ in range(12):  # to 0.1 % of the acceleration
+        share = 0.5 * (low + high)
+        slow = path_of(_with_share(cell, share)).target.duration_ns > limit
+        low, high = (share, high) if slow else (low, share)
+    return _with_share(cell, high) if ratio > 1.0 else cell
+
+
+def _with_share(cell: Cell, share: float) -> Cell:
+    rounded = (float(f"{value:.3g}") for value in (share * cell.timing.acceleration, share**2 * cell.timing.jerk))
+    acceleration, jerk = rounded
+    return cell.replace(timing=cell.timing.replace(acceleration=acceleration, jerk=jerk))
+
+
+def levers(
+    cell: Cell, robots: int, seed: int, motion: str, progress: Callable[[int, int], None] | None = None
+) -> list[tuple[Lever, Cell]]:
+    """Try softer and softer ramps, without and with the correction, until enough robots meet the tolerance.
+
+    Returns two rows for each time of the path, each with its cell; the last row is the cheapest that is enough, or
+    else the softest one. Raises InputError for a straight cut and for a cell without a tolerance.
+    """
+    if path_of(cell).straight or not any(cell.tolerances.of()):
+        raise InputError("--reach", "needs a program in path.file and part.tolerance_um")
+    rows: list[tuple[Lever, Cell]] = []
+    for ratio in RATIOS:
+        softer = softened(cell, ratio)
+        path, original = path_of(softer), simulate(softer)
+        by = compensator(softer, path.target)
+        planned = compensated(softer, original, by.method, None, by)
+        program = written_trajectory(softer, planned.reference, motion)
+        errors = _errors(softer, program, robots, seed, progress)
+        seconds = path.target.duration_ns * 1e-9
+        for name, (error, share) in zip(("as programmed", by.method), np.moveaxis(errors, 0, -1), strict=True):
+            shown = name if ratio == 1.0 else f"{name}, softer ramps"
+            median, high = np.quantile(np.nan_to_num(error, nan=1.0), (0.5, 0.95)).tolist()
+            within = int(np.sum(share <= 1.0))
+            rows.append((Lever(shown, within, robots, median, high, seconds, softer.timing), softer))
+        if rows[-1][0].enough:
+            break
+    return rows
+
+
+def _errors(cell: Cell, program: Trajectory, robots: int, seed: int, progress) -> np.ndarray:
+    """Errors [m] of drawn robots and their shares of the tolerance, as programmed and corrected, (robots, 2, 2)."""
+    nominal, target = coarser(cell), path_of(cell).target
+    gauge, rng, rows = Gauge.of(nominal), np.random.default_rng(seed), []
+    plants = [perturbed(nominal, rng) for _ in range(robots)]
+    with ThreadPoolExecutor(plants_at_once(nominal)) as pool:
+        for row in pool.map(lambda plant: run_sample(plant, target, (target, program), gauge), plants):
+            rows.append(row)
+            if progress:
+                progress(len(rows), robots)
+    return np.array(rows)
