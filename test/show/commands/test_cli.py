@@ -221,6 +221,26 @@ def test_a_step_states_its_share_and_the_time_left_at_its_own_pace(clock):
             count(1, 2)
         assert shown.text == "T2: learned, pass 2 of at most 12: 50 %, 10 s left"
     assert shown.label == ""
+    with shown("report") as count:
+        count(0, 100)
+        clock[0] += 1.0
+        count(99, 100)
+        clock[0] += 5.0
+        assert shown.text == "report: 99 %, 6 s so far"  # the next count takes longer than the time left
+        count(100, 100)
+        clock[0] += 60.0
+        assert shown.text == "report: 66 s so far"
+    clock[0] += 7.0
+    assert shown.text == "working: 7 s so far"
+
+
+def test_a_command_between_two_steps_is_not_silent(clock, capsys):
+    shown = Progress()
+    module._line(shown)
+    assert capsys.readouterr().err == ""
+    clock[0] += 1.0 + module.WAITING
+    module._line(shown)
+    assert capsys.readouterr().err.startswith("working: ")
 
 
 @pytest.mark.parametrize("terminal", [False, True])
