@@ -5,7 +5,11 @@ from __future__ import annotations
 import pydoc
 import re
 import runpy
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import nbformat
 import numpy as np
@@ -14,8 +18,22 @@ import pytest
 from nbclient import NotebookClient
 
 import kr270_milling
-from kr270_milling import check, compensate, placements, read_cell, simulate, stability, sweep, verdict
-from kr270_milling.base.errors import ParameterError
+from kr270_milling import (
+    check,
+    compare,
+    compensate,
+    identify,
+    placements,
+    read_cell,
+    simulate,
+    stability,
+    stiffness,
+    sweep,
+    verdict,
+)
+from kr270_milling.api import Compensation, Pass
+from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.physics.motion.scores import Scores
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "config").glob("*.ipynb"))
 EXAMPLES = sorted(Path(kr270_milling.__file__).parent.glob("guide/examples/*.py"))
@@ -30,7 +48,7 @@ def both():
 def test_help_shows_every_function_with_its_arguments_and_an_example():
     text = pydoc.plain(pydoc.render_doc(kr270_milling))
     functions = [name for name in kr270_milling.__all__ if name.islower() and not name.startswith("_")]
-    assert len(functions) == 9 and set(kr270_milling.__all__) <= set(dir(kr270_milling))
+    assert len(functions) == 12 and set(kr270_milling.__all__) <= set(dir(kr270_milling))
     for name in functions:
         assert re.search(rf"^    {name}\(\w+.*\n(        .*\n|\s*\n)*?        >>> ", text, re.MULTILINE), name
     with pytest.raises(AttributeError):
@@ -101,3 +119,66 @@ def test_the_notebooks_run_in_an_empty_folder_and_are_stored_without_outputs(tmp
 def test_an_example_runs_and_prints_numbers(example, capsys):
     runpy.run_path(str(example), run_name="__main__")
     assert re.search(r"\d", capsys.readouterr().out)
+
+
+def test_the_plan_is_beside_the_paper_and_the_written_program_has_a_row_of_its_own():
+    cell, scores = read_cell("paper.yaml"), Scores(2e-6, 3e-6, 6.7, np.nan, np.nan)
+    run = Pass(name="linear", reference=None, result=None, scores=scores, cell=cell)
+    both = Compensation(replace(run, name="original"), run, run, None, None)
+    (table,) = both.tables()
+    assert table.columns[-1] == "max, paper"
+    assert [(row[0], row[-1]) for row in table.rows] == [
+        ("original", "63.20"), ("linear, planned", "4.70"), ("linear, written", "-"),
+    ]  # fmt: skip
+    assert (
+        both.compensated is both.written
+        and "max, paper"
+        not in replace(both, original=replace(run, cell=read_cell("paper.yaml", "tool.teeth=2"))).tables()[0].columns
+    )
+
+
+def test_a_dict_replaces_values_of_a_section_and_wrong_names_are_sentences():
+    cell = read_cell("paper.yaml", *SHORT)
+    moved = cell.replace(dynamics={"reference_inertia": True})
+    assert moved.dynamics.reference_inertia and moved.dynamics.damping_ratio == cell.dynamics.damping_ratio
+    with pytest.raises(ParameterError, match="dynamic .*did you mean dynamics"):
+        cell.replace(dynamic={})
+    with pytest.raises(ParameterError, match="'liner'.*did you mean linear"):
+        compensate(cell, "liner")
+    array = SimpleNamespace(
+        name="mine", repeats=False, smooth=False, recommended=False, revise=lambda task: task.target.position
+    )
+    with pytest.raises(ParameterError, match="method mine .*a Correction"):
+        compensate(cell, array)
+
+
+def test_stiffness_identify_and_compare_give_the_keys_of_the_commands():
+    pose = stiffness("kr270_2.yaml", joints_deg=[90, -50, 120, 180, 25, 180])
+    assert np.shape(pose["stiffness"]) == (6, 6)
+    assert identify("material", "Al7075")["materials"]
+    with pytest.raises(MillingError, match="nowhere"):
+        compare("nowhere.mcap", "paper.yaml")
+
+
+SCRIPT = """
+from kr270_milling.base.extensions import register
+register("force_laws", "mine", "own_law:OwnLaw")
+from kr270_milling import read_cell
+keys = ("tangential_cutting_n_per_mm2", "tangential_edge_n_per_mm", "radial_cutting_n_per_mm2", "radial_edge_n_per_mm")
+given = [f"cutting.mine.{key}=20" for key in keys]
+print(type(read_cell("paper.yaml", "cutting.law=mine", *given).cutting.active).__name__)
+register("methods", "late", "own_law:Late")
+"""
+LAW = """
+from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
+
+class OwnLaw(LinearEdgeLaw):
+    pass
+"""
+
+
+def test_a_script_registers_a_force_law_of_a_file_before_the_first_cell_and_not_after(tmp_path):
+    (tmp_path / "own_law.py").write_text(LAW)
+    (tmp_path / "script.py").write_text(SCRIPT)
+    ran = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert ran.stdout == "OwnLaw\n" and "entry point late" in ran.stderr and "comes too late" in ran.stderr

@@ -223,6 +223,9 @@ class Short(FractionalLaw):
 @dataclass(frozen=True, eq=False)
 class Misspelt(FractionalLaw):
     scattered = ("stifness",)
+@dataclass(frozen=True, eq=False)
+class Unnamed(FractionalLaw):
+    force = staticmethod(lambda h, c: (0.0, 0.0, 0.0))
 """
 
 
@@ -233,6 +236,7 @@ class Misspelt(FractionalLaw):
     ("[kr270_milling.methods]\nmine = mine:Other", "the method is named other; give both the same name"),
     ("[kr270_milling.force_laws]\nmine = mine:Short", "start and searched must have 5 entries"),
     ("[kr270_milling.force_laws]\nmine = mine:Misspelt", "have stifness, which is no coefficient"),
+    ("[kr270_milling.force_laws]\nmine = mine:Unnamed", "force must take h and the coefficients, at most 12, by their"),
 ])  # fmt: skip
 def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, line, sentence):
     (tmp_path / "mine-1.0.dist-info").mkdir()

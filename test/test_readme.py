@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 import shlex
 
@@ -106,11 +107,32 @@ def test_the_key_reference_states_every_key():
     assert key_table() == re.search(r"<!-- keys -->\n(.*?)<!-- end -->", page, re.DOTALL)[1]
 
 
-def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
+FROM_PYTHON = ROOT / "kr270_milling/guide/from_python.md"
+
+
+@pytest.mark.parametrize("page", [PAGES[0], FROM_PYTHON], ids=name_of)
+def test_the_python_example_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (example,) = re.findall(r"```python\n(.*?)```", PAGES[0].read_text(encoding="utf-8"), re.DOTALL)
+    (example,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     exec(example, {})
-    assert "<Pass linear: " in capsys.readouterr().out and (tmp_path / "linear.csv").is_file()
+    assert capsys.readouterr().out and (tmp_path / "linear.csv").is_file()
+
+
+def test_every_equation_of_the_paper_has_a_function_that_exists():
+    table = re.findall(r"^\| (\(.*?) \| .* \| `([\w.]+)` \|$", FROM_PYTHON.read_text(encoding="utf-8"), re.MULTILINE)
+    covered = set()
+    for numbers, function in table:
+        for first, last in re.findall(r"\((\d+)\)(?: to \((\d+)\))?", numbers):
+            covered |= set(range(int(first), int(last or first) + 1))
+        pkgutil.resolve_name(f"kr270_milling.{function}")
+    assert covered == set(range(1, 33))
+
+
+def test_the_page_of_the_nodes_has_every_parameter_that_a_node_declares():
+    live = ROOT / "kr270_milling/live"
+    code = "".join(p.read_text() for p in (*live.glob("nodes/*.py"), live / "ros/node.py"))
+    declared = set(re.findall(r"(?:self\.declared|self\._texts)\(\"(\w+)\"", code))
+    assert declared <= {name for names, *_ in rows("parameter | node") for name in re.findall(r"`(\w+)`", names)}
 
 
 def test_the_console_scripts_and_the_oldest_python_are_those_of_the_setup():

@@ -37,6 +37,7 @@ __all__ = [
     "read_tree",
     "section",
     "specs",
+    "stated",
     "tree_of",
 ]
 
@@ -273,6 +274,11 @@ def _keep(record, from_file: dict):
     """Store name -> value of the file, in the file's units, in the record, and return the record."""
     object.__setattr__(record, "_in_file_units", from_file)
     return record
+
+
+def stated(record: Record, name: str) -> bool:
+    """Return whether the file of a record states a parameter."""
+    return name in _given(record)
 
 
 def _given(record: Record) -> dict:

@@ -81,7 +81,7 @@ class Cell(Record):
             raise ParameterError("cutting.detail", "teeth", f"engagement or auto: {reason}")
         if self.cutting.by_engagement and not self.path.file:
             raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")
-        given = math.isfinite(self.exchange.period + self.stock.grid_step)  # else the reader of the file chooses them
+        given = math.isfinite(self.exchange.period)  # else the reader of the file chooses it
         if self.tool.spindle_speed > 0.0:
             if given:
                 self.exchange.clock(self.tool.spindle_speed)

@@ -11,12 +11,13 @@ import numpy as np
 import yaml
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.parameter_file import from_display
+from kr270_milling.base.parameter_file import AXES, DISPLAYED, from_display
 from kr270_milling.base.record import Record, Spec, flat, specs
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import SECTIONS
 from kr270_milling.cell.draft import straight_text
 
-__all__ = ["keys_of"]
+__all__ = ["keys_of", "schema"]
 
 TYPES = {
     float: "number", int: "whole number", bool: "true or false", str: "text", np.ndarray: "numbers", tuple: "texts",
@@ -38,6 +39,56 @@ def keys_of(section: str = "", record: type[Record] = Cell) -> list[dict]:
         sections = sorted({row["key"].rpartition(".")[0] for row in rows} - {""})
         raise InputError("keys", f"{section!r} is no section; known are {', '.join(sections)}")
     return chosen
+
+
+def schema() -> dict:
+    """Return the JSON schema of a cell file, with which an editor completes and checks keys; no key is required.
+
+    A file that others include may leave out any key. A group of lists may also be a list of groups.
+    """
+    cell = _group(Cell)
+    keys = cell["properties"]
+    tool = {**keys["tool"]["properties"], **{name: keys[name] for name in SECTIONS}}
+    keys["includes"] = {"type": "array", "items": {"type": "string"}, "description": "files below this one"}
+    keys["tools"] = {"type": "object", "additionalProperties": _object(tool), "description": "groups of keys by tool"}
+    file = _object({"/**": _object({"ros__parameters": cell})})
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "cell of kr270_milling", **file}
+
+
+def _object(properties: dict) -> dict:
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _group(record: type[Record], name: str = "") -> dict:
+    """Return the schema of a group of keys."""
+    kinds = {
+        spec.key: _group(spec.kind, spec.key) if issubclass(spec.kind, Record) else _value(spec)
+        for spec in specs(record)
+    }
+    if name in DISPLAYED:
+        key, display, farthest = DISPLAYED[name]
+        numbers = {axis: {"type": "number"} for axis in AXES}
+        kinds[key] = {**_object(numbers), "description": f"{display} on the controller's display [mm, deg]"}
+    if all(spec.kind is np.ndarray for spec in specs(record)):
+        row = {key: {"anyOf": [kind, kind["items"]]} for key, kind in kinds.items()}
+        return {"anyOf": [_object(kinds), {"type": "array", "items": _object(row)}]}
+    return _object(kinds)
+
+
+def _value(spec: Spec) -> dict:
+    """Return the schema of the value of one key."""
+    row = _row(spec, "")
+    bounds = {"minimum": row["low"], "maximum": row["high"], "exclusiveMinimum": row["above"]}
+    names = {float: "number", int: "integer", bool: "boolean", str: "string", np.ndarray: "number", tuple: "string"}
+    value = {"type": names[spec.kind], **{key: bound for key, bound in bounds.items() if bound is not None}}
+    if spec.choices:
+        value["enum"] = list(spec.choices)
+    if spec.kind in (np.ndarray, tuple):
+        value = {"type": "array", "items": value}
+        if spec.size is not None:
+            value |= {"minItems": spec.size, "maxItems": spec.size}
+    text = f"{spec.text} [{spec.unit}]" if spec.unit else spec.text
+    return value | {"description": text} | ({} if row["default"] is None else {"default": row["default"]})
 
 
 def _keys(record: type[Record], prefix: str) -> Iterator[dict]:

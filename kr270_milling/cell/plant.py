@@ -7,7 +7,9 @@ import math
 import os
 
 import numpy as np
+from scipy.special import ndtr
 
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
@@ -23,7 +25,18 @@ from kr270_milling.physics.robot.kinematics import forward, jacobian_at
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_torque
 from kr270_milling.physics.robot.mass import rigid_joint_mass
 
-__all__ = ["DIVERGED", "Plant", "coarser", "cores", "imperfect_arm", "imperfect_course", "joint_gaps", "perturbed"]
+__all__ = [
+    "DIVERGED",
+    "Plant",
+    "coarser",
+    "cores",
+    "imperfect_arm",
+    "imperfect_course",
+    "joint_gaps",
+    "numbers_of",
+    "perturbed",
+    "robot_of",
+]
 
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
@@ -111,8 +124,67 @@ def joint_gaps(arm: PlacedArm, path: CellPath, reference: Trajectory, width: np.
     )
 
 
+class Numbers:
+    """The standard normal numbers behind a robot, in place of the random generator that draws it.
+
+    An even number is the normal distribution function of a normal number.
+    """
+
+    def __init__(self, values: np.ndarray, seed: int):
+        self.values, self.seed, self.used = values, seed, 0
+
+    def standard_normal(self, size: int) -> np.ndarray:
+        first, self.used = self.used, self.used + size
+        rest = self.values[first : self.used]
+        return np.append(rest, np.zeros(size - rest.size))
+
+    def random(self, size: int | None = None):
+        even = ndtr(self.standard_normal(size or 1))
+        return even if size else even[0]
+
+    def uniform(self, low: float, high: float) -> float:
+        return low + (high - low) * self.random()
+
+    def integers(self, _: int) -> int:
+        return self.seed
+
+
+def numbers_of(cell: Cell) -> int:
+    """Return how many numbers make a robot of a cell."""
+    source = Numbers(np.zeros(0), 0)
+    _drawn(cell, source)
+    return source.used
+
+
+def robot_of(cell: Cell, numbers: np.ndarray, seed: int = 0) -> Cell:
+    """The robot behind numbers (n,) that ``perturbed`` draws from a standard normal distribution.
+
+    seed: of its noise and repeatability.
+    """
+    source = Numbers(numbers, seed)
+    robot = _drawn(cell, source)
+    if source.used != numbers.size:
+        allowed = f"{source.used} numbers for this force law and these uncertainties: learn from the parts again"
+        raise ParameterError("uncertainty.learned", numbers.tolist(), allowed)
+    return robot
+
+
 def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
-    """A plant drawn from ``cell.uncertainty``: log-normal factors with median 1, a shifted stock, imperfections.
+    """A robot drawn from ``cell.uncertainty``, or from what was learned of it from measured parts.
+
+    z = m + sqrt(I - D^T D) e   numbers of the robot, e standard normal; m, D: ``learned``, ``learned_directions``
+    """
+    learned = cell.uncertainty.learned
+    if not learned.size:
+        return _drawn(cell, rng)
+    directions = cell.uncertainty.learned_directions.reshape(-1, learned.size)
+    size, axes = np.linalg.eigh(np.eye(learned.size) - directions.T @ directions)
+    drawn = rng.standard_normal(learned.size)
+    return robot_of(cell, learned + axes @ (np.sqrt(np.maximum(size, 0.0)) * drawn), int(rng.integers(2**31)))
+
+
+def _drawn(cell: Cell, rng: np.random.Generator | Numbers) -> Cell:
+    """Log-normal factors with median 1, a shifted stock, imperfections.
 
     Frequencies scatter by the masses that move: stiffness has a separate factor.
 
@@ -142,7 +214,7 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     servo = float(rng.uniform(*assumed.servo_frequency)) if assumed.servo_frequency.size else 0.0
     delay = float(rng.random()) * assumed.servo_delay
     base, tool = _softer(cell, rng, factors(np.full(4, assumed.tool_compliance)))
-    later = np.random.default_rng(seed)  # the draws of earlier versions stay
+    later = rng if isinstance(rng, Numbers) else np.random.default_rng(seed)  # the draws of earlier versions stay
     joining = assumed.joining * float(later.random())
     share = float(later.uniform(*assumed.end_share)) if assumed.end_share.size else cell.cutting.end_share
     return cell.replace(
@@ -167,7 +239,7 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     )
 
 
-def _softer(cell: Cell, rng: np.random.Generator, factors: np.ndarray) -> tuple[np.ndarray, Tool]:
+def _softer(cell: Cell, rng: np.random.Generator | Numbers, factors: np.ndarray) -> tuple[np.ndarray, Tool]:
     """Compliances of the base (3,) [rad/(N m)] and the tool of a plant; factors (4,): on those that the cell has."""
     assumed, own, tool = cell.uncertainty, cell.arm.base_compliance, cell.tool
     drawn = assumed.base_compliance * np.append(rng.random(2), 0.0)

@@ -17,11 +17,13 @@ from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, derived, parameter, specs
 from kr270_milling.cell.path import check_feed
-from kr270_milling.path.cam.readers import known_reader, read_path_file
+from kr270_milling.path.cam.readers import READERS, PathReader, known_reader, read_path_file
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.motion.imperfections import LEAST_SERVO_FREQUENCY
+
+READERS[".mcap"] = PathReader("kr270_milling.recordings.bag.recorded_path", "read_recorded", ("topic", "feed"))
 
 __all__ = ["Limits", "PathSection", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 
@@ -441,7 +443,18 @@ class Uncertainty(Record):
         10e-6, unit="um", low=0.0, high=1e4, text="deviations below this do not matter to the part"
     )
 
+    learned_from: tuple[str, ...] = parameter((), text="measured parts, as ``compensate --measured`` writes them")
+    learned: np.ndarray = parameter(
+        [], low=-10.0, high=10.0, text="mean of the standard normal numbers behind a plant, learned from these parts"
+    )
+    learned_directions: np.ndarray = parameter(
+        [], low=-1.0, high=1.0, text="D of the covariance I - D^T D of these numbers, row after row"
+    )
+
     def check(self) -> None:
+        if self.learned_directions.size % max(1, self.learned.size) or not (self.learned.size or not self.learned_from):
+            allowed = "empty, or rows with as many numbers as uncertainty.learned, which learned_from belongs to"
+            raise ParameterError("learned_directions", self.learned_directions.size, allowed)
         if self.joint_compliances.size not in (0, 6):
             raise ParameterError("joint_compliances", self.joint_compliances.tolist(), "empty or one number a joint")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from kr270_milling.base.column import as_dict
+from kr270_milling.base.column import as_dict, column, computed
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.limits import Limit, limit_line, measurements
 from kr270_milling.decide.tolerance import Judgement, um_text
@@ -27,23 +27,24 @@ class Decision:
     of the robots miss the tolerance. ``caution``: everything else, also where the tolerance or the verdict is missing.
     """
 
-    as_programmed: Judgement
-    compensated: Judgement
-    method: str  #: that was run and is written; "none": the path as programmed
+    as_programmed: Judgement = column("as_programmed")
+    compensated: Judgement = column("compensated")
+    method: str = column("method")  #: that was run and is written; "none": the path as programmed
     stops: tuple[str, ...] = ()  #: sentences of the findings that forbid to run the path
     warnings: int = 0
     verdict: Verdict | None = None  #: of plants that are not the model; None: not run
-    comparison: MethodComparison | None = None  #: where the method was chosen by ``best``
-    notes: tuple[str, ...] = ()  #: what a user of the method must know
-    backlash: str = ""  #: whether the figures include the backlash of the joints
+    #: where the method was chosen by ``best``
+    comparison: MethodComparison | None = column("comparison", default=None)
+    notes: tuple[str, ...] = column("notes", default=())  #: what a user of the method must know
+    backlash: str = column("backlash", default="")  #: whether the figures include the backlash of the joints
     limits: tuple[Limit, ...] = ()  #: the unknowns by their share of the band; empty: not known or not needed
 
-    @property
+    @computed("may_be_run")
     def may_be_run(self) -> bool:
-        """Whether no finding forbids it."""
+        """Return whether no finding forbids it."""
         return not self.stops
 
-    @property
+    @computed("decision")
     def level(self) -> str:
         """``yes``, ``caution`` or ``no``."""
         if self.stops or self.compensated.passes is False:
@@ -58,14 +59,23 @@ class Decision:
         """0, or 1 for ``no``."""
         return int(self.level == NO)
 
-    @property
+    @computed("recommended_method")
     def recommended_method(self) -> str | None:
         """The method that a comparison recommends; None without a comparison."""
         if self.comparison:
             return self.comparison.best
-        return self.verdict.recommended if self.verdict and len(self.verdict.methods) > 1 else None
+        return self.verdict.compared if self.verdict else None
 
-    @property
+    @computed("quantity")
+    def _quantity(self) -> str:
+        return self.compensated.quantity
+
+    @computed("limits")
+    def _limits(self) -> list[dict]:
+        shares = self.verdict.shares if self.verdict else None
+        return [as_dict(row) | {"within": None if shares is None else row.within(shares)} for row in self.limits]
+
+    @computed("sentence")
     def sentence(self) -> str:
         """Why, and what is missing."""
         model = self.compensated.sentence("on the model")
@@ -121,23 +131,6 @@ class Decision:
         if self.limits and self.verdict:
             more += [limit_line(self.limits), *measurements(self.limits, self.verdict.shares)[1:]]
         return [self.text, *more, f"as programmed: {self.as_programmed.words}", self.method_text, *self.notes]
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "decision": self.level,
-            "sentence": self.sentence,
-            "quantity": self.compensated.quantity,
-            "as_programmed": as_dict(self.as_programmed),
-            "compensated": as_dict(self.compensated),
-            "may_be_run": self.may_be_run,
-            "method": self.method,
-            "recommended_method": self.recommended_method,
-            "comparison": self.comparison and self.comparison.as_dict(),
-            "notes": list(self.notes),
-            "backlash": self.backlash,
-            "limits": [row.as_dict(self.verdict.shares if self.verdict else None) for row in self.limits],
-        }
 
 
 def decided(

@@ -81,16 +81,21 @@ def levers(
     Returns two rows for each time of the path, each with its cell; the last row is the cheapest that is enough, or
     else the softest one. Raises InputError for a straight cut and for a cell without a tolerance.
     """
-    if path_of(cell).straight or not any(cell.tolerances.of()):
-        raise InputError("--reach", "needs a program in path.file and part.tolerance_um")
+    fed = path_of(cell).fed
+    if fed is None or fed.timed_by_source or not any(cell.tolerances.of()):
+        raise InputError("--reach", "needs part.tolerance_um, and a program without times in path.file")
     rows: list[tuple[Lever, Cell]] = []
-    for ratio in RATIOS:
+    count = progress or (lambda done, total: None)
+    for number, ratio in enumerate(RATIOS):
+        count(number * robots, len(RATIOS) * robots)
         softer = softened(cell, ratio)
         path, original = path_of(softer), simulate(softer)
         by = compensator(softer, path.target)
         planned = compensated(softer, original, by.method, None, by)
         program = written_trajectory(softer, planned.reference, motion)
-        errors = _errors(softer, program, robots, seed, progress)
+        errors = _errors(
+            softer, program, robots, seed, lambda done, n=number: count(n * robots + done, len(RATIOS) * robots)
+        )
         seconds = path.target.duration_ns * 1e-9
         for name, (error, share) in zip(("as programmed", by.method), np.moveaxis(errors, 0, -1), strict=True):
             shown = name if ratio == 1.0 else f"{name}, softer ramps"
@@ -102,7 +107,7 @@ def levers(
     return rows
 
 
-def _errors(cell: Cell, program: Trajectory, robots: int, seed: int, progress) -> np.ndarray:
+def _errors(cell: Cell, program: Trajectory, robots: int, seed: int, count: Callable[[int], None]) -> np.ndarray:
     """Errors [m] of drawn robots and their shares of the tolerance, as programmed and corrected, (robots, 2, 2)."""
     nominal, target = coarser(cell), path_of(cell).target
     gauge, rng, rows = Gauge.of(nominal), np.random.default_rng(seed), []
@@ -110,6 +115,5 @@ def _errors(cell: Cell, program: Trajectory, robots: int, seed: int, progress) -
     with ThreadPoolExecutor(plants_at_once(nominal)) as pool:
         for row in pool.map(lambda plant: run_sample(plant, target, (target, program), gauge), plants):
             rows.append(row)
-            if progress:
-                progress(len(rows), robots)
+            count(len(rows))
     return np.array(rows)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.column import column
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import long_pass
@@ -51,18 +52,13 @@ UNKNOWNS: dict[str, tuple[tuple[str, ...], str]] = {
 class Limit:
     """One unknown."""
 
-    name: str
-    share: float  #: of the band
-    measurement: str
+    name: str = column("unknown")
+    share: float = column("share")  #: of the band
+    measurement: str = column("measurement")
 
     def within(self, shares: np.ndarray) -> int:
         """Robots within tolerance if this is measured; shares: errors of the robots as shares of the tolerance."""
         return int(np.sum(shares * np.sqrt(1.0 - self.share) <= 1.0))
-
-    def as_dict(self, shares: np.ndarray | None) -> dict:
-        """For JSON; shares: see ``within``, None without a tolerance."""
-        within = None if shares is None else self.within(shares)
-        return {"unknown": self.name, "share": self.share, "measurement": self.measurement, "within": within}
 
 
 def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
@@ -71,6 +67,8 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     count: robots drawn for each unknown; four know a share to about a third of it.
     """
     model, assumed = coarser(cell), cell.uncertainty
+    if assumed.learned.size:  # a measured part ties the unknowns to each other
+        return ()
     ran = Plant(model, model, Imperfections()).run(reference)
     known = assumed.replace(
         repeatability=0.0, **{key: _nothing(assumed, key) for keys, _ in UNKNOWNS.values() for key in keys}

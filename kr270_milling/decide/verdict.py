@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import (
@@ -51,13 +52,13 @@ NO_METHOD = "none"  #: run the path as it was programmed
 class Verdict:
     """The answer of the plants. Errors are the tolerance quantity [m], one a plant; NaN: the plant failed."""
 
-    word: str  #: "helps", "does not matter" or "cannot be trusted here"
-    reason: str
-    original: np.ndarray  #: (n,)
-    compensated: np.ndarray  #: (n,)
-    seed: int | None
+    word: str = column("verdict")  #: "helps", "does not matter" or "cannot be trusted here"
+    reason: str = column("reason")
+    original: np.ndarray = column("")  #: (n,)
+    compensated: np.ndarray = column("")  #: (n,)
+    seed: int | None = column("seed")
     methods: dict[str, np.ndarray] = field(default_factory=dict)  #: errors by method, (n,)
-    quantity: str = PATH_DEVIATION  #: name of the errors
+    quantity: str = column("quantity", default=PATH_DEVIATION)  #: name of the errors
     shares: np.ndarray | None = None  #: errors of the compensated plants as shares of the tolerance, (n,); None: no
     #: tolerance is given
 
@@ -83,7 +84,7 @@ class Verdict:
         low, middle, high = (1e6 * value for value in self.band("compensated"))
         return f"{self.word} ({len(self.original)} robots: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
 
-    @property
+    @computed("within_tolerance")
     def within(self) -> int | None:
         """Plants that meet the tolerance on the compensated trajectory; None without a tolerance."""
         return None if self.shares is None else int(np.sum(self.shares <= 1.0))
@@ -92,21 +93,19 @@ class Verdict:
         """5, 50 and 95 % of the error [m]; which: "original" or "compensated"."""
         return _band(getattr(self, which))
 
-    def as_dict(self) -> dict:
-        """For JSON; each band is 5, 50, 95 %."""
-        methods = {NO_METHOD: self.original, **self.methods}
-        return {
-            "verdict": self.word,
-            "reason": self.reason,
-            "quantity": self.quantity,
-            "samples": len(self.original),
-            "seed": self.seed,
-            "within_tolerance": self.within,
-            "failed": int(np.isnan(self.compensated).sum()),
-            "recommended_method": self.recommended if len(self.methods) > 1 else None,
-            "methods_um": {name: [1e6 * value for value in _band(rows)] for name, rows in methods.items()},
-            **{f"{which}_um": [1e6 * v for v in self.band(which)] for which in ("original", "compensated")},
-        }
+    @computed("*")
+    def _counts(self) -> dict:
+        return {"samples": len(self.original), "failed": int(np.isnan(self.compensated).sum())}
+
+    @computed("recommended_method")
+    def compared(self) -> str | None:
+        """The recommended method; None where there is only one."""
+        return self.recommended if len(self.methods) > 1 else None
+
+    @computed("*", 1e6)
+    def _bands(self) -> dict:
+        bands = {name: _band(rows) for name, rows in {NO_METHOD: self.original, **self.methods}.items()}
+        return {"methods_um": bands, "original_um": self.band("original"), "compensated_um": self.band("compensated")}
 
 
 def _band(rows: np.ndarray) -> tuple[float, ...]:
@@ -124,14 +123,10 @@ def _high(rows: np.ndarray) -> float:
 class MethodComparison:
     """The methods compared by the linear response of drawn plants, and the method that is best."""
 
-    best: str
-    sentence: str  #: why
-    deviations: dict[str, float]  #: path deviation [m] that 95 % of the plants stay below, by method
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        shown = {name: 1e6 * value for name, value in self.deviations.items()}
-        return {"best": self.best, "reason": self.sentence, "path_deviation_um": shown}
+    best: str = column("best")
+    sentence: str = column("reason")
+    #: path deviation [m] that 95 % of the plants stay below, by method
+    deviations: dict[str, float] = column("path_deviation_um", 1e6)
 
 
 def compare_methods(cell: Cell, original: ScoredPass) -> MethodComparison:

@@ -188,8 +188,8 @@ class PathBuilder:
 
     def straight_moves(self, rows: np.ndarray, feed: float) -> None:
         """Append straight blocks at one feed [m/s]; rows: x, y, z [m] and line, (n, 4)."""
-        last = self.last
-        moved = np.any(np.diff(rows[:, :3], axis=0, prepend=[last]) != 0, axis=1)
+        before = np.vstack([self.last or rows[:1, :3], rows[:-1, :3]])
+        moved = np.any(rows[:, :3] != before, axis=1)
         rows = rows[moved]
         blocks = np.zeros((len(rows), 14))
         blocks[:, COLUMNS["position"]] = rows[:, :3]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.files import staged, write_files
+from kr270_milling.base.files import staged, write_failure, write_files
 from kr270_milling.base.text import read_lines, unended
 
 
@@ -92,6 +93,16 @@ def test_a_file_or_a_forbidden_place_is_refused_before_any_work(tmp_path, place)
     with pytest.raises(InputError), staged(tmp_path / place):
         pytest.fail("the block was entered")
     assert names(tmp_path) == ["file"]
+
+
+def test_a_full_disk_is_named_with_its_size_and_a_closed_folder_with_a_remedy(tmp_path):
+    with (
+        pytest.raises(InputError, match=r"No space left on device: [\d.]+ MB of [\d.]+ GB are free"),
+        staged(tmp_path / "o"),
+    ):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    closed = OSError(errno.EROFS, os.strerror(errno.EROFS))
+    assert write_failure(closed, tmp_path / "o") == "Read-only file system; choose another folder with --out"
 
 
 def test_a_set_of_files_appears_whole_or_not_at_all(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from hostile import printed, settings
 from samples.small_part import GCODE, assignments, small_part
 
+from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell_file import read_cell
@@ -318,7 +319,7 @@ def test_the_paper_is_helped_and_its_bands_enclose_the_model(cell, pair):
     low, middle, high = verdict.band("original")
     assert verdict.word == HELPS and low < original.scores.max_deviation < high and low < middle < high
     assert np.all(verdict.compensated < 0.7 * verdict.original)  # each one, though forces that differ by 30 % overlap
-    assert verdict.as_dict()["original_um"] == pytest.approx([1e6 * v for v in (low, middle, high)])
+    assert as_dict(verdict)["original_um"] == pytest.approx([1e6 * v for v in (low, middle, high)])
 
 
 def test_a_seed_gives_the_same_verdict_on_any_number_of_cores_and_another_one_other_samples(cell, pair, monkeypatch):
@@ -337,7 +338,7 @@ def test_a_correction_of_the_wrong_sign_and_plants_that_fail_cannot_be_trusted(c
     assert monte_carlo(cell, wrong, 6, 1).word == UNTRUSTED
     astray = target.with_position(target.position + np.outer(np.linspace(0, 0.02, len(target)), [0, 1, 0]))
     verdict = monte_carlo(cell, astray, 3, 1)
-    assert verdict.word == UNTRUSTED and verdict.as_dict()["failed"] == 3 and "fail" in verdict.reason
+    assert verdict.word == UNTRUSTED and as_dict(verdict)["failed"] == 3 and "fail" in verdict.reason
     assert np.isnan(verdict.band("compensated")).all()
 
 
@@ -393,7 +394,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     others = alternatives(moving, original, "spline")
     assert set(others) == {"inverse", "robust"}
     verdict = monte_carlo(moving, spline.reference, 2, method="spline", others=others)
-    assert verdict.as_dict()["recommended_method"] == verdict.recommended in others
+    assert as_dict(verdict)["recommended_method"] == verdict.recommended in others
     assert np.quantile(verdict.methods[TRACKED], 0.95) < np.quantile(verdict.methods["inverse"], 0.95)
 
 

@@ -69,16 +69,16 @@ class Disturbed(Graph):
             if now >= self._running_at + self._after:
                 self.struck_at, self.struck_wall_ns = now, time.time_ns()
                 self._strike(self)
-        elif self._in_pass and self.driver.statuses[ROBOT].message == "pass running":
+        elif self._in_pass and self.driver.reports[ROBOT].message == "pass running":
             self._running_at = now
         super().check()
 
     def _take_messages(self) -> None:
         """Warnings and errors since the fault."""
-        for name, status in self.driver.statuses.items():
-            sentence, at = f"{name}: {status.message}", self.driver.arrivals[name]
+        for name, report in self.driver.reports.items():
+            sentence, at = f"{name}: {report.message}", self.driver.arrivals[name]
             known = any(sentence == message.sentence for message in self.messages)
-            if status.level >= WARN and at > self.struck_at and not known:
+            if report.level >= WARN and at > self.struck_at and not known:
                 self.messages.append(Message(at, sentence))
 
     def warn(self, sentence: str) -> None:

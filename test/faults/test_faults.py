@@ -13,7 +13,7 @@ from faults import soak, trials
 from faults.__main__ import main
 from faults.faults import ENDS, FAULTS, GOES_ON, Message
 from faults.trials import Recorded, Row, Trial, judge_recording, judge_words
-from kr270_milling.live.graph.graph import NOT_COMPLETE
+from kr270_milling.live.ros.node import NOT_COMPLETE
 
 
 def test_fault_is_reported_by_name_and_no_process_remains(ros_environment, monkeypatch, capsys):

@@ -18,7 +18,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
-from kr270_milling.live.graph.graph import NOT_COMPLETE
+from kr270_milling.live.ros.node import NOT_COMPLETE
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording

@@ -35,6 +35,7 @@ ENDS = {
 }
 #: the same for words that LinuxCNC has not, by their definition
 OTHER_ENDS = {
+    "G76 X3 Y0 Z-2 R1 Q0.2 P1\nG80": [(3, 0, -2)],
     "G68 X0 Y0 R90\nX5\nG69\nX5": [(0, 5), (5, 5)],
     "M97 P5 L2\nM30\nN5 G91 X1\nM99": [1, 2],
     "G65 P9 A1.5 X4\nM30\nO9\nX#1 Y#24\nM99": [(1.5, 4)],
@@ -54,12 +55,13 @@ REFUSED = {
     **dict.fromkeys(("X[1", "X[", "X" + "[" * 200, "X[1+]", "#1", "X ATAN[1]", "EXISTS[1]"), "bracket|value|word"),
     **dict.fromkeys(("G92 X5\nG52 X1", "G52 X1\nG92 X5", "G52 X1\nG92.1"), "controls differ|one work offset"),
     "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",
+    "M98 P7\nO7\nX1\nM99": "runs into a sub-program",
     "(abort, no part)": "stops itself",
 }
 
 
 def program(tmp_path, lines: str):
-    (tmp_path / "part.ngc").write_text(f"{SAME_START}{lines}\n" + ("" if "M30" in lines else "M30\n"))
+    (tmp_path / "part.ngc").write_text(f"{SAME_START}{lines}\n" + ("" if "M30" in lines or "M99" in lines else "M30\n"))
     return tmp_path / "part.ngc"
 
 

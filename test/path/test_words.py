@@ -121,6 +121,7 @@ LINES = {
     **dict.fromkeys(("G93", "G93 F2 G1 X5"), "G93 needs F in each line"),
     **dict.fromkeys(("IF R1>5 GOTOF A", 'EXTCALL "UP"'), "post without macros"),
     **dict.fromkeys(("M91", "L X+10 Y+5 R0 FMAX"), "Heidenhain"),
+    **dict.fromkeys(('X="5"', 'S1="5"'), "is not known"),
     "G0 X0,0 Y1,5": "decimal comma",
     "G90.1 G2 X10 I5": "needs I and J",
     "M61 Q5": "T1 .* T5",

@@ -203,7 +203,7 @@ def _near(one, other, tolerance: float) -> bool:
 
 
 def difference(path) -> str:
-    """Return "" where ours and rs274 agree, "refused: ..." for one of ours, "rs274: ..." for one of rs274, or how they
+    """Return "" where ours and rs274 agree, "refused: ..." for a refusal, "rs274: ..." for one of rs274, or how they
     differ."""
     moves, sentence, homes = ours(path)
     if sentence:

@@ -1,11 +1,9 @@
-"""The node of the runner: requests lifecycle transitions, sets parameters, receives statuses."""
+"""The node of the runner: requests lifecycle transitions, sets parameters, receives the reports in /diagnostics."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any
 
 import rclpy
 from lifecycle_msgs.msg import Transition
@@ -18,10 +16,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from kr270_milling.base.errors import MessageError
 from kr270_milling.live.graph.processes import RunError
-from kr270_milling.live.ros.node import Silence
-from kr270_milling.live.ros.status import Status, status_topic
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.node import ERROR, Silence
+from kr270_milling.live.ros.readiness import Report, read_reports
 
 __all__ = ["Driver"]
 
@@ -31,8 +29,8 @@ class Driver:
 
     def __init__(self, namespace: str, check: Callable[[], None]):
         self.check = check
-        self.statuses: dict[str, Status] = {}  #: last status by node
-        self.arrivals: dict[str, float] = {}  #: node -> arrival of its last status [s of the monotonic clock]
+        self.reports: dict[str, Report] = {}  #: last report by node
+        self.arrivals: dict[str, float] = {}  #: node -> arrival of its last report [s of the monotonic clock]
         self.silences: dict[str, Silence] = {}  #: node -> its silence
         self.error: tuple[str, str] | None = None  #: (node, message) of the first ERROR
         self.foreign = ""  #: name of a node that another process also uses; reports of that process are ignored
@@ -49,35 +47,41 @@ class Driver:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Client] = {}
+        self._processes: dict[str, int] = {}  # node -> id of its process
         self.namespace = self.node.get_namespace()
+        kind, name, qos = topics.DIAGNOSTICS
+        self.node.create_subscription(kind, name, self._on_reports, qos, raw=True)
 
     def name_of(self, node: str) -> str:
         """Return the fully qualified name of a node or topic."""
         return f"{self.namespace.rstrip('/')}/{node}"
 
     def expect(self, node: str, pid: int) -> None:
-        """Take the statuses of this process under the name of the node from now on."""
+        """Take the reports of this process under the name of the node from now on."""
         self.silences[node] = Silence()
-        topic = status_topic(node)
-        self.node.create_subscription(topic.type, topic.name, partial(self._on_status, node, pid), topic.qos)
+        self._processes[node] = pid
 
-    def _on_status(self, node: str, pid: int, msg) -> None:
+    def _on_reports(self, data: bytes) -> None:
         try:
-            status = Status.from_text(msg.data)
-        except MessageError:  # of a stranger
+            reports = read_reports(data)
+        except Exception:  # noqa: BLE001 - bytes of another node may be anything
             return
-        if status.pid != pid:
-            self.foreign = self.name_of(node)
-            return
-        self.statuses[node], self.arrivals[node] = status, time.monotonic()
-        self.silences[node].end()
-        if status.error and self.error is None:
-            self.error = node, status.error
+        for node, pid in self._processes.items():
+            report = reports.get(self.name_of(node))
+            if report is None or "process" not in report.values:
+                continue
+            if report.values["process"] != str(pid):
+                self.foreign = self.name_of(node)
+                continue
+            self.reports[node], self.arrivals[node] = report, time.monotonic()
+            self.silences[node].end()
+            if report.level == ERROR[0] and self.error is None:
+                self.error = node, report.message
 
-    def value(self, node: str, key: str) -> Any:
-        """Return a value of the last status of a node; None without a status or without the value."""
-        status = self.statuses.get(node)
-        return None if status is None else status.values.get(key)
+    def value(self, node: str, key: str) -> str | None:
+        """Return a value of the last report of a node; None without a report or without the value."""
+        report = self.reports.get(node)
+        return None if report is None else report.values.get(key)
 
     def until(self, condition: Callable[[], object], what: str, deadline: float, node: str = "graph"):
         """Wait for a condition and return its value; raises RunError after the deadline [s]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
 import sys
@@ -26,18 +27,16 @@ from kr270_milling.live.graph.processes import (
     stop,
 )
 from kr270_milling.live.ros.environment import keep_to_this_host
-from kr270_milling.live.ros.node import LOST
+from kr270_milling.live.ros.node import LOST, NOT_COMPLETE
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
-__all__ = ["CELL", "NOT_COMPLETE", "PLANNER", "Graph", "RunValues"]
+__all__ = ["CELL", "PLANNER", "Graph", "RunValues"]
 
 UP = 300.0  # [s] for a node to start, to compile at its first use on a busy machine, or to revise a long trajectory
 DISCOVERY = 0.5  # [s] for this process to discover another graph, five announcements of the profile
 QUIET = 1.0  # [s] without a report in mid-pass, after which the run prints a warning
-CATCH_UP = 5.0  # [s] for a recorder at the end of a pass to request the messages that it missed
 CELL, PLANNER = (ROBOT, CUT), (COMPENSATOR, RECORDER)  # the two processes of a composed graph
 NODES = (*CELL, *PLANNER)
-NOT_COMPLETE = "its recording is not complete"
 
 
 @dataclass(frozen=True)
@@ -70,6 +69,7 @@ class Graph:
         self._composed = composed
         self._namespace = namespace
         self._in_pass = False
+        self._recording = ""  # file of the present pass
         self._judged = 0.0  # time of the first error [s of the monotonic clock]
         self._lock: socket.socket | None = None
         self._signals: list[int] = []
@@ -86,7 +86,7 @@ class Graph:
         self.stop()
 
     def start(self) -> Graph:
-        """Start the nodes and configure robot and cut; the caller calls ``stop`` in any case."""
+        """Start the nodes and configure robot, cut and recorder; the caller calls ``stop`` in any case."""
         started = time.monotonic()
         keep_to_this_host()
         (self.out / "log").mkdir(exist_ok=True)
@@ -100,7 +100,7 @@ class Graph:
         self._lock = own_graph(self.driver.node.context.get_domain_id(), self.driver.namespace)
         self._refuse_second()
         self._start_nodes()
-        self.driver.transition("configure", *CELL, deadline=UP)
+        self.driver.transition("configure", *CELL, RECORDER, deadline=UP)
         self.up_s = time.monotonic() - started
         return self
 
@@ -125,7 +125,7 @@ class Graph:
             for node in nodes:
                 self.children[node] = child
                 self.driver.expect(node, child.pid)
-        self.driver.until(lambda: len(self.driver.statuses) == len(NODES), "coming up", UP)
+        self.driver.until(lambda: len(self.driver.reports) == len(NODES), "coming up", UP)
         if self.driver.foreign:
             raise AlreadyRunning(self.driver.foreign)
 
@@ -183,37 +183,43 @@ class Graph:
     @property
     def repeats(self) -> bool:
         """Return whether the method continues with passes until the compensator is finished."""
-        return bool(self._value("repeats"))
+        return self._value("repeats") == "True"
 
-    def _value(self, key: str, node: str = COMPENSATOR) -> Any:
+    def _value(self, key: str, node: str = COMPENSATOR) -> str | None:
         return self.driver.value(node, key)
 
     def run_pass(self, name: str) -> RunValues:
         """Run one pass on a fresh workpiece and record it to ``out/name``."""
         until = self.driver.until
         self.begin_recording(name)
-        revision, passes = self._value("revision"), self._value("passes", ROBOT)
         self.driver.transition("activate", CUT, deadline=UP)
+        self._wait_until_ready()
+        revision, passes = self._value("revision"), self._value("passes", ROBOT)
         self.driver.transition("activate", ROBOT, deadline=UP)
         self._in_pass = True
         until(lambda: self._value("passes", ROBOT) != passes, "the pass", float("inf"), ROBOT)
         self._in_pass = False
         until(lambda: self._value("revision") != revision, "revising", UP, COMPENSATOR)
-        wall = float(self._value("wall_s", ROBOT))
+        wall = float(self._value("wall_s", ROBOT) or 0.0)
         self.driver.transition("deactivate", *CELL, deadline=UP)
         self.end_recording()
-        errors = tuple(e * 1e-6 for e in self._value("remaining_error_um"))
-        return RunValues(self.out / name, wall, errors, self._value("finished"))
+        errors = tuple(e * 1e-6 for e in json.loads(self._value("remaining_error_um") or "[]"))
+        return RunValues(self.out / name, wall, errors, self._value("finished") == "True")
 
     def begin_recording(self, name: str) -> None:
-        """Set the directory of the recorder, and wait until the compensator reports that a pass may start."""
+        """Open the file of the recorder."""
         plant = ""
         if self.plant is not None:
             first = self.plant.imperfections.replace(first_pass=self.passes)
             plant = cell_text(self.plant.replace(imperfections=first))
         self.driver.set_parameters(RECORDER, recording_parameters(self.out, name, self.cell.path.files, plant), UP)
-        file, end = f"{name}/{name}.mcap", time.monotonic() + 30.0  # [s] for the nodes to discover each other
-        while self._value("recording") != file or self._value("waiting_for"):
+        self.driver.transition("activate", RECORDER, deadline=UP)
+        self._recording = f"{name}/{name}.mcap"
+
+    def _wait_until_ready(self) -> None:
+        """Wait until the compensator knows the recording and reports that a pass may start."""
+        end = time.monotonic() + 30.0  # [s] for the nodes to discover each other
+        while self._value("recording") != self._recording or self._value("waiting_for"):
             self.check()
             self.driver.spin()
             if time.monotonic() > end:
@@ -221,13 +227,13 @@ class Graph:
 
     def end_recording(self) -> None:
         """Close the file of the recorder, then create the next workpiece."""
-        end = time.monotonic() + CATCH_UP
-        self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
-        if not self._all_recorded():
-            self.warn(f"recorder: has not received the end of the pass; {NOT_COMPLETE}")
-        elif missing := self._value("missing", RECORDER):
-            self.warn(f"recorder: {missing} messages of the pass were lost; {NOT_COMPLETE}")
-        self.driver.set_parameters(RECORDER, {"directory": ""}, UP)
+        self.driver.transition("deactivate", RECORDER, deadline=UP)
+        for node in (*CELL, RECORDER):
+            while self._value("state", node) != "inactive":
+                self.check()
+                self.driver.spin()
+            if NOT_COMPLETE in self.driver.reports[node].message:
+                self.warn(f"{node}: {self.driver.reports[node].message}")
         self.passes += 1
         self.renew_workpiece()
 
@@ -235,13 +241,6 @@ class Graph:
         """Create a fresh workpiece for the next pass."""
         self.driver.transition("cleanup", CUT, deadline=UP)
         self.driver.transition("configure", CUT, deadline=UP)
-
-    def _all_recorded(self) -> bool:
-        """Return whether the recorder has the last message of robot and cut on each topic without another publisher."""
-        robot, cut, recorder = (self.driver.statuses[node] for node in (ROBOT, CUT, RECORDER))
-        sent, there = {**robot.stamps_ns, **cut.stamps_ns}, recorder.stamps_ns
-        own = {topic: stamp for topic, stamp in sent.items() if recorder.sources.get(topic, 1) < 2}
-        return bool(own) and all(there.get(topic, -1) >= stamp for topic, stamp in own.items())
 
     def stop(self) -> None:
         """Stop every node, the recorder last, so that it receives the last messages of the others."""

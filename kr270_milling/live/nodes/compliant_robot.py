@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange
@@ -10,14 +11,14 @@ from rclpy.duration import Duration
 from rclpy.timer import Timer
 
 from kr270_milling.base.frames import WORKPIECE
-from kr270_milling.base.samples import Text, WrenchSample
+from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, LOST, OK, SILENT, WARN, ManagedNode, Silence, guarded
-from kr270_milling.live.ros.status import Status, status_topic
+from kr270_milling.live.ros.readiness import Report, read_reports
 from kr270_milling.path.trajectory import Trajectory, fingerprint
-from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, ROBOT
+from kr270_milling.recordings.messages.topics import COMPENSATOR, ROBOT
 
 __all__ = ["CompliantRobot"]
 
@@ -44,13 +45,11 @@ class CompliantRobot(ManagedNode):
         self._late: list = []  # outputs that wait for the wall clock
         self._silence = Silence()
         self.open_outlets(ROBOT)
-        self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
+        self._reference = self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
-        self._planner = self.subscribe(status_topic(COMPENSATOR), self._on_planner)
-        self._cut = self.subscribe(status_topic(CUT), self._on_cut)
+        self.subscribe(topics.DIAGNOSTICS, self._on_reports, read_reports)
         self._exchanges = 0  # since the last check
         self._ready = False  # as the compensator reported last
-        self._cut_active = False  # as the cutting process reported last
         self.create_timer(LOOK, self._watch_answer)
         self.set_values(reference="")
         self.report(OK, "unconfigured")
@@ -70,17 +69,21 @@ class CompliantRobot(ManagedNode):
 
     def deactivate(self) -> None:
         self.protocol.stop()
-        self.report(OK, "stopped")
+        self.stop()
 
     def _on_reference(self, reference: Trajectory) -> None:
         self.protocol.reference = reference
         self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
 
-    def _on_planner(self, text: Text) -> None:
-        self._ready = not Status.from_text(text.text).values.get("waiting_for")
+    def _on_reports(self, reports: Mapping[str, Report]) -> None:
+        planner = reports.get(self.full_name(COMPENSATOR))
+        if planner is not None:
+            self._ready = planner.values.get("waiting_for") == ""
 
-    def _on_cut(self, text: Text) -> None:
-        self._cut_active = bool(Status.from_text(text.text).values.get("active"))
+    def _is_planned(self) -> bool:
+        """Return whether a compensator publishes the reference and decides when a pass may start."""
+        infos = self.get_publishers_info_by_topic(self._reference.topic_name)
+        return any(info.node_name == COMPENSATOR for info in infos)
 
     def _is_too_far_ahead(self) -> bool:
         """Return whether a subscriber lacks poses; one that is stopped, or has no room, confirms none."""
@@ -100,9 +103,7 @@ class CompliantRobot(ManagedNode):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
         if not protocol.started:
-            ready = self._ready or not self._planner.get_publisher_count()
-            active = self._cut_active or not self._cut.get_publisher_count()
-            usable = cut and ready and active and protocol.reference is not None
+            usable = cut and protocol.reference is not None and (self._ready or not self._is_planned())
             if usable and not self.used("reference_trajectory", self._start):
                 protocol.reference = None  # a pass cannot follow it
             return
@@ -127,7 +128,6 @@ class CompliantRobot(ManagedNode):
         outputs = self.protocol.wrench(sample)
         if not outputs and not self.protocol.finished:
             return  # not the awaited wrench
-        self.stamp_ns = sample.stamp
         self._answer(outputs)
         if self.protocol.finished:
             self._finish()
@@ -168,7 +168,6 @@ class CompliantRobot(ManagedNode):
 
     def watch(self) -> dict:
         return {
-            "state": self.state,
             "passes": self.protocol.passes,
             "pass_time_s": f"{self.protocol.time_ns * 1e-9:.6f}",
         }

@@ -40,7 +40,6 @@ class CuttingProcess(ManagedNode):
         self._compile()
         self.send(self.protocol.configure())
         self._mapped = True
-        self.stamp_ns = 0
         self.report(OK, "configured: fresh workpiece")
 
     def _compile(self) -> None:
@@ -55,7 +54,7 @@ class CuttingProcess(ManagedNode):
     def deactivate(self) -> None:
         if not self._mapped:
             self._publish_map()
-        self.report(OK, "stopped")
+        self.stop()
 
     def cleanup(self) -> None:
         self.protocol.release()
@@ -68,7 +67,6 @@ class CuttingProcess(ManagedNode):
         again = self._silence.end()
         self.send(answer)
         self._mapped = False
-        self.stamp_ns = self.protocol.stamp_ns
         if self._robots == 0 and self.protocol.step == 1:
             self._robots = self._pose.get_publisher_count()
             self.report(OK, "cutting")
@@ -105,8 +103,6 @@ class CuttingProcess(ManagedNode):
     def watch(self) -> dict:
         volume = self.protocol.removed_volume
         return {
-            "state": self.state,
-            "active": self.active,  # the robot starts a pass then
-            "pass_time_s": f"{max(self.stamp_ns - self.protocol.start_ns, 0) * 1e-9:.6f}",
+            "pass_time_s": f"{max(self.protocol.stamp_ns - self.protocol.start_ns, 0) * 1e-9:.6f}",
             "removed_volume_m3": "" if volume is None else repr(volume),
         }

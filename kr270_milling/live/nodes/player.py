@@ -118,7 +118,6 @@ class Player(ReportingNode):
     def _publish(self, message) -> None:
         self._outlets[message.topic].publish(message.data)
         self.count += 1
-        self.stamp_ns = message.log_time
         if self._progress is not None:
             start, end = self._span
             self._progress(max(message.log_time - start, 0), max(end - start, 1))

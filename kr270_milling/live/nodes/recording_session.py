@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import time
 from collections.abc import Sequence
 
@@ -15,7 +14,7 @@ from kr270_milling.base.errors import MessageError, RecordingError
 from kr270_milling.exchange.scene import INPUTS, Derived, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, WARN, ReportingNode
-from kr270_milling.live.ros.readiness import is_recorded
+from kr270_milling.live.ros.readiness import is_recorded, joined
 from kr270_milling.live.ros.topics import LOOP
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
@@ -41,7 +40,8 @@ class RecordingSession:
         self._scenes: dict[str, Scene] = {}  # namespace of a robot -> its scene
         self._live: dict[str, Publisher | None] = {}  # topics for viewers; None where the type is not installed
         # the recorder does not record its own topics: a player would repeat the name of the recording
-        self._subscriptions: dict[str, Subscription | None] = {o.topic_name: None for o in node.outlets.values()}
+        own = [outlet.topic_name for outlet in node.outlets.values()] + [node.resolve_topic_name("~/transition_event")]
+        self._subscriptions: dict[str, Subscription | None] = dict.fromkeys(own)
         self._stopped = False
         self._refused = 0  # messages
         self._published: set[str] = set()  # topics with a publisher
@@ -99,24 +99,28 @@ class RecordingSession:
             self._node.report(WARN, f"{topic} is not recorded: {error}")
             return None
 
-        follow = self._viewers and topic.rpartition("/")[2] in INPUTS
-        write = functools.partial(self._on_scene if follow else self.writer.write, topic)
-
         def take(data: bytes) -> None:
-            """Write all messages that wait. With a callback for each message, 9,000 of 20,000 a second were written."""
-            if self._stopped:  # the executor may still hold messages of a closed subscription
-                return
-            now = self._node.get_clock().now().nanoseconds
-            self._node.used(topic, self._write, write, data, now)
-            with subscription.handle:
-                for _ in range(1000):  # then another topic has its turn
-                    taken = subscription.handle.take_message(kind, True)
-                    if taken is None:
-                        break
-                    self._node.used(topic, self._write, write, taken[0], now)
+            self._take(subscription, data)
 
         subscription = self._node.create_subscription(kind, topic, take, _matching(publishers), raw=True)
         return subscription
+
+    def _take(self, subscription: Subscription, data: bytes | None = None, most: int = 1000) -> None:
+        """Write a message and all that wait: with a callback for each, 9,000 of 20,000 a second were written."""
+        if self._stopped:  # the executor may still hold messages of a closed subscription
+            return
+        topic, now = subscription.topic_name, self._node.get_clock().now().nanoseconds
+        follow = self._viewers and topic.rpartition("/")[2] in INPUTS
+        write = self._on_scene if follow else self.writer.write
+        with subscription.handle:
+            for _ in range(most):  # then another topic has its turn
+                if data is None:
+                    taken = subscription.handle.take_message(subscription.msg_type, True)
+                    if taken is None:
+                        break
+                    data = taken[0]
+                self._node.used(topic, self._write, write, topic, data, now)
+                data = None
 
     def _write(self, call, *args) -> None:
         """Write, count a refused message, and stop at the first error of the file, which stays readable."""
@@ -138,31 +142,33 @@ class RecordingSession:
         return {
             "file": str(self.writer.path),
             "messages": self.writer.count,
-            "records": list(self._topics),
-            "left_out": [topic for topic, subscription in self._subscriptions.items() if subscription is None],
-            "missing": sum(entry.get("missing", 0) for entry in self.writer.report().values()),
+            "records": joined(self._topics),
+            "left_out": joined(topic for topic, subscription in self._subscriptions.items() if subscription is None),
+            "missing": self._missing,
             "refused": self._refused,
         }
 
-    def stamps(self) -> dict[str, int]:
-        """Return the last stamp [ns] of each recorded topic."""
-        return {c.topic: int(c.gaps.last) for c in self.writer.channels.values() if c.gaps.last}
+    def close(self) -> int:
+        """Write the messages that were received, unsubscribe, close the file; return how many are missing.
 
-    def close(self) -> str | None:
-        """Unsubscribe, close the file; return a sentence if that failed."""
+        Raises RecordingError.
+        """
         for subscription in filter(None, self._subscriptions.values()):
+            self._take(subscription, most=LOOP.depth)
             self._node.destroy_subscription(subscription)
         for publisher in filter(None, self._live.values()):
             self._node.destroy_publisher(publisher)
         failed, self._stopped = self._stopped, True
-        return None if failed else self._close_file()
-
-    def _close_file(self) -> str | None:
-        """Close the file and log the missing messages; return a sentence if that failed."""
-        try:
+        if not failed:
             self.writer.close()
-        except RecordingError as error:
-            return str(error)
+            self._log_missing()
+        return self._missing
+
+    @property
+    def _missing(self) -> int:
+        return sum(entry.get("missing", 0) for entry in self.writer.report().values())
+
+    def _log_missing(self) -> None:
         logger = self._node.get_logger()
         for topic, entry in self.writer.report().items():
             if entry.get("missing"):
@@ -171,7 +177,6 @@ class RecordingSession:
             if entry.get("refused"):
                 logger.warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
         logger.info(f"{self.writer.count} messages in {self.writer.path}")
-        return None
 
 
 def _derived(scene: Scene, topic: str, data: bytes) -> list[Derived]:

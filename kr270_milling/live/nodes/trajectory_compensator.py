@@ -22,12 +22,11 @@ from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
-from kr270_milling.live.ros.status import Status, status_topic
 from kr270_milling.live.ros.topics import RosTopic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.recordings.messages.cdr import stamp_of
-from kr270_milling.recordings.messages.topics import COMPENSATOR, RECORDER
+from kr270_milling.recordings.messages.topics import COMPENSATOR
 from kr270_milling.recordings.messages.viewer import path_bytes
 
 __all__ = ["TrajectoryCompensator"]
@@ -67,7 +66,7 @@ class TrajectoryCompensator(ReportingNode):
         own = self.declared("use_cell_path", True, about)
         self.set_values(recording="", reference="")
         self.open_outlets(COMPENSATOR)
-        self.subscribe(status_topic(RECORDER), self._on_recorder)
+        self.subscribe(topics.RECORDING, self._on_recording)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
         self._pose = self.subscribe(topics.TOOL_POSE._replace(qos=topics.EVERY), self._on_pose)
         self._wrench = self.subscribe(topics.WRENCH._replace(qos=topics.EVERY), self._on_wrench)
@@ -104,14 +103,12 @@ class TrajectoryCompensator(ReportingNode):
             raise MessageError(f"target_trajectory: {error}") from None
         self._publish(outputs, TARGET)
 
-    def _on_recorder(self, text: Text) -> None:
+    def _on_recording(self, name: Text) -> None:
         """Take the name of the file to which the next passes are recorded, DIRECTORY/NAME.mcap; empty: none."""
-        name = str(Status.from_text(text.text).values.get("recording", ""))
-        if name != self.protocol.recording:
-            self.protocol.recording = name
-            self.set_values(recording=name)
-            self._readiness.check()
-            self.publish_report()
+        self.protocol.recording = name.text
+        self.set_values(recording=name.text)
+        self._readiness.check()
+        self.publish_report()
 
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
         self.send(outputs)
@@ -154,7 +151,6 @@ class TrajectoryCompensator(ReportingNode):
         self._revised(outputs)
         if not self.protocol.under_way or sample.stamp - inbox.start_ns != inbox.stamp_ns:
             return
-        self.stamp_ns = sample.stamp
         if self._silence.end():
             self.report(OK, "the pass continues")
         self._ended = time.monotonic() if self.protocol.at_end else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import re
@@ -20,6 +21,7 @@ class NameRefused(MillingError):
     """A message type that cannot be used here."""
 
 
+@functools.cache
 def message_class(type_name: str) -> type:
     """Return the class of a message type such as geometry_msgs/msg/Pose. Raises NameRefused.
 

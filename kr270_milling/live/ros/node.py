@@ -1,4 +1,4 @@
-"""Base classes of all nodes: status and diagnostics, guarded callbacks, guarded lifecycle transitions."""
+"""Base classes of all nodes: reports in /diagnostics, guarded callbacks, guarded lifecycle transitions."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -26,14 +27,16 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.status import Status
+from kr270_milling.live.ros.readiness import SUBSCRIBERS, Report, joined
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 from kr270_milling.recordings.messages.topics import published_by
 
-__all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
+__all__ = ["LOST", "NOT_COMPLETE", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
+NOT_COMPLETE = "its recording is not complete"
+CATCH_UP = Duration(seconds=5)  # for a subscriber at the end of a pass to request the messages that it missed
 LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a run gives up
 
 
@@ -56,10 +59,10 @@ def guarded(callback):
     return wrapped
 
 
-def _read(type_name: str, topic: str, data: bytes):
+def _read(read: Callable, type_name: str, topic: str, data: bytes):
     """Return the record of a message; raises MessageError."""
     try:
-        return from_bytes(type_name, data)
+        return read(data)
     except MillingError as error:
         raise MessageError(str(error)) from None
     except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
@@ -93,12 +96,26 @@ class Silence:
         return self._reported and not before
 
 
-class Ending:
-    """Mixin: a node that may end its process (``spin.run_nodes``)."""
+class ReportingNode(Node):
+    """A node with one report, published in /diagnostics five times a second and at every change.
 
+    The node may end its process (``spin.run_nodes``).
+    """
+
+    state = ""  #: lifecycle state of a managed node
     finished = False  #: the node has nothing more to do
     failure: str | None = None  #: sentence of a failed node; the exit code is then 1
     lap: Future | None = None  #: the executor returns when this future is done
+
+    def __init__(self, name: str, **kwargs):
+        super().__init__(name, **kwargs)
+        self.refused = 0  #: messages and requests that could not be used
+        self.unusable: dict[str, tuple[int, str, float]] = {}  #: source -> count, last reason, last report [s]
+        self.outlets: dict[str, Publisher] = {}  #: name of a topic -> its publisher
+        self._level, self.message = OK, "starting"
+        self._values: dict[str, object] = {"process": os.getpid()}
+        self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
+        self._report_timer = self.create_timer(0.2, self._report)  # [s] of the wall clock
 
     def end(self, failure: str | None = None) -> None:
         """End the process after the current callback."""
@@ -109,23 +126,6 @@ class Ending:
     def close(self) -> str | None:
         """Close files before the process ends; return a sentence if that failed."""
         return None
-
-
-class ReportingNode(Ending, Node):
-    """A node with one status, published five times a second and at every change: for programs, and in /diagnostics."""
-
-    def __init__(self, name: str, **kwargs):
-        super().__init__(name, **kwargs)
-        self.refused = 0  #: messages and requests that could not be used
-        self.unusable: dict[str, tuple[int, str, float]] = {}  #: source -> count, last reason, last report [s]
-        self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
-        self.outlets: dict[str, Publisher] = {}  #: name of a topic -> its publisher
-        self.stamp_ns = 0  #: time of the pass, for messages without a stamp
-        self._level, self.message, self._error = OK, "starting", ""
-        self._values: dict[str, object] = {}
-        self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
-        self._status_publisher = self.create_publisher(*topics.STATUS)
-        self._report_timer = self.create_timer(0.2, self._report)  # [s] of the wall clock
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
         """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
@@ -151,7 +151,8 @@ class ReportingNode(Ending, Node):
         read: bytes -> record, default: as the table of topics states.
         """
         package, name = topic.type.__module__.partition(".")[0], topic.name.strip("/")
-        read = read or functools.partial(_read, f"{package}/msg/{topic.type.__name__}", name)
+        type_name = f"{package}/msg/{topic.type.__name__}"
+        read = functools.partial(_read, read or functools.partial(from_bytes, type_name), type_name, name)
 
         def take(data: bytes) -> None:
             self.used(name, lambda: use(read(data)))
@@ -199,13 +200,11 @@ class ReportingNode(Ending, Node):
         """Publish the outputs of a protocol."""
         for name, record in outputs:
             self.outlets[name].publish(to_bytes(record))
-            self.sent[name] = getattr(record, "stamp", 0)
 
     def report(self, level, message: str, **values) -> None:
-        """Set the node's status; log and publish a new message at once."""
+        """Set the node's report; log and publish a new message at once."""
         changed = (level, message) != (self._level, self.message)
         self._level, self.message = level, message
-        self._error = message if level == ERROR else self._error
         self._values.update(values)
         if changed:
             logger = self.get_logger()  # rclpy ties a severity to the calling line
@@ -251,32 +250,36 @@ class ReportingNode(Ending, Node):
                 where = subscription.topic_name
                 self._refuse(where, f"{', '.join(names)} must publish reliably on {where}, not with best effort", True)
 
-    def stamps(self) -> dict[str, int]:
-        """Return the stamp [ns] of the last message of each topic."""
-        return {self.outlets[name].topic_name: ns for name, ns in self.sent.items() if ns}
+    def full_name(self, node: str) -> str:
+        """Return the full name of a node whose name is relative to the namespace of this node."""
+        return f"{self.get_namespace().rstrip('/')}/{node.rstrip('?')}"
 
-    def status(self) -> Status:
-        """Return the present status."""
-        own = {"/rosout", "/parameter_events", self._status_publisher.topic_name}
-        listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers if p.topic_name not in own}
-        sources = {s.topic_name: s.get_publisher_count() for s in self.subscriptions}
+    def own_report(self) -> Report:
+        """Return the present report."""
+        known = {
+            SUBSCRIBERS + outlet.topic_name: joined(
+                f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for info in self.get_subscriptions_info_by_topic(outlet.topic_name)
+            )
+            for outlet in self.outlets.values()
+        }
         refused = {f"refused {name}": f"{count}, the last: {text}" for name, (count, text, _) in self.unusable.items()}
-        values = {**self._values, **self.watch(), "refused": self.refused, **refused}
-        return Status(os.getpid(), self._level[0], self.message, self._error, listeners, sources, self.stamps(), values)
+        reads = joined({subscription.topic_name for subscription in self.subscriptions})
+        own = {**self._values, **self.watch(), "state": self.state}
+        values = {**own, "reads": reads, **known, "refused": self.refused, **refused}
+        return Report(self._level[0], self.message, {key: str(value) for key, value in values.items()})
 
     def _report(self) -> None:
         self._report_incompatible()
         self.publish_report()
 
     def publish_report(self) -> None:
-        status = self.status()
-        self._status_publisher.publish(status.to_msg())
         diagnostic = DiagnosticStatus(
             level=self._level,
             name=self.get_fully_qualified_name(),
             hardware_id="simulated robot cell",  # no node of this package represents a machine
             message=self.message,
-            values=[KeyValue(key=k, value=str(v)) for k, v in status.values.items()],
+            values=[KeyValue(key=key, value=value) for key, value in self.own_report().values.items()],
         )
         array = DiagnosticArray(status=[diagnostic])
         array.header.stamp = self.get_clock().now().to_msg()
@@ -290,15 +293,15 @@ class ManagedNode(ReportingNode, LifecycleNode):
     the node configures and activates itself.
     """
 
-    def __init__(self, name: str, **kwargs):
+    def __init__(self, name: str, autostart: bool = False, **kwargs):
         super().__init__(name, **kwargs)
-        self.state = "unconfigured"  #: name of the lifecycle state
+        self.state = "unconfigured"
         for service in self.services:
             if service.service_name.endswith("/change_state"):
                 service.callback = functools.partial(self._change_state, service.callback)
         about = "configure and activate without a request; for a node that is started by hand"
-        self._autostart = self.declared("autostart", False, about)
-        self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
+        self.autostart = self.declared("autostart", autostart, about)
+        self._start_timer = self.create_timer(0.01, self._start_alone) if self.autostart else None
 
     @property
     def active(self) -> bool:
@@ -320,10 +323,18 @@ class ManagedNode(ReportingNode, LifecycleNode):
             return response
 
     def _start_alone(self) -> None:
+        """Configure and activate; a node that cannot start ends."""
         if self._start_timer is not None:
             self._start_timer.cancel()
-        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-            self.trigger_activate()
+        started = self.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        if not (started and self.trigger_activate() == TransitionCallbackReturn.SUCCESS):
+            self.end(self.message)
+
+    def stop(self) -> None:
+        """Report the end of a pass when every subscriber has its messages; this node keeps them so long."""
+        received = all(outlet.wait_for_all_acked(CATCH_UP) for outlet in self.outlets.values())
+        lacking = "" if received else f"; a subscriber has not received the end of the pass; {NOT_COMPLETE}"
+        self.report(OK if received else WARN, f"stopped{lacking}")
 
     def configure(self) -> None: ...
 

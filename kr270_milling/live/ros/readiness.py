@@ -1,25 +1,50 @@
-"""Readiness for a pass: the compensator decides from the statuses of the nodes."""
+"""Readiness for a pass: the compensator decides from the reports of the nodes in /diagnostics."""
 
 from __future__ import annotations
 
 import fnmatch
 from collections.abc import Mapping, Sequence
-from functools import partial
+from typing import NamedTuple
 
-from kr270_milling.base.errors import MessageError
-from kr270_milling.base.samples import Text
-from kr270_milling.live.ros.status import Status, status_topic
-from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.live.ros import topics
+from kr270_milling.recordings.messages.codec import deserialise
+from kr270_milling.recordings.messages.topics import CUT, RECORDER, ROBOT
 
-__all__ = ["WAIT_FOR", "Readiness", "is_recorded", "unmatched"]
+__all__ = ["SUBSCRIBERS", "WAIT_FOR", "Readiness", "Report", "is_recorded", "joined", "read_reports", "unmatched"]
 
 WAIT_FOR = f"{CUT}, {ROBOT}?, {RECORDER}?"  #: names, separated by commas; with ?: only where the node is in the graph
+OURS = (ROBOT, CUT, RECORDER)
+SUBSCRIBERS = "subscribers of "  #: begin of a key; then a topic that the node publishes
+
+
+class Report(NamedTuple):
+    """The report of a node of this package in /diagnostics."""
+
+    level: int  #: as in diagnostic_msgs/DiagnosticStatus
+    message: str
+    values: dict[str, str]
+
+
+def read_reports(data: bytes) -> dict[str, Report]:
+    """Return the reports of a DiagnosticArray by the full names of the nodes. Raises ValueError."""
+    statuses = deserialise("diagnostic_msgs/msg/DiagnosticArray", data).status
+    return {s.name: Report(s.level, s.message, {pair.key: pair.value for pair in s.values}) for s in statuses}
+
+
+def joined(names) -> str:
+    """Return names as the text of a value."""
+    return ", ".join(sorted(names))
+
+
+def _names(text: str) -> list[str]:
+    return text.split(", ") if text else []
 
 
 class Readiness:
     """Conditions before a pass; node: decides and calls ``check``; names: as ``WAIT_FOR``.
 
-    A node without a status counts when it publishes one of ``inputs``, topics with their full names.
+    A node without reports counts when it publishes one of ``inputs``, topics with their full names. A lifecycle node
+    counts when it is active; with ? also before.
     """
 
     def __init__(self, node, names: str, inputs: Sequence[str]):
@@ -27,79 +52,78 @@ class Readiness:
         self.waiting_for = f"{node.get_name()} is starting"  #: in a few words; empty when a pass may start
         self._node = node
         self._inputs = inputs
-        self._needed = [name for name in words if not name.endswith("?")]
-        self._statuses: dict[str, Status] = {}
-        self._confirmed: set[str] = set()  # nodes with a status since all nodes were matched
-        names_alone = [word.rstrip("?") for word in words]
-        self._topics = {name: node.subscribe(status_topic(name), partial(self._take, name)) for name in names_alone}
+        self._needed = {node.full_name(name): name for name in words if not name.endswith("?")}
+        self._names = {node.full_name(name.rstrip("?")): name.rstrip("?") for name in words}
+        self._reports: dict[str, Report] = {}  # by full names
+        self._confirmed: set[str] = set()  # nodes with a report since all nodes were matched
+        node.subscribe(topics.DIAGNOSTICS, self._take, read_reports)
 
-    def _take(self, name: str, text: Text) -> None:
-        self._statuses[name] = Status.from_text(text.text)
-        self._confirmed.add(name)
+    def _take(self, reports: Mapping[str, Report]) -> None:
+        known = {name: report for name, report in reports.items() if name in self._names}
+        self._reports |= known
+        self._confirmed |= known.keys()
 
     def check(self) -> None:
-        """Decide again, and publish the answer in the status of the node where it has changed."""
-        before, self.waiting_for = self.waiting_for, self._missing()
+        """Decide again, and publish the answer in the report of the node where it has changed."""
+        before, self.waiting_for = self.waiting_for, self._missing()[:300]  # a stranger may send long values
         if self.waiting_for != before:
             self._node.set_values(waiting_for=self.waiting_for)
             self._node.publish_report()
 
     def _missing(self) -> str:
-        present = {name for name, topic in self._topics.items() if topic.get_publisher_count()}
-        self._statuses = {name: status for name, status in self._statuses.items() if name in present}
-        for name in self._needed:
-            if name not in present and not self._is_foreign_partner(name):
+        reporting = self._publishers(topics.DIAGNOSTICS.name)
+        partners = {name.rpartition("/")[2] for topic in self._inputs for name in self._publishers(topic)}
+        for full, name in self._needed.items():
+            if full not in reporting and name.rpartition("/")[2] not in partners:
                 return f"{name} is not in the graph (parameter wait_for)"
-        if problem := self._node.used("~/status", self._unmatched):
+        # a driver of another maker may publish on /diagnostics, but no report of its node
+        ours = {full for full in reporting & self._names.keys() if full in self._reports or self._names[full] in OURS}
+        self._reports = {full: report for full, report in self._reports.items() if full in ours}
+        for full, name in self._needed.items():
+            if full in self._reports and self._reports[full].values.get("state", "") not in ("", "active"):
+                return f"{name} is not active"
+        if problem := unmatched({**self._reports, self._node.get_fully_qualified_name(): self._node.own_report()}):
             self._confirmed.clear()
             return problem
-        return next((f"no status of {name} yet" for name in sorted(present - self._confirmed)), "")
+        return next((f"no report of {name} yet" for name in sorted(ours - self._confirmed)), "")
 
-    def _unmatched(self) -> str:
-        try:
-            return unmatched({**self._statuses, self._node.get_name(): self._node.status()})
-        except Exception as error:  # noqa: BLE001 - a stranger may send any values in a status
-            self._statuses.clear()
-            self._confirmed.clear()
-            raise MessageError(f"status: its values cannot be used: {error}") from None
-
-    def _is_foreign_partner(self, name: str) -> bool:
-        infos = (info for topic in self._inputs for info in self._node.get_publishers_info_by_topic(topic))
-        return any(info.node_name == name.rpartition("/")[2] for info in infos)
+    def _publishers(self, topic: str) -> set[str]:
+        """Return the full names of the nodes that publish on a topic."""
+        infos = self._node.get_publishers_info_by_topic(topic)
+        return {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
 
 
 def is_recorded(topic: str, patterns: Sequence[str]) -> bool:
     """Return whether a recorder with these patterns (none: every topic) records a topic."""
-    if topic in patterns or topic.endswith(tuple(f"/{node}/status" for node in (ROBOT, CUT, COMPENSATOR, RECORDER))):
-        return topic in patterns
     if not patterns:
         return topic not in ("/rosout", "/parameter_events")
     return any(fnmatch.fnmatchcase(topic, p) for p in patterns)
 
 
-def unmatched(statuses: Mapping[str, Status]) -> str:
+def unmatched(reports: Mapping[str, Report]) -> str:
     """Return what the nodes of a pass lack, in a few words; empty when the pass may start.
 
-    Every subscriber and every publisher of a topic have discovered each other, a recorder has all topics, and all nodes
-    have the same reference. statuses: by node.
+    Every publisher has discovered every subscriber, a recorder with an open file has all topics, and all nodes have the
+    same reference. The publisher counts: its history keeps what it publishes from then on until a subscriber has it.
     """
-    for publisher, status in statuses.items():
-        for topic, count in status.listeners.items():
-            wanted = [node for node in statuses if node != publisher and _reads(statuses[node], topic)]
-            for node in wanted:
-                if not statuses[node].sources.get(topic):
-                    return f"{node} has not discovered a publisher of {topic}"
-            if count < len(wanted):
-                return f"{publisher} has not discovered every subscriber of {topic}"
+    for publisher, report in reports.items():
+        for key, text in report.values.items():
+            topic = key.removeprefix(SUBSCRIBERS) if key.startswith(SUBSCRIBERS) else ""
+            for node in sorted(reports.keys() - {publisher, *_names(text)}):
+                if topic and _reads(reports[node], topic):
+                    return f"{publisher} has not discovered that {node} subscribes to {topic}"
     for key in ("reference", "recording"):
-        values = {node: str(status.values[key]) for node, status in statuses.items() if key in status.values}
+        values = {node: report.values[key] for node, report in reports.items() if key in report.values}
         if len(set(values.values())) > 1:
             owners = "; ".join(f"{node} has {value or 'none'}" for node, value in values.items())
             return f"not every node has the {key}: {owners}"
     return ""
 
 
-def _reads(status: Status, topic: str) -> bool:
+def _reads(report: Report, topic: str) -> bool:
     """Return whether a node subscribes to a topic; ``records`` are the patterns of a recorder with an open file."""
-    patterns, left_out = status.values.get("records"), status.values.get("left_out", ())
-    return topic in status.sources or (patterns is not None and topic not in left_out and is_recorded(topic, patterns))
+    values = report.values
+    if topic in _names(values.get("reads", "")):
+        return True
+    left_out = _names(values.get("left_out", ""))
+    return "records" in values and topic not in left_out and is_recorded(topic, _names(values["records"]))

@@ -16,7 +16,7 @@ MOST_PECKS = 10_000
 class Cycle:
     """As the words of a block define it, lengths in [m]; each hole repeats it."""
 
-    kind: int  #: 73, 81, 82, 83, 85, 86, 89
+    kind: int  #: 73, 76, 81, 82, 83, 85, 86, 89
     initial: float  #: height where the cycle was called
     retract: float  #: R
     bottom: float = math.nan  #: Z
@@ -25,7 +25,8 @@ class Cycle:
     def strokes(self) -> list[tuple[float, bool]]:
         """Heights [m] that the tool goes to from R on, each with whether it goes there rapidly; the last is R again.
 
-        81, 82: in, out rapidly; 83: out to R after each peck; 73: back by the clearance; 85, 89: out at the feed.
+        81, 82, 86: in, out rapidly; 76 also, without its small shift by Q at the bottom of the bored hole; 83: out to R
+        after each peck; 73: back by the clearance; 85, 89: out at the feed.
         """
         if self.kind not in (73, 83) or not 0 < self.peck < self.retract - self.bottom:
             return [(self.bottom, False), (self.retract, self.kind not in (85, 89))]

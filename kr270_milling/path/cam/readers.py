@@ -85,13 +85,11 @@ class PathReader:
 
 GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed", "offsets"))
 APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
-RECORDING = PathReader("kr270_milling.recordings.bag.recorded_path", "read_recorded", ("topic", "feed"))
-#: the reader of each kind of file, by the end of the name
+#: the reader of each kind of file, by the end of the name; ``cell.sections`` adds recordings, which are above this room
 READERS: dict[str, PathReader] = {
     **dict.fromkeys((".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt"), GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
     ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
-    ".mcap": RECORDING,
 }
 READERS |= {point.name.lower(): PathReader(point.module, point.attr) for point in registered("readers", READERS)}
 

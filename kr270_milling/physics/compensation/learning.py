@@ -10,7 +10,8 @@ nothing of a rest below the stated noise of the measurement, all of a rest witho
     E_k |d_k + H_k c|^2 + S c^2 -> min,   d_k = d_model + (pass of robot k - pass of the model)
 
 The mean over a sample replaces the expectation [Kleywegt2002]. Both passes run along the reference of ``inverse``, so
-d_k contains backlash and the answer of the cut; H_k is the response of the robot: arm, base, servo lag and delay.
+d_k contains backlash and the answer of the cut; H_k is the response of the robot: arm, base, servo lag and delay. The
+cut also answers the correction, which H_k leaves out: the robots run again along the new reference, and c is added to.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against l
 #: weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise, gains
 #: less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
 CAREFUL = 1.0
+ROUNDS = 4  #: most passes of the simulated robots; the cut answers the correction, so the first one is not the last
+LONG = 600_000_000_000  #: [ns], assumed: the passes of a longer program take minutes each, so two must do
+WORTH = 0.98  #: of the mean square of their largest deviations: a pass that gains less is the last
 SETTLED = 1e-4  #: of the cost of the path as programmed: a step of the search that gains less is the last
 MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
 
@@ -226,20 +230,30 @@ class Learner:
         offset = self.correction()
         if self._robots is None:
             return offset
-        segments, weight = self.segments, self._weight()
-        reference, _ = corrected(self.target, offset, self.conditions.smooth)
-        passes = [
-            (arm, segments.middle(ran.time_ns, ran.position - self.target.sample(ran.time_ns)))
-            for arm, ran in self._robots(self.target, reference)
-        ]
-        left, (_, model), cubic = self._with(reference), passes[0], self.cubic(reference)
-        drawn = [(arm, left + deviation - model) for arm, deviation in passes[1:]]
-        if not drawn:
-            return offset
-        self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
+        segments, weight, smooth = self.segments, self._weight(), self.conditions.smooth
         settled = SETTLED * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
         lifted = Lifted(self.arm, segments, self.conditions)
-        return offset + lifted.least_mean_square(drawn, weight, CAREFUL, settled).knots(segments)
+        best, tried, bias = np.inf, offset, 0.0
+        for number in range(ROUNDS if self.target.duration_ns < LONG else 2):
+            reference, _ = corrected(self.target, tried, smooth)
+            passes = [
+                (arm, segments.middle(ran.time_ns, ran.position - self.target.sample(ran.time_ns)))
+                for arm, ran in self._robots(self.target, reference)
+            ]
+            if number == 0:  # the pass of the model beyond what ``inverse`` expects
+                bias = passes[0][1] - self._with(reference)
+            drawn, cubic = [(arm, deviation - bias) for arm, deviation in passes[1:]], self.cubic(reference)
+            if not drawn:
+                break
+            size = np.mean([self._largest(deviation, weight) for _, deviation in drawn])
+            if size > WORTH * best or len(drawn) < len(self.ensemble):
+                break
+            best, offset = size, tried
+            self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
+            tried = offset + lifted.least_mean_square(drawn, weight, CAREFUL, settled).knots(segments)
+            if np.array_equal(tried, offset):
+                break
+        return offset
 
     def _with(self, reference: Trajectory) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs along ``reference`` without the feedback of the cut."""
@@ -266,5 +280,8 @@ class Learner:
         cubic, weight = self.cubic(reference), self._weight()
         robots = self.ensemble or [(self.arm, self.expected)]
         deviations = [expected + arm.follow(self.segments, cubic) for arm, expected in robots]
-        sizes = [np.einsum("kpi,kpij,kpj->kp", left, weight, left)[self.scored].max(initial=0.0) for left in deviations]
-        return float(np.sqrt(np.mean(sizes)))
+        return float(np.sqrt(np.mean([self._largest(left, weight) for left in deviations])))
+
+    def _largest(self, deviation: np.ndarray, weight: np.ndarray) -> float:
+        """Largest square [m^2] of a deviation (m, parts, 3) where it is scored."""
+        return float(np.einsum("kpi,kpij,kpj->kp", deviation, weight, deviation)[self.scored].max(initial=0.0))

@@ -174,7 +174,7 @@ def make_engagement_params(
         thickness=stock.thickness,
         level_step=stock.level_step,
         law=cutting.active.address(),
-        coefficients=cutting.coefficients,
+        coefficients=cutting.active.arguments,
         end_share=cutting.end_share,
         edge_radius=tool.edge_radius,
         give=give,

@@ -6,6 +6,7 @@ A law is a subclass of ``ForceLaw`` and a row of ``laws.LAWS``; no other file as
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
@@ -13,6 +14,7 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 from llvmlite import ir
 from numba import cfunc, njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from kr270_milling.base.record import Record, specs
@@ -21,7 +23,7 @@ from kr270_milling.physics.cutting.tool import Tool
 __all__ = ["Cuts", "ForceLaw", "ChartLine", "call_law"]
 
 FORCES = types.UniTuple(types.float64, 3)
-SIGNATURE = FORCES(types.float64, types.CPointer(types.float64))
+MOST = 12  #: coefficients of a law, for which ``call_law`` has code
 POINTS = np.polynomial.legendre.leggauss(48)
 
 
@@ -60,8 +62,9 @@ class ChartLine(NamedTuple):
 class ForceLaw(Record):
     """The coefficients of a law. The class attributes describe the law itself."""
 
-    #: compiled for the sweep: chip thickness h [m] and coefficients [SI] -> F_t, F_r, F_a per depth of cut [N/m]
-    force: ClassVar[Callable]
+    #: compiled for the sweep: force(h, ...) of the chip thickness h [m] and of each coefficient [SI] by its name,
+    #: -> F_t, F_r, F_a per depth of cut [N/m]
+    force: ClassVar[Callable[..., tuple[float, float, float]]]
     #: coefficients that the verdict varies
     scattered: ClassVar[tuple[str, ...]]
     #: coefficients of the axial force, which is linear in each; the verdict varies them where one of them is not 0
@@ -80,6 +83,11 @@ class ForceLaw(Record):
         return np.array([getattr(self, spec.name) for spec in specs(type(self))])
 
     @property
+    def arguments(self) -> np.ndarray:
+        """Return the coefficients in the order of the arguments of ``force`` [SI], (p,)."""
+        return np.array([getattr(self, name) for name in _names(type(self).force)])
+
+    @property
     def axial(self) -> bool:
         """Return whether the law has an axial force."""
         return any(getattr(self, name) != 0.0 for name in self.axial_names)
@@ -96,6 +104,9 @@ class ForceLaw(Record):
         unknown = [name for name in (*cls.scattered, *cls.axial_names) if name not in names]
         if unknown:
             return f"scattered and axial_names have {unknown[0]}, which is no coefficient"
+        arguments = _names(cls.force)
+        if sorted(arguments) != sorted(names) or len(names) > MOST:
+            return f"force must take h and the coefficients, at most {MOST}, by their names: {', '.join(names)}"
         searched = len(names) - len(cls.axial_names)
         linear = cls.design.__qualname__ != ForceLaw.design.__qualname__
         if not linear and not len(cls.start) == len(cls.searched) == searched:
@@ -111,7 +122,7 @@ class ForceLaw(Record):
         """F_t / a_p, F_r / a_p and F_a / a_p [N/m] at chip thickness h [m], a number or an array."""
         h = np.asarray(h, float)
         forces = np.empty((3, h.size))
-        _fill(self.address(), np.ascontiguousarray(h).ravel(), self.coefficients, forces)
+        _fill(self.address(), np.ascontiguousarray(h).ravel(), self.arguments, forces)
         return tuple(forces.reshape(3, *h.shape)[k][()] for k in range(3))
 
     def slopes(self, h: np.ndarray) -> tuple:
@@ -160,32 +171,53 @@ class ForceLaw(Record):
 
 
 @functools.cache
+def _names(force: Callable) -> tuple[str, ...]:
+    """Return the names of the arguments of a ``force`` after the chip thickness."""
+    return tuple(inspect.signature(force).parameters)[1:]
+
+
+@functools.cache
 def _compiled(force: Callable):
-    return cfunc(SIGNATURE, cache=True, error_model="numpy")(force)
+    numbers = [types.float64] * (1 + len(_names(force)))
+    return cfunc(FORCES(*numbers), cache=True, error_model="numpy")(force)
 
 
-def _call_law(typing_context, address, h, coefficients):
-    """Call the law at an address (int64): h [m] and coefficients (p,) -> F_t, F_r, F_a per depth of cut [N/m].
+def _call_law(typing_context, address, h, arguments):
+    """Call the law at an address (int64): h [m] and ``arguments`` (p,) -> F_t, F_r, F_a per depth of cut [N/m].
 
-    The address is a number, so one compilation of the sweep serves every law. Numba's own function type costs 130 us a
-    call from Python; the call by address costs some nanoseconds a chip.
+    The address is a number, so one compilation of the sweep serves every law, with one case for each number of
+    arguments. Numba's own function type costs 130 us a call from Python; the call by address costs some nanoseconds a
+    chip.
     """
 
-    def codegen(context, builder, signature, arguments):
-        address, h, coefficients = arguments
-        data = context.make_array(signature.args[2])(context, builder, coefficients).data
-        pointer = context.get_value_type(SIGNATURE.args[1])
-        function = ir.FunctionType(context.get_value_type(FORCES), [context.get_value_type(types.float64), pointer])
-        target = builder.inttoptr(address, function.as_pointer())
-        return context.call_function_pointer(builder, target, [h, builder.bitcast(data, pointer)])
+    def codegen(context, builder, signature, values):
+        address, h, arguments = values
+        array = context.make_array(signature.args[2])(context, builder, arguments)
+        data, given = array.data, array.nitems
+        number, forces = context.get_value_type(types.float64), context.get_value_type(FORCES)
+        result = cgutils.alloca_once(builder, forces)
+        unknown, end = (builder.append_basic_block(name) for name in ("unknown", "end"))
+        cases = builder.switch(given, unknown)
+        for count in range(1, MOST + 1):
+            block = builder.append_basic_block(f"arguments_{count}")
+            cases.add_case(given.type(count), block)
+            with builder.goto_block(block):
+                places = (builder.gep(data, [given.type(k)]) for k in range(count))
+                target = builder.inttoptr(address, ir.FunctionType(forces, [number] * (1 + count)).as_pointer())
+                builder.store(builder.call(target, [h, *map(builder.load, places)]), result)
+                builder.branch(end)
+        builder.position_at_end(unknown)
+        builder.unreachable()
+        builder.position_at_end(end)
+        return builder.load(result)
 
-    return FORCES(types.int64, types.float64, coefficients), codegen
+    return FORCES(types.int64, types.float64, arguments), codegen
 
 
 call_law: Callable = intrinsic(_call_law)
 
 
 @njit(cache=True)
-def _fill(address, h, coefficients, forces):
+def _fill(address, h, arguments, forces):
     for i in range(h.size):
-        forces[0, i], forces[1, i], forces[2, i] = call_law(address, h[i], coefficients)
+        forces[0, i], forces[1, i], forces[2, i] = call_law(address, h[i], arguments)

@@ -27,10 +27,10 @@ def fractional(h, k_0, h_s, r):
     return k_0 * h_s * (u + r * u * u) / (1.0 + u) / READING_DEPTH
 
 
-def _force(h, c):
+def _force(h, stiffness, specific_chip_thickness, ratio, radial_ratio, axial_ratio):
     """F_t by (26), F_r = k_r F_t   (28), F_a = k_a F_t, each per depth of cut [N/m]."""
-    tangential = fractional(h, c[0], c[1], c[2])
-    return tangential, c[3] * tangential, c[4] * tangential
+    tangential = fractional(h, stiffness, specific_chip_thickness, ratio)
+    return tangential, radial_ratio * tangential, axial_ratio * tangential
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import MillingError, ParameterError
-from kr270_milling.base.record import Record, parameter
+from kr270_milling.base.record import Record, parameter, stated
 
 __all__ = ["RESOLVED_NODES", "Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
 
@@ -39,11 +39,11 @@ class Stock(Record):
     min: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="lower corner in the workpiece frame")
     max: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="upper corner in the workpiece frame")
     grid_step: float = parameter(
-        math.nan,
+        10e-6,
         unit="um",
         low=0.5,
         high=1000.0,
-        text="distance of grid nodes, ds; default: by tool and feed, so that the teeth meet enough nodes",
+        text="distance of grid nodes, ds; a file without it: by tool and feed, so that the teeth meet enough nodes",
     )
     engagement_step: float = parameter(
         200e-6,
@@ -57,11 +57,10 @@ class Stock(Record):
     )
 
     def check(self) -> None:
-        step = 1e-6 if math.isnan(self.grid_step) else self.grid_step
-        if not np.all(self.max - self.min >= [step, step, 1e-6]):
+        if not np.all(self.max - self.min >= [self.grid_step, self.grid_step, 1e-6]):
             raise ParameterError("max_mm", (1e3 * self.max).tolist(), "above min_mm in x, y and z by a grid step")
         # the table takes 4 bytes for each tile, used or not
-        if not math.isnan(self.grid_step) and (max(self.nodes) > 2**30 or math.prod(tile_count(self)) > 1 << 24):
+        if max(self.nodes) > 2**30 or math.prod(tile_count(self)) > 1 << 24:
             raise ParameterError("grid_step_um", 1e6 * self.grid_step, "larger: the grid has too many nodes")
 
     def for_engagement(self, radius: float) -> Stock:
@@ -70,13 +69,13 @@ class Stock(Record):
         return self.replace(grid_step=min(self.engagement_step, radius / 50))
 
     def for_teeth(self, radius: float, micro_step: float, feeds: tuple[float, float], length: float) -> Stock:
-        """Return the stock with a grid for the sweep of the teeth; a grid step that is given stays.
+        """Return the stock with a grid for the sweep of the teeth; a grid step that the file states stays.
 
         The grid step is a fifth of the largest feed per tooth, of thin chips up to 3/8 of it, above which a grid has
         noise. A tooth at the slow feed meets ``RESOLVED_NODES``, f R dphi / ds^2. radius [m]: of the tool; micro_step
         [rad]; feeds: largest and slow feed per tooth [m], 0: not known; length of the path [m].
         """
-        if not math.isnan(self.grid_step):
+        if stated(self, "grid_step"):
             return self
         largest, slow = feeds
         fine, finest, coarsest = 20e-6, 5e-6, 100e-6  # [m], assumed: half the step takes four times as long

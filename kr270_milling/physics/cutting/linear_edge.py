@@ -20,9 +20,11 @@ def linear_edge(h, k_c, k_e):
     return k_c * np.maximum(h, 0.0) + k_e * (h > 0.0)
 
 
-def _force(h, c):
+def _force(h, tangential_cutting, tangential_edge, radial_cutting, radial_edge, axial_cutting, axial_edge):
     """F_t = (K_tc h + K_te) a_p, F_r = (K_rc h + K_re) a_p, F_a = (K_ac h + K_ae) a_p, each per depth [N/m]."""
-    return linear_edge(h, c[0], c[1]), linear_edge(h, c[2], c[3]), linear_edge(h, c[4], c[5])
+    tangential = linear_edge(h, tangential_cutting, tangential_edge)
+    radial = linear_edge(h, radial_cutting, radial_edge)
+    return tangential, radial, linear_edge(h, axial_cutting, axial_edge)
 
 
 @dataclass(frozen=True, eq=False)

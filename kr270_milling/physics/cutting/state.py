@@ -112,7 +112,7 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         tolerance=int(stock.floor_tolerance / stock.level_step),
         window=int(pitch_steps.max()) + int(0.126 / micro_step) + 6,
         law=cutting.active.address(),
-        coefficients=cutting.coefficients,
+        coefficients=cutting.active.arguments,
         nominal=cutting.chip_angle == "nominal",
         moments=cutting.moments,
         end_share=cutting.end_share,

@@ -134,7 +134,7 @@ def _inverse_depths(
 
     # the vibrations are smooth: a few polynomials on the arc make a smaller matrix of the same largest eigenvalues
     span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
-    degree = math.ceil(4.5 * count / NODES) + 4  # for each wave, pi at least; 4.5 more
+    degree = math.ceil(3.6 * count / NODES) + 6  # for each wave, pi at least; 4.5 give limits that differ by 3e-5
     basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
 
     def at(frequency: np.ndarray, least: float) -> np.ndarray:
@@ -193,24 +193,48 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
     best, at = max([(least, math.nan), *((value, frequency[-1]) for value in real.tolist())])
     low, high = np.append(0.0, frequency[:-1]), frequency
     before, after = np.concatenate([np.zeros_like(values[:1]), values[:-1]]), values  # 0 at mu = 1
-    while low.size:
-        apart = np.abs(before[:, :, None] - after[:, None])
-        start = np.concatenate([before, np.take_along_axis(before, apart.argmin(1), 1)], 1)
-        end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
-        travel, passes = np.abs(end - start), start.imag * end.imag <= 0.0
-        close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * travel)
-        # two eigenvalues that differ by less than 0.5 % enclose a limit
-        fine = travel <= 5e-3 * np.maximum(np.abs(start), np.abs(end))
-        share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
-        on_axis = np.where(fine & passes, start.real + share * (end.real - start.real), 0.0)
-        row, k = np.unravel_index(np.argmax(on_axis), on_axis.shape)
-        if on_axis[row, k] > best:
-            best, at = float(on_axis[row, k]), float(low[row] + share[row, k] * (high[row] - low[row]))
-        reach = np.maximum(start.real, end.real) + NEAR * travel
-        halved = np.any(close & ~fine & (reach > best), 1) & (high - low > 1e-9 * high)
-        low, high, before, after = low[halved], high[halved], before[halved], after[halved]
-        middle = 0.5 * (low + high)
+    reach, guess, crossing = _interval(low, high, before, after)
+    while True:
+        k = int(np.argmax(crossing[:, 0]))
+        if crossing[k, 0] > best:
+            best, at = float(crossing[k, 0]), float(crossing[k, 1])
+        rest = (reach > best) & (high - low > 1e-9 * high)
+        low, high, before, after = low[rest], high[rest], before[rest], after[rest]
+        reach, guess, crossing = reach[rest], guess[rest], crossing[rest]
+        if not low.size:
+            return best, at
+        # the most promising interval first, because a large limit ends the search in the others
+        now = guess == guess.max() if guess.max() > best else np.ones(low.size, bool)
+        middle = 0.5 * (low[now] + high[now])
         values = inverse_depths(middle, best)
-        low, high = np.append(low, middle), np.append(middle, high)
-        before, after = np.concatenate([before, values]), np.concatenate([values, after])
-    return best, at
+        halves = (
+            np.concatenate([low[now], middle]),
+            np.concatenate([middle, high[now]]),
+            np.concatenate([before[now], values]),
+            np.concatenate([values, after[now]]),
+        )
+        new = (*halves, *_interval(*halves))
+        old = (each[~now] for each in (low, high, before, after, reach, guess, crossing))
+        low, high, before, after, reach, guess, crossing = map(np.concatenate, zip(old, new, strict=True))
+
+
+def _interval(low: np.ndarray, high: np.ndarray, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return what intervals of frequencies may contain: see ``_largest_real``.
+
+    The largest 1/a that an eigenvalue may have on the real axis, (n,), 0 where none comes near it or all that do
+    are known; a guess of it, (n,), 0: none; the largest known one and its frequency, (n, 2), 0: none.
+    """
+    apart = np.abs(before[:, :, None] - after[:, None])
+    start = np.concatenate([before, np.take_along_axis(before, apart.argmin(1), 1)], 1)
+    end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
+    travel, passes = np.abs(end - start), start.imag * end.imag <= 0.0
+    close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * travel)
+    # two eigenvalues that differ by less than 0.5 % enclose a limit
+    fine = travel <= 5e-3 * np.maximum(np.abs(start), np.abs(end))
+    share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
+    on_axis = np.where(passes, start.real + share * (end.real - start.real), 0.0)
+    known, guess = np.where(fine, on_axis, 0.0), np.where(fine, 0.0, on_axis)
+    rows, k = np.arange(low.size), known.argmax(1)
+    crossing = np.stack([known[rows, k], low + share[rows, k] * (high - low)], 1)
+    reach = np.where(close & ~fine, np.maximum(start.real, end.real) + NEAR * travel, 0.0)
+    return reach.max(1), guess.max(1), crossing

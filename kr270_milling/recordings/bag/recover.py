@@ -7,7 +7,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
@@ -36,9 +36,6 @@ class Recovered:
     lost_messages: int | None = None  # None: the source does not contain the count
     dropped: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)  # findings in the source, also where no message is lost
-
-    def as_dict(self) -> dict:
-        return asdict(self)
 
 
 def recover(source, target=None, progress: Callable[[int, int], None] | None = None) -> Recovered:

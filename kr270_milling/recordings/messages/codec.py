@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -264,7 +264,19 @@ KINDS = {
     CompensatorState: _stored("diagnostic_msgs/msg/DiagnosticStatus", _state, _read_state),
     Trajectory: MessageKind(TRAJECTORY, lambda run: serialise(TRAJECTORY, _trajectory(run)), trajectory_from_bytes),
 }
-READERS = {kind.type: kind.read for kind in KINDS.values()}
+
+
+def _by_type(kinds: Iterable[MessageKind]) -> dict[str, Callable]:
+    """Return the reader of each type; raise ValueError for two records of one type: no reader could choose one."""
+    readers: dict[str, Callable] = {}
+    for kind in kinds:
+        if kind.type in readers:
+            raise ValueError(f"{kind.type} has a record already: one record carries a type")
+        readers[kind.type] = kind.read
+    return readers
+
+
+READERS = _by_type(KINDS.values())
 
 
 def type_of(record) -> str:

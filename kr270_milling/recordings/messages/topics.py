@@ -27,7 +27,7 @@ ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "traje
 class Topic:
     """A row of the table."""
 
-    name: str  #: relative, except for /diagnostics; ~: the name of the node
+    name: str  #: relative, except for /diagnostics
     type: str  #: type of the message
     record: Callable | None  #: class of the record that the message carries; None: no record
     publisher: str  #: node; empty: the user, or every node
@@ -39,8 +39,8 @@ class Topic:
 
     @property
     def key(self) -> str:
-        """The name without ~ and slash."""
-        return self.name.strip("~/")
+        """The name without slash."""
+        return self.name.strip("/")
 
 
 #: in the order of causes: of two differences at one time, a recompute names the one whose topic comes first
@@ -73,9 +73,8 @@ TOPICS = (
     Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "", stamped=True,
           note="of the command `rsi`: displacement and rotation that the controller adds"),
     Topic("rsi_status", "std_msgs/msg/String", Text, "", note="of the command `rsi`: one sentence"),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "", note="for people"),
-    Topic("~/status", "std_msgs/msg/String", None, "", latched=True,
-          note="JSON, for programs; not recorded: process, level, message, values, matched publishers and subscribers"),
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "",
+          note="level, message and values of each node, five times a second"),
 )  # fmt: skip
 
 
@@ -88,7 +87,7 @@ def topic_table() -> str:
     """Return the table of the page of the nodes, in Markdown."""
     rows = ["| topic (relative) | type | from → to | latched | |", "|---|---|---|---|---|"]
     for topic in TOPICS:
-        publisher = topic.publisher or ("every node" if topic.name[0] in "/~" else "user")
+        publisher = topic.publisher or ("every node" if topic.name[0] == "/" else "user")
         ends = f"{publisher} → {', '.join(topic.subscribers)}" if topic.subscribers else publisher
         kind = topic.type.replace("/msg/", "/")
         rows.append(f"| `{topic.name}` | {kind} | {ends} | {'yes' if topic.latched else ''} | {topic.note} |")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +16,7 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.draft import draft_text, straight_text, tools_text
-from kr270_milling.cell.keys import keys_of
+from kr270_milling.cell.keys import keys_of, schema
 from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.path.cam.readers import read_toolpaths
 from kr270_milling.physics.robot.analysis import analyse, read_arm
@@ -57,6 +58,8 @@ def run_init(args) -> Answer:
 def run_keys(args) -> Answer:
 
     entries = keys_of(args.section)
+    if args.schema:
+        return Answer({"section": args.section, "keys": entries}, [json.dumps(schema(), indent=1)])
     shown = [k for k in entries if args.all or not k["expert"] or k["key"] == args.section]
     rows = [("key", "unit", "range", "default", "meaning")]
     for k in shown:

@@ -5,6 +5,7 @@ Exit code 1 where the decision is ``no``; then no program is written, unless by 
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 
@@ -13,7 +14,8 @@ import numpy as np
 from kr270_milling.base.column import CONVERGED, TextTable, as_dict, columns, columns_of, fixed, table_of
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
-from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.parameter_file import find_file, write_include
+from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.jobs import joint_ranges
 from kr270_milling.cell.models import cut_of, cut_text_of, path_of
@@ -28,6 +30,7 @@ from kr270_milling.decide.programs.written import SOFTER, softer_pass
 from kr270_milling.decide.tolerance import um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.decide.verdict import SAMPLES
+from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (
@@ -41,9 +44,11 @@ from kr270_milling.show.commands.progress import steps, title_of
 from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
 from kr270_milling.show.report.tools_page import tools_page
+from kr270_milling.studies.identification.measured_part import keys_of, learn, read_part
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
+ROBUST, ORIGINAL, LEARNED_FILE = "robust", "original", "learned.yaml"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: color of a level of the decision
 
 
@@ -53,11 +58,12 @@ def run_compensate(args) -> Answer:
         plant = plant_of(args, cell)
         return compensate(
             cell,
-            args.method,
+            args.method or (ROBUST if parts else None),
             plant=plant,
             motions=args.krl or (),
             robots=args.verdict,
             seed=args.seed,
+            former=parts[-1][1] if parts else None,
             progress=whole.under(title_of(cell)),
         )
 
@@ -66,8 +72,15 @@ def run_compensate(args) -> Answer:
     source, cells = find_file(args.cell), read_cells(find_file(args.cell), args.set)
     if args.gcode:
         check_gcode(cells)
-    reached: list = []
+    parts, learned = _measured_parts(args, cells), None
+    reached: list[Lever] = []
+    if parts and args.reach:
+        raise InputError("--reach", "changes the times of the path; include what was learned in the cell first")
     with staged(args.out) as (draft, final), steps() as whole:
+        if parts:
+            with whole("measured parts") as report:
+                learned = learn(cells[0], parts, report)
+            cells = (learned.cell,)
         if args.reach:
             reached, cells = _reach(cells, args, whole)
         jobs = in_turn(
@@ -81,10 +94,38 @@ def run_compensate(args) -> Answer:
             print(f"warning: {decision.text}", file=sys.stderr)
         whole.say("files")
         values = _write(draft, final, jobs, decision, args, source, whole, reached)
+        if learned:
+            notes = [f"learned by kr270_milling {__version__} from measured parts", *learned.lines()]
+            file = write_include(draft / LEARNED_FILE, keys_of(learned.cell), notes)
+            values |= learned.as_dict() | {"learned_file": str(final(file))}
         if older := set_aside(args.out):
             print(f"programs of an earlier run moved to {Path(args.out, OLDER)}: {', '.join(older)}", file=sys.stderr)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args, reached)
+    if learned:
+        keep = f"to keep it, include {values['learned_file']} in the cell (includes)"
+        shown = (*itertools.islice(shown := iter(shown), 1), *learned.lines(), keep, *shown)
     return Answer(values, shown, code=decision.exit_code)
+
+
+def _measured_parts(args, cells) -> list:
+    """Read places and reference of each measured part, with a text on its source; raises InputError."""
+    files, ran = args.measured or [], args.reference or []
+    if len(ran) > len(files):
+        raise InputError("--reference", f"is given {len(ran)} times, but --measured {len(files)} times")
+    if files and len(cells) > 1:
+        raise InputError("--measured", "needs a cell with one tool, or path.tool")
+    parts = []
+    for file, run in itertools.zip_longest(files, ran):
+        target = path_of(cells[0]).target
+        reference = read_csv(find_file(run))[0] if run and run != ORIGINAL else target
+        if not np.array_equal(reference.time_ns, target.time_ns):
+            raise InputError(
+                run, "has its knots at other times than the path of the cell: it belongs to another program"
+            )
+        places = read_part(find_file(file))
+        along = f"along {Path(run).name}" if run and run != ORIGINAL else "as programmed"
+        parts.append((places, reference, f"{Path(file).name}, {len(places.error)} places, {along}, {now()[:10]}"))
+    return parts
 
 
 def _reach(cells, args, whole) -> tuple[list, tuple]:
@@ -120,8 +161,8 @@ def _values(cell, result) -> dict:
     values |= _correction(cell, revised, result.by)
     values["features"] = {part.name: part.table() for part in result.parts}
     values["check"] = as_dict(result.checked)
-    values["verdict"] = result.decision.verdict and result.decision.verdict.as_dict()
-    return values | result.decision.as_dict()
+    values["verdict"] = result.decision.verdict and as_dict(result.decision.verdict)
+    return values | as_dict(result.decision)
 
 
 def _correction(cell, revised, by) -> dict:

@@ -141,6 +141,7 @@ def _add_keys(parser) -> None:
     _example(parser, "keys tool")
     parser.add_argument("section", metavar="SECTION", default="", nargs="?", help="for example tool; default: all")
     parser.add_argument("--all", action="store_true", help="show also the keys for experts, which init does not write")
+    parser.add_argument("--schema", action="store_true", help="print the JSON schema of a cell file, for an editor")
 
 
 def _add_stiffness(parser) -> None:
@@ -161,6 +162,18 @@ def _add_compensate(parser) -> None:
         "--method",
         choices=("best", *_methods()),
         help="default: the cell's compensation.method; best: compare the methods and run the best",
+    )
+    add(
+        "--measured",
+        metavar="WALL.csv",
+        action="append",
+        help="errors of a part that was cut, the table of compare, 6 to 200 places: learn from it; may be given again",
+    )
+    add(
+        "--reference",
+        metavar="REFERENCE.csv",
+        action="append",
+        help="the reference that cut the part, one for each --measured (default: original, the path as programmed)",
     )
     add("--out", metavar="DIR", default="out", help="where everything goes (default: %(default)s)")
     add(

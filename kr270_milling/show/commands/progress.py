@@ -15,6 +15,7 @@ from rich.progress import Progress as Bar
 __all__ = ["Progress", "progress", "steps", "title_of"]
 
 LINE_PERIOD = 5.0  #: [s] between two lines
+WAITING = 2.5  #: [s] without a count or a step, after which the text is the time so far; half a period of lines
 
 
 class Progress:
@@ -54,7 +55,7 @@ class Progress:
 
     @property
     def under_way(self) -> bool:
-        """Return whether a count has begun and has not reached its total."""
+        """Return whether a count runs that has not reached its total."""
         return self.completed < self.total
 
     @property
@@ -76,7 +77,7 @@ class Progress:
         left, so_far = self.left, f"{time.monotonic() - self.start:.0f} s so far"
         if left is None or not self.under_way:
             return f"{step}: {so_far}"
-        if time.monotonic() - self._counted > max(left, LINE_PERIOD):
+        if time.monotonic() - self._counted > max(left, WAITING):
             return f"{step}: {100 * self.completed / self.total:.0f} %, {so_far}"
         return f"{step}: {100 * self.completed / self.total:.0f} %, {left:.0f} s left"
 
@@ -115,7 +116,7 @@ def steps() -> Iterator[Progress]:
 
 
 def _line(whole: Progress) -> None:
-    if whole.label or time.monotonic() - whole.start > 0.5 * LINE_PERIOD:  # between two steps
+    if whole.label or time.monotonic() - whole.start > WAITING:  # between two steps
         print(whole.text, file=sys.stderr, flush=True)
 
 

@@ -6,6 +6,7 @@ import shlex
 import sys
 from pathlib import Path
 
+from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.units import seconds
@@ -58,11 +59,11 @@ def run_recover(args) -> Answer:
     with progress("recovering") as report:
         recovered = recover_file(args.file, args.out, report)
     if recovered.whole and args.out is None:
-        return Answer(recovered.as_dict(), [f"{recovered.source}: is whole, nothing to recover; unchanged"])
+        return Answer(as_dict(recovered), [f"{recovered.source}: is whole, nothing to recover; unchanged"])
     state = "was whole already" if recovered.whole else f"{recovered.lost_bytes} bytes of it could not be used"
     shown = [f"{recovered.source}: {state}"]
     shown += ["  damage: " + one_line(sentence) for sentence in recovered.damage]
     shown += ["  lost: " + one_line(sentence) for sentence in recovered.dropped]
     if recovered.lost_messages:
         shown.append(f"  {recovered.lost_messages} messages are lost")
-    return Answer(recovered.as_dict(), [*shown, f"{recovered.messages} messages in {recovered.directory}"])
+    return Answer(as_dict(recovered), [*shown, f"{recovered.messages} messages in {recovered.directory}"])

@@ -1,8 +1,8 @@
-"""A measured wall against the predicted wall: table of places, prediction of the model, band of drawn plants."""
+"""Measured walls and floors against the predicted ones: table of places, prediction of the model, band of robots."""
 
 from __future__ import annotations
 
-import os
+import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,31 +13,41 @@ from scipy.spatial import cKDTree
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
-from kr270_milling.cell.plant import imperfect_arm, imperfect_course, perturbed
+from kr270_milling.cell.plant import coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import IdealPart, Walls, ideal_part, remaining_walls
-from kr270_milling.decide.verdict import coarser
+from kr270_milling.decide.part.surface import IdealWalls, ideal_part, remaining_walls
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.studies.identification.comparison import LinearFit, line_through
 
-__all__ = ["BAND", "COLUMNS", "PLANTS", "WallComparison", "WallPlaces", "compare_wall", "read_wall"]
+__all__ = [
+    "BAND",
+    "COLUMNS",
+    "PLANTS",
+    "PredictedPlaces",
+    "WallComparison",
+    "WallPlaces",
+    "compare_wall",
+    "read_wall",
+    "robot_errors",
+]
 
 PLACE = ("x_mm", "y_mm")
-COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "note")
+COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "surface", "note")
+SURFACES = ("wall", "floor")
 FARTHEST = 2e-3  #: [m] from a place to the predicted wall
 LARGEST = 5e-3  #: [m] of a measured error; more is a wrong unit
 FEWEST = 3  #: places for a gain and an offset
 NEAR = 5  #: points of the predicted wall, whose mean is the prediction
+PATCH = 1e-3  #: [m], radius of the floor whose median is the prediction: the ball of a probe
 PLANTS = 16
 BAND = (0.05, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
 class WallPlaces:
-    """n places of a wall, workpiece frame."""
+    """n places of walls and floors, workpiece frame."""
 
     path: str
     lines: tuple[int, ...]  #: line of the file, (n,)
@@ -45,11 +55,12 @@ class WallPlaces:
     height: np.ndarray  #: z [m], (n,); NaN: not given
     error: np.ndarray  #: measured, along the normal, positive where material is left standing [m], (n,)
     sigma: np.ndarray  #: standard deviation of the measurement [m], (n,); 0: not given
+    floor: np.ndarray  #: on a floor, (n,) bool; else on a wall
 
 
 @dataclass(frozen=True, eq=False)
 class WallComparison:
-    """Measured and predicted error of a wall at n places."""
+    """Measured and predicted errors at n places."""
 
     measured: WallPlaces
     predicted: np.ndarray  #: error by the model [m], (n,)
@@ -70,10 +81,75 @@ def read_wall(path) -> WallPlaces:
     error, sigma = 1e-6 * table.number("error_um"), 1e-6 * table.number("sigma_um", 0.0)
     table.refuse(np.abs(error) > LARGEST, f"error_um must be in um and at most {1e6 * LARGEST:g}")
     table.refuse(sigma < 0.0, "sigma_um must be at least 0")
+    surface = np.array(table.texts("surface") if "surface" in table else [""] * len(table))
+    table.refuse(~np.isin(surface, ("", *SURFACES)), f"surface must be one of {', '.join(SURFACES)}; empty: wall")
     if len(table) < FEWEST:
         raise InputError(path, f"has {len(table)} places, but a comparison needs at least {FEWEST}")
     place, height = 1e-3 * table.numbers(PLACE), 1e-3 * table.number("z_mm", np.nan)
-    return WallPlaces(table.path, table.lines, place, height, error, sigma)
+    return WallPlaces(table.path, table.lines, place, height, error, sigma, surface == "floor")
+
+
+class PredictedPlaces:
+    """Predicts the errors at measured places from passes along the path of a cell.
+
+    Raises InputError where a place is farther than 2 mm from every predicted wall, or on no floor.
+    """
+
+    def __init__(self, cell: Cell, measured: WallPlaces):
+        path = path_of(cell)
+        stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
+        self.measured, self._path = measured, stations_of(path, stamps)
+        self._ideal = ideal_part(cell, self._path, path.target.sample(stamps))
+        walls = self._ideal.walls
+        staying = walls.marks[walls.staying]
+        if not len(staying) and not measured.floor.all():
+            raise InputError(measured.path, "the pass of the cell leaves no wall that could be compared")
+        self.normal = np.zeros((len(measured.error), 3))  #: out of the material
+        tree, self._near = (cKDTree(staying.point) if len(staying) else None), []
+        for k in range(len(measured.error)):
+            near = self._floor(k) if measured.floor[k] else self._wall(k, tree, staying.centre[:, 2])
+            self._near.append(near)
+            self.normal[k] = (0.0, 0.0, 1.0) if measured.floor[k] else (*-staying.normal[near].mean(axis=0), 0.0)
+        on_walls = [near for near, floor in zip(self._near, measured.floor, strict=True) if not floor]
+        used = np.unique(np.concatenate([np.zeros(0, int), *on_walls]))
+        self._walls = IdealWalls(walls.marks, walls.staying[used], walls.height[used])
+        self._near = [
+            n if floor else np.searchsorted(used, n) for n, floor in zip(self._near, measured.floor, strict=True)
+        ]
+
+    def _wall(self, k: int, tree: cKDTree, bottom: np.ndarray) -> np.ndarray:
+        """Indices of the nearest points of the walls, at the height of the place where that is given."""
+        z, walls = self.measured.height[k], self._ideal.walls
+        distance, near = tree.query(self.measured.place[k], k=min(8 * NEAR, bottom.size), distance_upper_bound=FARTHEST)
+        near = np.atleast_1d(near)[np.isfinite(np.atleast_1d(distance))]
+        if np.isfinite(z):
+            near = near[(bottom[near] - 1e-5 <= z) & (z <= bottom[near] + walls.height[near] + 1e-5)]
+        if not near.size:
+            self._refuse(k, f"is farther than {1e3 * FARTHEST:g} mm from every wall that the cell leaves")
+        return near[:NEAR]
+
+    def _floor(self, k: int) -> np.ndarray:
+        """Indices of the level nodes around a place, in the map as one row."""
+        ideal, (x, y) = self._ideal, self.measured.place[k]
+        near = np.hypot(ideal.x[:, None] - x, ideal.y - y) <= PATCH
+        depth = ideal.height[near]
+        level = near & ~ideal.unjudged & (ideal.owner >= 0)
+        if depth.size:
+            level &= np.abs(ideal.height - np.median(depth)) <= 2.0 * ideal.level
+        if not level.any():
+            self._refuse(k, "is on no floor that the cell mills")
+        return np.flatnonzero(level)
+
+    def _refuse(self, k: int, reason: str) -> None:
+        x, y = 1e3 * self.measured.place[k]
+        raise InputError(self.measured.path, f"the place {x:g}, {y:g} mm {reason}", self.measured.lines[k])
+
+    def errors(self, result: PassResult) -> np.ndarray:
+        """Errors [m], (n,), of a pass; with places on floors it needs ``result.heights``."""
+        walls = remaining_walls(self._walls, self._path, result.actual - result.target, self._ideal.level).error
+        rise = np.zeros(0) if result.heights is None else (result.heights - self._ideal.height).ravel()
+        pairs = zip(self._near, self.measured.floor, strict=True)
+        return np.array([np.median(rise[near]) if floor else walls[near].mean() for near, floor in pairs])
 
 
 def compare_wall(
@@ -82,20 +158,21 @@ def compare_wall(
 ) -> WallComparison:  # fmt: skip
     """Predict the wall of a pass along ``reference`` (default: the target) by the model and by drawn plants.
 
-    Raises InputError where a place is farther than 2 mm from every predicted wall.
+    Raises InputError as ``PredictedPlaces`` does.
     """
-    result = simulate(cell, reference).result
-    ideal = ideal_part(cell, stations_of(path_of(cell), result.time_ns), result.target)
-    predicted = _errors_at(measured, _walls(cell, result, ideal))
+    predicted = robot_errors(cell, cell, reference, PredictedPlaces(cell, measured))
     nominal, rng = coarser(cell), np.random.default_rng(seed)
     drawn = [perturbed(nominal, rng) for _ in range(plants)]
-    path, target = path_of(nominal), path_of(nominal).target
-    known = target if reference is None else reference
-    stamps = path.clock.stamp(np.arange(path.clock.steps(target.duration_ns) + 1))
-    coarse = ideal_part(nominal, stations_of(path, stamps), target.sample(stamps))
-    rows: list[np.ndarray] = []
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        for row in pool.map(lambda plant: _plant_errors(plant, nominal, known, measured, coarse), drawn):
+    places, rows = PredictedPlaces(nominal, measured), []
+
+    def errors(plant: Cell) -> np.ndarray:
+        try:
+            return robot_errors(plant, nominal, reference, places)
+        except MillingError:
+            return np.full(len(measured.error), np.nan)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        for row in pool.map(errors, drawn):
             rows.append(row)
             progress(len(rows), plants)
     noise = measured.sigma * rng.normal(size=(len(rows), len(predicted)))
@@ -104,39 +181,18 @@ def compare_wall(
     return WallComparison(measured, predicted, low, high, plants, line)
 
 
-def _plant_errors(plant: Cell, nominal: Cell, reference: Trajectory, measured: WallPlaces, ideal: IdealPart):
-    """Errors of the wall of one plant [m], (n,); NaN where the plant fails."""
-    try:
-        arm = imperfect_arm(plant, reference, arm_model_of(plant, reference))
-        course_of = imperfect_course(plant, reference, 0)
-        clock, iterations, silent = path_of(plant).clock, plant.exchange.iterations, path_of(plant).drilling_at
-        target = path_of(nominal).target
-        result = run_pass(arm, cut_of(plant), clock, target, course_of, iterations, silent=silent)
-        return _errors_at(measured, _walls(nominal, result, ideal))
-    except MillingError:
-        return np.full(len(measured.error), np.nan)
-
-
-def _walls(cell: Cell, result: PassResult, ideal: IdealPart) -> Walls:
-    path = stations_of(path_of(cell), result.time_ns)
-    return remaining_walls(ideal.walls, path, result.actual - result.target, ideal.level)
-
-
-def _errors_at(measured: WallPlaces, walls: Walls) -> np.ndarray:
-    """Mean error [m], (n,), of the nearest points of the walls, at the height of the place where that is given."""
-    if not walls.error.size:
-        raise InputError(measured.path, "the pass of the cell leaves no wall that could be compared")
-    out = np.empty(len(measured.error))
-    tree = cKDTree(walls.position[:, :2])
-    for k, (place, z) in enumerate(zip(measured.place, measured.height, strict=True)):
-        distance, near = tree.query(place, k=min(8 * NEAR, walls.error.size), distance_upper_bound=FARTHEST)
-        near = np.atleast_1d(near)[np.isfinite(np.atleast_1d(distance))]
-        if np.isfinite(z):
-            low = walls.position[near, 2]
-            near = near[(low - 1e-5 <= z) & (z <= low + walls.height[near] + 1e-5)]
-        if not near.size:
-            reason = f"is farther than {1e3 * FARTHEST:g} mm from every wall that the cell leaves"
-            raise InputError(measured.path, f"the place {1e3 * place[0]:g}, {1e3 * place[1]:g} mm {reason}",
-                             measured.lines[k])  # fmt: skip
-        out[k] = walls.error[near[:NEAR]].mean()
-    return out
+def robot_errors(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> np.ndarray:
+    """Errors [m], (n,), that a robot leaves at places of the part of a cell; raises MillingError where it fails."""
+    target = path_of(cell).target
+    reference, cut = target if reference is None else reference, cut_of(robot)
+    result = run_pass(
+        imperfect_arm(robot, reference, arm_model_of(robot, reference)),
+        cut,
+        path_of(robot).clock,
+        target,
+        imperfect_course(robot, reference, 0, target),
+        robot.exchange.iterations,
+        silent=path_of(robot).drilling_at,
+    )
+    heights = cut.map_heights()[2] if places.measured.floor.any() else None
+    return places.errors(dataclasses.replace(result, heights=heights))

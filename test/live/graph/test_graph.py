@@ -18,6 +18,8 @@ from ros_domain import running
 
 pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
 from kr270_milling.base.files import fresh_directory
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cell.models import path_of
@@ -29,8 +31,8 @@ from kr270_milling.live.graph.driver import Driver
 from kr270_milling.live.graph.graph import QUIET, Graph, RunValues
 from kr270_milling.live.graph.processes import Child, RunError, stop
 from kr270_milling.live.ros import node, topics
-from kr270_milling.live.ros.node import LOST, Silence
-from kr270_milling.live.ros.status import Status
+from kr270_milling.live.ros.node import LOST, NOT_COMPLETE, Silence
+from kr270_milling.live.ros.readiness import Report
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import deserialise, to_bytes
 
@@ -73,20 +75,17 @@ def same(recorded, plain) -> None:
 
 STRANGER = """
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from kr270_milling.live.ros.environment import keep_to_this_host
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 keep_to_this_host()
 rclpy.init()
 node = rclpy.create_node("gripper")
 sent = [(node.create_publisher(JointState, "joint_states", 10), JointState(name=["finger"], position=[0.1])),
         (node.create_publisher(WrenchStamped, "wrench", 10), WrenchStamped())]
-for name in ("compliant_robot", "cutting_process", "trajectory_compensator", "recorder"):
-    status = node.create_publisher(String, name + "/status", QoSProfile(depth=1, durability=1))
-    usual = '{"pid": 1, "level": 0, "message": "", "values": []}'
-    sent += [(status, String(data=text)) for text in (usual, "[" * 9999)]
+reports = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+sent.append((reports, DiagnosticArray(status=[DiagnosticStatus(name="/gripper", level=b"\\2")])))
 def publish():
     for publisher, message in sent:
         publisher.publish(message)
@@ -98,7 +97,7 @@ rclpy.spin(node)
 def test_run_gives_the_plain_loop_bit_for_bit_while_a_stranger_publishes_what_cannot_be_used(
     ros_environment, tmp_path, capsys, short_cell
 ):
-    """A gripper on joint_states, no statuses, wrenches of no frame. A repeated method is run once."""
+    """A gripper with errors on joint_states and /diagnostics, wrenches of no frame. A repeated method is run once."""
     methods = ("--method", "linear", "--method", "spline", "--method", "linear")
     with running([sys.executable, "-c", STRANGER], ros_environment):
         assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
@@ -121,10 +120,9 @@ def test_run_gives_the_plain_loop_bit_for_bit_while_a_stranger_publishes_what_ca
     assert 0 < result["graph_up_s"] < LIMIT
     with Recording(tmp_path / "o" / "spline") as recording:
         reports = [deserialise(DIAGNOSTICS, m.data).status[0] for m in recording.messages(["/diagnostics"])]
-    counted = {(one.name.strip("/"), pair.key) for one in reports for pair in one.values}
+    counted = {(report.name.strip("/"), pair.key) for report in reports for pair in report.values}
     named = {"compliant_robot": "wrench", "trajectory_compensator": "joint_states"}
     assert {(node, f"refused {topic}") for node, topic in named.items()} <= counted
-    assert {(node, "refused cutting_process/status") for node in named} <= counted
     with Recording(tmp_path / "o" / "original") as recording:
         recorded_topics = recording.topics()
         assert "/tf_static" in recorded_topics
@@ -365,7 +363,13 @@ def test_of_an_error_a_node_that_is_silent_is_blamed_and_not_the_one_that_misses
 def test_silence_counts_in_mid_pass_alone(tmp_path):
     graph, in_pass = Graph(None, tmp_path), {}
     graph.begin_recording = graph.end_recording = lambda *_: None
-    values = {"wall_s": 1.5, "remaining_error_um": [2.0, 1.0], "finished": True}
+    values = {
+        "wall_s": "1.5",
+        "remaining_error_um": "[2.0, 1.0]",
+        "finished": "True",
+        "recording": "",
+        "waiting_for": "",
+    }
     graph.driver = SimpleNamespace(
         until=lambda condition, what, *_: in_pass.update({what: graph._in_pass}),
         transition=lambda *_, deadline: None,
@@ -376,37 +380,39 @@ def test_silence_counts_in_mid_pass_alone(tmp_path):
     assert ran == RunValues(tmp_path / "original", 1.5, (2e-6, 1e-6), True)
 
 
-@pytest.mark.parametrize(("latest", "missing", "sentence"), [
-    (10, 0, ""), (10, 3, "3 messages of the pass were lost; "), (5, 0, "has not received the end of the pass; "),
-])  # fmt: skip
-def test_a_recorder_that_lacks_messages_of_a_pass_is_reported(tmp_path, monkeypatch, latest, missing, sentence):
-    monkeypatch.setattr("kr270_milling.live.graph.graph.CATCH_UP", 0.05)
+@pytest.mark.parametrize("node", NODES[:2] + NODES[3:])
+def test_a_node_that_reports_an_incomplete_recording_is_named_after_the_pass(tmp_path, node):
     graph, sentences, calls = Graph(None, tmp_path), [], []
-    stamps = {"/tool_pose": 10}, {"/wrench": 9}, {}, {"/tool_pose": latest, "/wrench": 9}
+    reports = {name: Report(0, "stopped", {"state": "inactive"}) for name in NODES}
+    reports[node] = Report(1, f"3 messages were lost; {NOT_COMPLETE}", {"state": "inactive"})
     graph.driver = SimpleNamespace(
-        statuses={name: SimpleNamespace(stamps_ns=sent, sources={}) for name, sent in zip(NODES, stamps, strict=True)},
-        value=lambda node, key: missing,
-        until=lambda condition, *_: wait_until(condition, "the end"),
-        set_parameters=lambda *words: calls.append(words[:2]),
+        reports=reports,
+        value=lambda name, key: reports[name].values[key],
         transition=lambda *words, deadline: calls.append(words),
     )
     graph.warn = sentences.append
     graph.end_recording()
-    assert sentences == ([f"recorder: {sentence}its recording is not complete"] if sentence else [])
-    assert calls == [("recorder", {"directory": ""}), ("cleanup", NODES[1]), ("configure", NODES[1])]
+    assert sentences == [f"{node}: 3 messages were lost; its recording is not complete"]
+    assert calls == [("deactivate", "recorder"), ("cleanup", NODES[1]), ("configure", NODES[1])]
 
 
 def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, world):
-    sent = world.partner("recorder").create_publisher(*topics.STATUS)
+    sent = world.partner("recorder").create_publisher(*topics.DIAGNOSTICS)
     driver = Driver("", lambda: None)
+
+    def publish(level: bytes, message: str, process: str) -> None:
+        values = [KeyValue(key="process", value=process)]
+        status = DiagnosticStatus(level=level, name="/recorder", message=message, values=values)
+        sent.publish(DiagnosticArray(status=[status]))
+
     try:
         driver.expect("recorder", 1)
         driver.until(sent.get_subscription_count, "matching", LIMIT)
-        sent.publish(Status(1, 0, "recording").to_msg())
-        driver.until(lambda: driver.statuses, "the report", LIMIT)
-        sent.publish(Status(2, 2, "the directory is there already", "the directory is there already").to_msg())
+        publish(DiagnosticStatus.OK, "recording", "1")
+        driver.until(lambda: driver.reports, "the report", LIMIT)
+        publish(DiagnosticStatus.ERROR, "the directory is there already", "2")
         driver.until(lambda: driver.foreign, "the other report", LIMIT)
-        assert driver.statuses["recorder"].message == "recording" and driver.error is None
+        assert driver.reports["recorder"].message == "recording" and driver.error is None
     finally:
         driver.node.destroy_node()
         driver.node.context.try_shutdown()

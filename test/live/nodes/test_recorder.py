@@ -22,7 +22,7 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.messages.codec import to_bytes
 
-OK, WARN = 0, 1
+WARN, ERROR = 1, 2
 NAME = "/recorder"
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -41,7 +41,6 @@ def test_every_message_is_in_the_open_file_and_lost_messages_and_publishers_are_
     reports, partner = world.diagnostics(world.partner("watcher")), world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(publisher.get_subscription_count)
-    world.until(lambda: recorder.status().sources.get("/wrench"))
     steps = [i for i in range(300) if not 10 <= i < 15]
     for i in steps:
         publisher.publish(to_bytes(WrenchSample(i * 500_000, "workpiece", np.full(6, float(i)))))
@@ -78,7 +77,7 @@ def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_
     assert recorder.failure is None and recorder.watch()["refused"] == 2
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:
-        assert [m.publish_time for m in recording.messages()] == [1, 4]
+        assert [m.publish_time for m in recording.messages(["/wrench"])] == [1, 4]
 
 
 def test_markers_are_published_too_recorded_once_and_at_most_30_a_second_of_the_pass(world, recorder):
@@ -142,16 +141,17 @@ def test_topic_with_an_impossible_name_is_refused_before_anything_is_written(wor
 # --- one recording after another in one node ---
 
 
-def test_a_directory_that_cannot_be_used_is_refused_and_the_recorder_continues(world, tmp_path):
-    recorder = world.add(Recorder, "-p", "autostart:=false")
+def test_a_directory_that_cannot_be_used_is_refused_and_the_next_activation_records(world, tmp_path):
+    recorder, reports = world.add(Recorder, "-p", "autostart:=false"), world.diagnostics(world.partner())
+    world.until(lambda: NAME in reports.last)
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "metadata.yaml").write_text("old")
-    refused = set_directory(recorder, tmp_path / "old")
-    assert not refused.successful and "old" in refused.reason
-    assert recorder.failure is None and recorder.get_parameter("directory").value == ""
-    assert set_directory(recorder, tmp_path / "new").successful
-    assert recorder.close() is None
-
-
-def set_directory(recorder, directory):
-    return recorder.set_parameters([Parameter("directory", value=str(directory))])[0]
+    recorder.trigger_configure()
+    for name, state in (("old", "inactive"), ("new", "active"), ("next", "active")):
+        recorder.set_parameters([Parameter("directory", value=str(tmp_path / name))])
+        recorder.trigger_activate()
+        assert recorder.state == state and recorder.failure is None
+        if recorder.active:
+            recorder.trigger_deactivate()
+            assert (tmp_path / name / "metadata.yaml").exists()
+    reports.until(NAME, "old: has a recording already", ERROR)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 
 import numpy as np
@@ -19,17 +18,15 @@ from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.status import status_topic
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.codec import serialise, to_bytes
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
 MESSAGES = 10_000  # a fifth of it in the suite
 NUMBERS = (0.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e300, 1e9, 5e-324)
 TURN = np.array([1.0, 0.0, 0.0, 0.0])
 DEEP = "[" * 100_000
-STATUSES = ('{"values": []}', '{"pid": 1}', DEEP, '{"pid":' * 5000, "", "null", "\0", "[]", "{}", '{"a": 1}')
-VALUES = ([], None, 1, "x", {"reference": []}, {"records": [1, None], "left_out": 3}, {"waiting_for": {}}, DEEP)
+KEYS = ("state", "reads", "records", "left_out", "reference", "recording", "waiting_for", "subscribers of /x")
 TEXTS = (
     "",
     DEEP,
@@ -73,11 +70,12 @@ def trajectory(rng: random.Random, cell) -> bytes:
     return data.replace(np.float64(target.position[1, 0]).tobytes(), np.float64(rng.choice(NUMBERS[2:6])).tobytes())
 
 
-def status(rng: random.Random) -> bytes:
-    fields = {name: rng.choice(VALUES) for name in ("pid", "level", "message", "listeners", "sources", "stamps_ns")}
-    usual = {"pid": 1, "level": 0, "message": ""}
-    tables = [json.dumps({**begin, "values": rng.choice(VALUES)}) for begin in (fields, usual)]
-    return to_bytes(Text(rng.choice((rng.choice(STATUSES), *tables))))
+def report(rng: random.Random) -> bytes:
+    """A report under the name of one of our nodes."""
+    values = [{"key": key, "value": rng.choice((*TEXTS[:6], "active", "/a, /b"))} for key in rng.sample(KEYS, 4)]
+    name = f"/{rng.choice((ROBOT, CUT, COMPENSATOR, RECORDER))}"
+    status = [{"level": rng.randrange(4), "name": name, "message": rng.choice(TEXTS[:6]), "values": values}]
+    return serialise("diagnostic_msgs/msg/DiagnosticArray", {"status": status})
 
 
 def noise(rng: random.Random, data: bytes) -> bytes:
@@ -101,7 +99,7 @@ def sources(world, short_cell):
         (topics.WRENCH, lambda rng: to_bytes(WrenchSample(stamp(rng), frame(rng), numbers(rng, 6)))),
         (topics.JOINT_STATES, joint_state),
         (topics.ROBOT_DESCRIPTION, lambda rng: to_bytes(Text(rng.choice(TEXTS)))),
-        *((status_topic(name), status) for name in (ROBOT, CUT, COMPENSATOR, RECORDER)),
+        (topics.DIAGNOSTICS, report),
     ]
     return stranger, [(stranger.create_publisher(*topic), generate) for topic, generate in made]
 
@@ -130,9 +128,9 @@ def test_messages_of_strangers_are_survived_counted_and_named_and_the_next_pass_
     named = {name: set(node.unusable) for name, node in nodes.items()}
     assert [node.failure for node in nodes.values()] == [None] * 4
     assert {"tool_pose", "reference_trajectory"} <= named[CUT] and {"wrench", "reference_trajectory"} <= named[ROBOT]
-    assert {"tool_pose", "wrench", "joint_states", "recorder/status", "target_trajectory"} <= named[COMPENSATOR]
+    assert {"tool_pose", "wrench", "joint_states", "diagnostics", "target_trajectory"} <= named[COMPENSATOR]
     assert {"/robot_description", "/reference_trajectory"} <= named[RECORDER]
-    assert not any(node.status().error for name, node in nodes.items() if name in (CUT, RECORDER))  # a run continues
+    assert not any(node.own_report().level == 2 for name, node in nodes.items() if name in (CUT, RECORDER))
     for name, node in nodes.items():
         assert node.refused >= sum(times for times, _, _ in node.unusable.values()) > 5
         world.until(lambda name=name: any(key.startswith("refused ") for key in reports.last.get(f"/{name}", ())))

@@ -20,8 +20,7 @@ from kr270_milling.cell.cell_file import cell_text, read_cell, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, guarded
-from kr270_milling.live.ros.readiness import unmatched
-from kr270_milling.live.ros.status import Status
+from kr270_milling.live.ros.readiness import Report, unmatched
 
 ERROR = 2
 ROOT = Path(__file__).resolve().parents[3]
@@ -68,29 +67,27 @@ def test_a_closed_node_leaves_no_port(world, domain, short_cell, tmp_path):
         time.sleep(0.02)
 
 
-# --- whether a pass may start, by the statuses of its nodes ---
+# --- whether a pass may start, by the reports of its nodes ---
 
 
-def statuses(change) -> dict[str, Status]:
-    """A robot and a cut that are matched, and a recorder of the topic "a*"; change: what differs."""
-    robot = dict(listeners={"/a": 2, "/b": 0}, sources={"/w": 1}, values={"reference": "1"})
-    cut = dict(listeners={"/w": 1}, sources={"/a": 1}, values={"reference": "1"})
-    recorder = dict(sources={"/a": 1}, values={"records": ["/a*"], "left_out": []})
-    change(robot, cut, recorder)
-    return {name: Status(1, 0, "", **one) for name, one in (("robot", robot), ("cut", cut), ("recorder", recorder))}
-
-
-@pytest.mark.parametrize(("change", "sentence"), [
-    (lambda robot, cut, rec: None, ""),
-    (lambda robot, cut, rec: robot["listeners"].update({"/a": 1}), "robot has not discovered every subscriber"),
-    (lambda robot, cut, rec: cut["sources"].update({"/a": 0}), "cut has not discovered a publisher of /a"),
-    (lambda robot, cut, rec: rec["sources"].clear(), "recorder has not discovered a publisher of /a"),
-    (lambda robot, cut, rec: rec["values"].update(records=["/*"]), "recorder has not discovered a publisher of /b"),
-    (lambda robot, cut, rec: rec["values"].update(records=["/*"], left_out=["/b", "/w"]), ""),
-    (lambda robot, cut, rec: cut["values"].update(reference="2"), "not every node has the reference"),
+@pytest.mark.parametrize(("node", "key", "value", "sentence"), [
+    ("cut", "refused", "0", ""),
+    ("robot", "subscribers of /a", "cut, viewer", "robot has not discovered that recorder subscribes to /a"),
+    ("robot", "subscribers of /a", "recorder", "robot has not discovered that cut subscribes to /a"),
+    ("recorder", "records", "", "robot has not discovered that recorder subscribes to /b"),
+    ("recorder", "left_out", "/b", ""),
+    ("cut", "reference", "2", "not every node has the reference: robot has 1"),
 ])  # fmt: skip
-def test_a_pass_may_start_when_every_end_of_every_topic_is_matched(change, sentence):
-    assert unmatched(statuses(change)).startswith(sentence) and bool(unmatched(statuses(change))) == bool(sentence)
+def test_a_pass_may_start_when_every_publisher_knows_every_subscriber(node, key, value, sentence):
+    """A robot and a cut, and a recorder of the topics "a*", with one other value."""
+    values = {
+        "robot": {"subscribers of /a": "cut, recorder", "subscribers of /b": "", "reads": "/w", "reference": "1"},
+        "cut": {"subscribers of /w": "robot", "reads": "/a, /x", "reference": "1"},
+        "recorder": {"reads": "/a", "records": "/a*", "left_out": "/w" if key == "records" else ""},
+    }
+    values[node][key] = value
+    found = unmatched({name: Report(0, "", texts) for name, texts in values.items()})
+    assert found.startswith(sentence) and bool(found) == bool(sentence)
 
 
 # --- the environment of node processes: discovery on this host only ---

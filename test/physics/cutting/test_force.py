@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from samples.cuttings import ALUMINIUM, LAWS, PAPER_LAW, convergence, slot_chip
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build, flatten
 from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2014, Cut, Cutting, Stock, Tool, fractional
+from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
 PAPER = Tool(diameter=20e-3, teeth=4, spindle_speed=8000 * 2 * np.pi / 60)
@@ -337,3 +339,23 @@ def test_a_file_names_only_the_law_that_it_uses_and_all_coefficients_of_that_one
                  {"fractional": FRACTIONAL, "linear_edge": {"radial_edge_n_per_mm": math.nan}}):  # fmt: skip
         with pytest.raises(ConfigError, match="nan is not usable"):
             build(Cutting, tree)
+
+
+@dataclass(frozen=True, eq=False)
+class Reordered(LinearEdgeLaw):
+    """The linear-edge law, whose function takes the coefficients in another order than the fields have."""
+
+    @staticmethod
+    def force(h, axial_edge, axial_cutting, radial_edge, radial_cutting, tangential_edge, tangential_cutting):
+        return (
+            tangential_cutting * h + tangential_edge,
+            radial_cutting * h + radial_edge,
+            axial_cutting * h + axial_edge,
+        )
+
+
+def test_a_law_takes_its_coefficients_by_their_names_in_any_order():
+    values, h = (600e6, 18e3, 180e6, 20e3, 220e6, 1e3), np.array([1e-6, 1e-4])
+    assert Reordered.fault() == ""
+    forces = Reordered(*values).per_depth(h)
+    assert np.array_equal(forces, [600e6 * h + 18e3, 180e6 * h + 20e3, 220e6 * h + 1e3])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kr270_milling import read_cell
+from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, path_of
@@ -155,7 +156,7 @@ def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(
     decision = compensate(cell, "linear").decision
     assert decision.backlash == "backlash: not included, no load reverses"
     assert decision.backlash in decision.headline and decision.backlash in decision.lines()
-    assert decision.as_dict()["backlash"] == decision.backlash
+    assert as_dict(decision)["backlash"] == decision.backlash
 
 
 def test_the_plant_moves_by_the_number_of_the_check_and_without_a_reversal_as_if_it_had_no_backlash(cell, ran):

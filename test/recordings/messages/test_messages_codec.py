@@ -149,3 +149,8 @@ def test_the_example_of_the_readme_runs():
     text = Path(codec.__file__).with_name("README.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(example, {})
+
+
+def test_a_second_record_of_a_message_type_is_refused():
+    with pytest.raises(ValueError, match="geometry_msgs/msg/PoseStamped has a record already"):
+        codec._by_type([codec.KINDS[PoseSample], codec.KINDS[PoseSample]])

@@ -23,11 +23,13 @@ from kr270_milling.cli import main
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.check_cut import Residue
 from kr270_milling.decide.findings import Finding, Place
+from kr270_milling.decide.limits import Limit
 from kr270_milling.decide.part import FeatureRow
 from kr270_milling.decide.programs.gcode import WrittenGcode
 from kr270_milling.decide.programs.points import ProgramBlocks
 from kr270_milling.decide.stability import FeatureLimit, Stability
 from kr270_milling.decide.tolerance import Judgement
+from kr270_milling.decide.verdict import MethodComparison, Verdict
 from kr270_milling.live.nodes.start import start
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
@@ -87,6 +89,7 @@ def test_every_command_can_be_imported_without_ros():
 #: table of guide/json.md -> record, and the rows of the table that the command adds
 RECORDS = {
     "check": (Checked, "cell reference cut tolerance tools tool stops warnings notes"),
+    "comparison-of-methods": (MethodComparison, "path_deviation_um.<method>"),
     "corrected-gcode": (WrittenGcode, "file tools"),
     "feature": (FeatureRow, ""),
     "finding": (Finding, "amounts.<name>"),
@@ -97,6 +100,8 @@ RECORDS = {
     "stability-of-a-feature": (FeatureLimit, ""),
     "stability-statement": (Stability, ""),
     "tolerance": (Judgement, ""),
+    "unknown": (Limit, "within"),
+    "verdict": (Verdict, "samples failed methods_um.<method> original_um compensated_um"),
     "vibration": (Residue, ""),
 }
 
@@ -216,6 +221,26 @@ def test_a_step_states_its_share_and_the_time_left_at_its_own_pace(clock):
             count(1, 2)
         assert shown.text == "T2: learned, pass 2 of at most 12: 50 %, 10 s left"
     assert shown.label == ""
+    with shown("report") as count:
+        count(0, 100)
+        clock[0] += 1.0
+        count(99, 100)
+        clock[0] += 5.0
+        assert shown.text == "report: 99 %, 6 s so far"  # the next count takes longer than the time left
+        count(100, 100)
+        clock[0] += 60.0
+        assert shown.text == "report: 66 s so far"
+    clock[0] += 7.0
+    assert shown.text == "working: 7 s so far"
+
+
+def test_a_command_between_two_steps_is_not_silent(clock, capsys):
+    shown = Progress()
+    module._line(shown)
+    assert capsys.readouterr().err == ""
+    clock[0] += 1.0 + module.WAITING
+    module._line(shown)
+    assert capsys.readouterr().err.startswith("working: ")
 
 
 @pytest.mark.parametrize("terminal", [False, True])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 import yaml
@@ -147,6 +149,19 @@ def read_tree_of(text: str) -> dict:
     tree = yaml.safe_load(text)["/**"]["ros__parameters"]
     del tree["includes"]
     return from_display(tree, "")
+
+
+def test_the_schema_of_a_cell_file_accepts_the_shipped_files_and_refuses_what_the_reader_refuses():
+    validator = jsonschema.Draft202012Validator(json.loads(ask("keys", "--schema").out))
+    files = [
+        path.read_text() for path in (*TEST_PIECE.parent.glob("*.yaml"), *Path(__file__).parents[2].rglob("*.yaml"))
+    ]
+    for text in (*files, answered("init")["cell"], answered("init", "--gcode", PROGRAMS / "haas.nc")["cell"]):
+        assert [error.message for error in validator.iter_errors(yaml.safe_load(text))] == []
+    wrong = ("tool: {diametre_mm: 1.0}", "tool: {teeth: 0}", "tool: {rotation: left}", "stock: {min_mm: [0.0, 0.0]}",
+             "mount: {tool_kuka: {Q: 1.0}}", "tools: {T1: {path: {}}}", "exchange: {period_ms: 0.0}")  # fmt: skip
+    for text in wrong:
+        assert not validator.is_valid({"/**": {"ros__parameters": yaml.safe_load(text)}}), text
 
 
 SLOW = "(T1 D={0} - flat end mill, {1} flutes)\nG21 G90 G54\nS{2} M3\nG0 X-20 Y0 Z5\nZ-0.5\nG1 X20 F{3}\nG0 Z5\nM30\n"

@@ -6,6 +6,7 @@ Cycles along z stay cycles; comments, tools, speeds and words of M stay with the
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,6 +25,9 @@ KEPT = frozenset((4, 8, 9, 43, 49, 61, 61.1, 64))
 PLACING = frozenset(("offset", "data", "preset"))
 ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their line
 DROPPED = frozenset((17, 97, 98, 99))
+
+
+TITLE = re.compile(r"\s*O\s*[0-9]+\s*", re.I)
 
 
 class _Expansion(Interpreter):
@@ -104,9 +108,14 @@ class _Expansion(Interpreter):
 class _Reader(GcodeReader):
     """Keeps the comments of the lines."""
 
+    machine: _Expansion
+
     def _comments(self, code: str, comments: list[str]) -> None:
         super()._comments(code, comments)
-        self.machine.lines += [f"({comment.replace('(', '[').replace(')', ']')})" for comment in comments if comment]
+        texts = [f"({comment.replace('(', '[').replace(')', ']')})" for comment in comments if comment]
+        if texts and TITLE.fullmatch(code):
+            texts[0] = f"{code.strip()} {texts[0]}"
+        self.machine.lines += texts
 
 
 def expanded(path, lines: list[str], feed: float = 0.0, offsets: Sequence[float] = ()) -> list[str] | None:

@@ -120,14 +120,14 @@ class Scanner:
         return self.place >= len(self.text)
 
     def take(self, text: str) -> bool:
-        """Return whether the text continues so, and go behind it."""
+        """Return whether the text continues with another text, and move past the latter."""
         if not self.text.startswith(text, self.place):
             return False
         self.place += len(text)
         return True
 
     def match(self, pattern: re.Pattern) -> str:
-        """Return what matches here, and go behind it; "" where nothing does."""
+        """Return the match of a pattern at this place, and move past the match; "" without a match."""
         match = pattern.match(self.text, self.place)
         self.place = match.end() if match else self.place
         return match.group() if match else ""

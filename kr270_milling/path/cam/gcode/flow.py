@@ -7,14 +7,13 @@ without them is run line by line, without this module.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from kr270_milling.base.text import short
-from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner
+from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
+from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.words import MACROS
-
-if TYPE_CHECKING:
-    from kr270_milling.path.cam.gcode.reader import GcodeReader
 
 __all__ = ["Flow", "has_flow"]
 
@@ -70,11 +69,15 @@ def has_flow(text: str) -> bool:
 class Flow:
     """Runs the lines of a program in the order that its jumps give."""
 
-    def __init__(self, reader: GcodeReader, lines: list[str]):
-        self.reader = reader
+    def __init__(self, machine: Interpreter, variables: Variables, run_line: Callable[[str], None], lines: list[str]):
+        self.machine = machine
+        self.variables = variables
+        self.run_line = run_line
+        self.jumped = False  #: a line was not run in the order of the file
         self.lines = lines
         self.controls: dict[int, _Line] = {}
         self.programs: dict[str, int] = {}  #: name of a sub-program -> index of its line
+        self.heads: set[int] = set()  #: lines after the numbers of programs
         self.numbers: dict[int, list[int]] = {}  #: N -> indices of its lines
         self.pairs: dict[int, int] = {}  #: line -> the line that ends its construct, or begins it for an end
         self.branches: dict[int, int] = {}  #: if, elseif -> the next branch
@@ -95,6 +98,7 @@ class Flow:
                 self.numbers.setdefault(int(match[1]), []).append(index)
             if match := HEADER.fullmatch(text):
                 self.programs.setdefault(match[1], index + 1)
+                self.heads.add(index + 1)
             elif match := SINUMERIK.match(text):
                 self.programs.setdefault(match[1].upper(), index + 1)
             elif match := CONTROL.fullmatch(text):
@@ -150,7 +154,7 @@ class Flow:
 
     def run(self) -> None:
         """Run up to the end of the program, or to the first line after which its way is not known."""
-        program, machine = self.reader.program, self.reader.machine
+        machine, program = self.machine, self.machine.program
         machine.calls = True
         if self.faults:
             for index, reason in self.faults:
@@ -178,14 +182,16 @@ class Flow:
 
     def _step(self, index: int) -> int:
         """Run a line and return the index of the next one."""
-        machine = self.reader.machine
+        machine = self.machine
         if index in self.controls:
-            self.reader.program.words["used"] += 1
-            self.reader.computed = True
+            self.machine.program.words["used"] += 1
+            self.jumped = True
             return self._control(index, self.controls[index])
-        self.reader.run_line(self.lines[index])
+        if index + 1 in self.heads and (self.calls or self.jumped or index + 1 != min(self.heads)):
+            raise _Stop("the program runs into a sub-program; end it with M30, and the sub-program with M99")
+        self.run_line(self.lines[index])
         if machine.call is not None:
-            self.reader.computed = True
+            self.jumped = True
             (kind, number, repeats, arguments), machine.call = machine.call, None
             return self._called(kind, number, repeats, arguments, index + 1)
         if machine.ended and self.calls and machine.end_word in (99, 17):
@@ -194,7 +200,7 @@ class Flow:
         return index + 1
 
     def _value(self, text: str) -> float:
-        scanner = Scanner(text, self.reader.variables)
+        scanner = Scanner(text, self.variables)
         value = scanner.value()
         if not scanner.ended:
             raise ExpressionError(f"{short(text[scanner.place :])!r} follows the value")
@@ -244,12 +250,12 @@ class Flow:
 
     def _jump(self, index: int, word: str, rest: str) -> int:
         """IF [...] GOTO 10, IF [...] THEN ..., GOTO 10."""
-        scanner = Scanner(rest, self.reader.variables)
+        scanner = Scanner(rest, self.variables)
         if word == "FIF":
             holds = scanner.value()
             if scanner.take("THEN"):
                 if holds:
-                    self.reader.run_line(rest[scanner.place :])
+                    self.run_line(rest[scanner.place :])
                 return index + 1
             if not scanner.take("GOTO"):
                 raise ExpressionError("IF [...] takes GOTO or THEN")
@@ -285,7 +291,7 @@ class Flow:
     def _call_of(self, label: str, rest: str, back: int) -> int:
         if label[:1] in ("#", "["):
             label = f"{round(self._value(label))}"
-        scanner = Scanner(rest, self.reader.variables)
+        scanner = Scanner(rest, self.variables)
         arguments: list[float] = []
         while not scanner.ended:
             arguments.append(scanner.value())
@@ -304,14 +310,14 @@ class Flow:
             raise _Stop(f"more than {DEEPEST} sub-programs call one another")
         self.calls.append(_Call(back, start, repeats - 1, scope is not None))
         if scope:
-            self.reader.variables.scopes.append(scope)
+            self.variables.scopes.append(scope)
         return start
 
     def _return(self, rest: str) -> int:
         if not self.calls:
             raise _Stop("RETURN or ENDSUB is in no sub-program that runs")
         value = self._value(rest) if rest else None
-        values = self.reader.variables.values
+        values = self.variables.values
         values["_VALUE_RETURNED"] = float(value is not None)
         values["_VALUE"] = value or 0.0
         return self._leave()
@@ -324,7 +330,7 @@ class Flow:
             self.calls.append(call._replace(repeats=call.repeats - 1))
             return call.start
         if call.scoped:
-            self.reader.variables.scopes.pop()
+            self.variables.scopes.pop()
         return call.back
 
 

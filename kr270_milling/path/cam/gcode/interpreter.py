@@ -254,7 +254,7 @@ class Interpreter(Machine):
         return len(self.program) > 0 or self.program.cuts > 0 or not any(map(math.isnan, self.position))
 
     def _use_offset(self, name: str) -> None:
-        """Go on in another work offset; where its place or that of the last one is not known, the path has two."""
+        """Continue in another work offset; where its place or that of the last one is not known, the path has two."""
         offsets = self.offsets
         if offsets.given and not offsets.known(name):
             self.program.refuse(name, f"path.offsets_mm does not state {name}")

@@ -1,9 +1,9 @@
 """G-code in: the path of one tool, and what the program says beside it.
 
 Fanuc, Haas, LinuxCNC, GRBL and Sinumerik dialects: planes and helices, units, incremental moves and centres, retracts
-(G28, G30, G53, SUPA), drilling cycles, feeds per minute, revolution and inverse time. Words that move nothing are
-counted (``SourceProgram.read_over``); those that cannot be run are listed all at once. Without a unit word the unit is
-mm. A line with the sign of block skip is run, as with the switch off.
+(G28, G30, G53, SUPA), drilling cycles, feeds per minute, revolution and inverse time, parameters (``expressions``) and
+jumps (``flow``). Words that move nothing are counted (``SourceProgram.read_over``); those that cannot be run are listed
+all at once. Without a unit word the unit is mm. A line with the sign of block skip is run, as with the switch off.
 """
 
 from __future__ import annotations
@@ -113,8 +113,9 @@ class GcodeReader:
         """Up to the end of the program, or of the file."""
         program, cuts, read = self.program, 0, len(lines)
         if has_flow("\n".join(lines)):
-            flow = Flow(self, lines)
+            flow = Flow(self.machine, self.variables, self.run_line, lines)
             flow.run()
+            self.computed = self.computed or flow.jumped
             read = flow.furthest if self.machine.ended else read
         else:
             index = 0
@@ -145,12 +146,12 @@ class GcodeReader:
         unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
         x, y, z = machine.position
         ends: list[tuple[float, float, float, int]] = []
-        words = 0
+        words: list[int] = []
         for number in range(index, len(lines) - 1):
             match = match_line(lines[number])
             if match is None:
                 break
-            _, _, to_x, to_y, to_z, feed = found = match.groups()
+            _, _, to_x, to_y, to_z, feed = groups = match.groups()
             if feed is not None and float(feed) != feed_word:
                 break
             if to_x is not None:
@@ -162,12 +163,10 @@ class GcodeReader:
             elif to_x is None and to_y is None:
                 break
             ends.append((x, y, z, number + 1))
-            words += 6 - found.count(None)
-        run = program.straight_cuts(ends, machine.feed) if ends else 0
-        if run < len(ends):
-            words = sum(6 - match_line(line).groups().count(None) for line in lines[index : index + run])
+            words.append(6 - groups.count(None))
+        run = program.straight_cuts(ends, machine.feed or 0.0) if ends else 0
         if run:
-            program.words["used"] += words
+            program.words["used"] += sum(words[:run])
             machine.position = list(ends[run - 1][:3])
         return index + run
 
@@ -186,8 +185,8 @@ class GcodeReader:
     def _line(self, line: str) -> None:
         if "=" in line and '"' not in line:
             text = line.partition(";")[0]
-            found = COMPUTED.search(text)
-            if found and "(" not in text[: found.start()]:  # else it is in a comment
+            computed = COMPUTED.search(text)
+            if computed and "(" not in text[: computed.start()]:  # else it is in a comment
                 self._assigned_values(text.upper())
                 return
         code, comments = _split_comments(line)
@@ -313,11 +312,11 @@ class GcodeReader:
         letter, numbered = name[0], name[1:].isdigit()
         if not number and name == "T" and quoted.strip():
             words.append(("T", quoted.strip()))
-        elif name in ("CR", "TURN") or len(name) == 1:
+        elif number and (name in ("CR", "TURN") or len(name) == 1):
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"
-        elif numbered and letter in "SM":
+        elif number and numbered and letter in "SM":
             words.append((letter, float(number)))
         elif numbered and letter in "XYZ" and any(word in words for word in HOMES):  # of the machine: it goes home
             words[:] = [word for word in words if word not in HOMES[:2]]

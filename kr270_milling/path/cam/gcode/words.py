@@ -69,7 +69,9 @@ G_GROUPS: dict[float, str] = {
     **{n: f"G{n:g}" for n in SILENT_G},
     **{word: name for name, words in MODAL.items() for word in words},
     **dict.fromkeys((0, 1, 2, 3), "motion"),
-    **dict.fromkeys((73, 80, 81, 82, 83, 85, 86, 89), "cycle"),  # drilling and boring cycles, expanded; 80: their end
+    **dict.fromkeys(
+        (73, 76, 80, 81, 82, 83, 85, 86, 89), "cycle"
+    ),  # drilling and boring cycles, expanded; 80: their end
     **dict.fromkeys((93, 94, 95), "feed"),
     **dict.fromkeys((28, 30, 53, 153), "home"),
     **dict.fromkeys((*OFFSETS, 54.1, 154), "offset"),
@@ -123,7 +125,7 @@ def _each(names: str, advice: str) -> dict[str, str]:
 #: words that cannot be run -> what to do
 ADVICE = {
     **_each("G41 G42 G41.1 G42.1 G141", CENTRE),
-    **_each("G65 G66 G66.1 M98 M97 M96 M72 M198", MACROS),
+    **_each("G66 G66.1 M96 M72 M198", MACROS),
     **_each(
         """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
         ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
@@ -136,7 +138,7 @@ ADVICE = {
     **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
     **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
     **_each(
-        "G33 G33.1 G74 G76 G84 G84.2 G84.3 G88 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
+        "G33 G33.1 G74 G84 G84.2 G84.3 G88 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
         "leave threads out of this program; they are bound to the spindle's angle",
     ),
     **_each("G96 G7 G32 G72", "this is a word of lathes; post for a mill"),

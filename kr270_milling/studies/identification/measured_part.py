@@ -1,0 +1,445 @@
+"""Learn from measured parts which robot cut them: a Gaussian update of the numbers behind a simulated robot.
+
+A robot of a cell has n numbers z (``cell.plant.robot_of``), with the distribution N(m, P) before the part is measured:
+m = 0 and P = I, or what earlier parts left. f(z) are its errors at the measured places, by a full pass; e are the
+measured errors, with the covariance R of measurement, repeatability and model.
+
+1. N robots are drawn and moved towards e once, by the covariances C of the ensemble [Emerick2013]:
+
+    z_k' = z_k + C_zf (C_ff + a R)^-1 (e + sqrt(a) r_k - f_k)
+
+2. From the robot with the least cost |z - m|^2_P + |e - f|^2_R an iterated linear update [Bell1993], with the slopes J
+   of f from secants, which follow the passes [Broyden1965]:
+
+    z' = m + K (e - f(z) - J (m - z)),   P' = P - K J P,   K = P J^T (J P J^T + R)^-1
+
+Backlash makes f jump where a joint changes its flank: the ensemble finds the right side of the jumps, and the slopes
+give the covariance. Vibration behind corners is within the error of the model, so no compliance is fitted to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.column import TextTable
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import long_pass
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.plant import coarser, cores, numbers_of, perturbed, robot_of
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.studies.identification.wall import PredictedPlaces, WallPlaces, read_wall, robot_errors
+
+__all__ = [
+    "Learned",
+    "gaussian_update",
+    "learn",
+    "keys_of",
+    "quantities",
+    "read_part",
+    "refuse_contradictions",
+    "strange_places",
+]
+
+FEWEST, MOST = 6, 200  #: places of a part
+SIGMA = 5e-6  #: [m], assumed: of a measured error without sigma_um, a CMM or a dial gauge on the part
+#: [m] and share of the root mean square of the predicted errors, assumed: what no robot of the cell explains
+MODEL_ERROR, MODEL_SHARE = 5e-6, 0.1
+STRANGE = (
+    4.0  #: deviations from what the other places predict: 1 of 80 parts with 200 places has such a place by chance
+)
+BESIDE, ALIKE = 2, 0.5  #: neighbours of the same surface; share of its deviation with which one supports a place
+MOST_STRANGE = 0.2  #: share of the places; more contradict the program
+FREEDOM = 4.0  #: assumed
+SURE = 10.0  #: logarithm of the likelihood ratio with which another reading of a table is its meaning
+#: other meanings of the numbers of a table, and their factors to um
+READINGS = {
+    "has the opposite sign, so that positive is too much removed": -1.0,
+    "is in mm": 1e3,
+    "is in nm": 1e-3,
+    "is in inches": 25.4e3,
+    "is in thousandths of an inch": 25.4,
+}
+STEPS = 8  #: most passes that follow the slopes
+LEAST_STEP = 0.05  #: of a number behind a robot: no place shows a smaller one
+KNOWN = 0.8  #: deviation of an unknown after and before, above which the places do not show it
+LEAST_SHARE = 0.01  #: share of a variance; directions that lose less are not stored
+RANGE = (-3.0, 3.0)  #: of the numbers behind a robot: 99.7 % of them
+ROBOTS = 32  #: of the ensemble
+GENTLE = 2.0  #: a: the ensemble moves half of the way in information, the slopes the rest
+SECANT = 0.5  #: length of a secant, in standard deviations
+SAMPLES, SAMPLE_SEED = 200, 1_000_002  #: robots that show an unknown before and after; no seed of a verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """The cell after the measured parts, and what they show."""
+
+    cell: Cell
+    rows: tuple[tuple[str, str, float, float, float, float], ...]  #: name, unit, mean and deviation before and after
+    left_out: tuple[str, ...]  #: sentences on places that contradict the others
+    residual: float  #: root mean square of measured minus explained errors [m]
+    expected: float  #: root mean square of the stated errors of measurement and model [m]
+
+    @property
+    def identified(self) -> list[tuple[str, str, float, float, float, float]]:
+        """Rows of the unknowns that the places show, the best first."""
+        rows = [row for row in self.rows if row[5] < KNOWN * row[3]]
+        return sorted(rows, key=lambda row: row[5] / row[3])
+
+    def lines(self) -> list[str]:
+        """Lines for the terminal and the manifest."""
+        rest = [row[0] for row in self.rows if row[3] > 0.0 and row[5] >= KNOWN * row[3]]
+        lines = [
+            f"learned: {name}: {mean:.3g} +- {sigma:.2g} -> {after:.3g} +- {left:.2g}{unit}"
+            for name, unit, mean, sigma, after, left in self.identified
+        ]
+        if rest:
+            lines.append(f"not shown by these places: {', '.join(rest)}")
+        fit = f"{1e6 * self.residual:.1f} um are left (measurement and model: {1e6 * self.expected:.1f} um)"
+        return [*lines, f"measured places: {fit}", *self.left_out]
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        keys = ("name", "unit", "mean_before", "sigma_before", "mean", "sigma")
+        return {
+            "learned": [dict(zip(keys, row, strict=True)) for row in self.rows],
+            "left_out": list(self.left_out),
+            "residual_um": 1e6 * self.residual,
+            "expected_um": 1e6 * self.expected,
+        }
+
+    def table(self) -> TextTable:
+        """Return the table of all unknowns."""
+        rows = [(f"{row[0]}{row[1]}", *(f"{value:.3g}" for value in row[2:])) for row in self.rows]
+        return TextTable("Learned from measured parts", ("unknown", "before", "+-", "after", "+-"), rows)
+
+
+def read_part(path) -> WallPlaces:
+    """Read the places of a measured part; raises InputError."""
+    places = read_wall(path)
+    if not FEWEST <= len(places.error) <= MOST:
+        raise InputError(path, f"has {len(places.error)} places, but a measured part needs {FEWEST} to {MOST}")
+    return places
+
+
+def learn(
+    cell: Cell,
+    parts: Sequence[tuple[WallPlaces, Trajectory | None, str]],
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> Learned:
+    """Learn from parts: their places, the reference that was run (None: as programmed), and a text on the source.
+
+    Raises InputError where a table contradicts the program or itself.
+    """
+    model, assumed = coarser(cell), cell.uncertainty
+    places = [PredictedPlaces(model, measured) for measured, *_ in parts]
+    measured = np.concatenate([part.error for part, *_ in parts])
+    count = numbers_of(model)
+    mean, spread = _state(cell, count)
+    total, ran, same = 2 * ROBOTS + count + STEPS, 0, {}  # same: errors of robots that cut alike
+
+    def predict(numbers: np.ndarray) -> np.ndarray:
+        """Errors [m] of a robot at all places; NaN where it fails."""
+        robot = robot_of(model, numbers)
+        robot = robot.replace(imperfections=robot.imperfections.replace(repeatability=0.0, pose_noise=0.0))
+        if robot in same:
+            return same[robot]
+        try:
+            runs = zip(parts, places, strict=True)
+            errors = np.concatenate([robot_errors(robot, model, part[1], at) for part, at in runs])
+        except MillingError:
+            errors = np.full(measured.size, np.nan)
+        return same.setdefault(robot, errors)
+
+    def run(robots: np.ndarray) -> np.ndarray:
+        """Errors (k, places) of robots (k, n)."""
+        nonlocal ran
+        rows: list[np.ndarray] = []
+        with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
+            for row in pool.map(predict, robots):
+                rows.append(row)
+                progress(ran := min(ran + 1, total), total)
+        return np.array(rows)
+
+    rng = np.random.default_rng(SAMPLE_SEED)
+    size, axes = np.linalg.eigh(spread)
+    drawn = np.clip(mean + (rng.standard_normal((ROBOTS, count)) * np.sqrt(np.maximum(size, 0.0))) @ axes.T, *RANGE)
+    rows = run(drawn)
+    lived = np.isfinite(rows).all(axis=1)
+    if lived.sum() < ROBOTS // 2:
+        raise InputError(parts[0][0].path, "most robots of the cell do not survive the reference that was run")
+    drawn, rows = drawn[lived], rows[lived]
+    noise = _noise(cell, parts, places, rows)
+    refuse_contradictions(parts, measured, rows, noise)
+    z, errors, slopes, least = closest_robot(run, measured, noise, (mean, spread), (drawn, rows), rng)
+    rest = measured - errors - slopes @ (mean - z)
+    agreeing, left_out = strange_places(parts, rest, slopes @ spread @ slopes.T + noise)
+    part = np.ix_(agreeing, agreeing)
+    if not agreeing.all():
+        z, _ = gaussian_update(mean, spread, slopes[agreeing], rest[agreeing], noise[part])
+        z = np.clip(z, *RANGE)
+        errors, rest = measured - rest + slopes @ (z - mean), rest[agreeing]
+        least = float(rest @ np.linalg.solve(slopes[agreeing] @ spread @ slopes[agreeing].T + noise[part], rest))
+    grown = max(1.0, least / agreeing.sum())  # errors that are larger than stated [Birge1932]
+    _, left = gaussian_update(mean, spread, slopes[agreeing], np.zeros(agreeing.sum()), grown * noise[part])
+    sources = (*assumed.learned_from, *(source for *_, source in parts))
+    after = cell.replace(
+        uncertainty=assumed.replace(learned_from=sources, learned=z, learned_directions=_directions(left).ravel())
+    )
+    progress(total, total)
+    return Learned(
+        after,
+        _compared(cell, after),
+        left_out,
+        float(np.sqrt(np.mean((measured - errors)[agreeing] ** 2))),
+        float(np.sqrt(np.mean(np.diag(noise)[agreeing]))),
+    )
+
+
+def closest_robot(
+    run: Callable[[np.ndarray], np.ndarray],
+    measured: np.ndarray,
+    noise: np.ndarray,
+    known: tuple[np.ndarray, np.ndarray],
+    ensemble: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return the numbers (n,) of the robot with the least cost, its errors (k,), their slopes (k, n), and the cost.
+
+    run: numbers (N, n) of robots -> their errors (N, k); known: mean and covariance of the numbers; ensemble: numbers
+    (N, n) drawn from them, and their errors (N, k).
+    """
+    (mean, spread), (drawn, rows) = known, ensemble
+    away, apart = drawn - drawn.mean(axis=0), rows - rows.mean(axis=0)
+    gain = np.linalg.solve(apart.T @ apart / (len(rows) - 1) + GENTLE * noise, apart.T @ away / (len(rows) - 1))
+    noisy = measured + rng.standard_normal(rows.shape) @ np.linalg.cholesky(GENTLE * noise).T
+    moved = np.clip(drawn + (noisy - rows) @ gain, *RANGE)
+    tried = np.concatenate([drawn, moved]), np.concatenate([rows, run(moved)])
+
+    def cost(numbers: np.ndarray, errors: np.ndarray) -> float:
+        step, rest = numbers - mean, measured - errors
+        size = step @ np.linalg.lstsq(spread, step, rcond=None)[0] + rest @ np.linalg.solve(noise, rest)
+        return float(np.nan_to_num(size, nan=np.inf))
+
+    costs = [cost(*pair) for pair in zip(*tried, strict=True)]
+    best = int(np.argmin(costs))
+    z, errors, least = tried[0][best], tried[1][best], costs[best]
+    length = np.where(z <= 0.0, SECANT, -SECANT) * np.sqrt(np.diag(spread))  # towards the middle
+    slopes = (np.nan_to_num(run(z + np.diag(length)) - errors) / length[:, None]).T
+    share = 1.0
+    for _ in range(STEPS):
+        aim, _ = gaussian_update(mean, spread, slopes, measured - errors - slopes @ (mean - z), noise)
+        step = share * (np.clip(aim, *RANGE) - z)
+        if np.abs(step).max() < LEAST_STEP:
+            break
+        (after,) = run((z + step)[None])
+        if np.isnan(after).any():
+            break
+        if np.linalg.norm(step) >= SECANT:  # jumps of the vibration make the slope of a short step
+            slopes = slopes + np.outer(after - errors - slopes @ step, step) / (step @ step)
+        new = cost(z + step, after)
+        if new >= least:
+            share *= 0.5
+            continue
+        z, errors, gained, least = z + step, after, least - new, new
+        if gained < 0.5:  # of a chi^2
+            break
+    return z, errors, slopes, least
+
+
+def gaussian_update(
+    mean: np.ndarray, spread: np.ndarray, slopes: np.ndarray, rest: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n,) and covariance (n, n) after measured errors; rest (k,): measured minus predicted at the mean.
+
+    m' = m + K r,   P' = P - K J P,   K = P J^T (J P J^T + R)^-1
+    """
+    across = slopes @ spread
+    gain = np.linalg.solve(across @ slopes.T + noise, across).T
+    after = spread - gain @ across
+    return mean + gain @ rest, 0.5 * (after + after.T)
+
+
+def _state(cell: Cell, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n,) and covariance (n, n) of the numbers behind a robot of the cell."""
+    assumed = cell.uncertainty
+    if not assumed.learned.size:
+        return np.zeros(count), np.eye(count)
+    robot_of(cell, assumed.learned)  # refuses numbers of another cell
+    directions = assumed.learned_directions.reshape(-1, count)
+    return np.array(assumed.learned), np.eye(count) - directions.T @ directions
+
+
+def _directions(spread: np.ndarray) -> np.ndarray:
+    """D (k, n) of the covariance I - D^T D."""
+    size, axes = np.linalg.eigh(np.eye(len(spread)) - spread)
+    some = size > LEAST_SHARE
+    return (axes[:, some] * np.sqrt(np.minimum(size[some], 1.0 - 1e-9))).T
+
+
+def _noise(cell: Cell, parts, places: Sequence[PredictedPlaces], predicted: np.ndarray) -> np.ndarray:
+    """Covariance of measured minus predicted errors [m^2], (k, k).
+
+    The shift of a pass: a third of the square of the largest repeatability, over that of one deviation of ISO 9283.
+    """
+    iso = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)  # as in ``Imperfections.shift``
+    shift = cell.uncertainty.repeatability**2 / 3.0 / iso**2
+    sigma = np.concatenate([np.where(part.sigma > 0.0, part.sigma, SIGMA) for part, *_ in parts])
+    model = MODEL_ERROR**2 + MODEL_SHARE**2 * np.mean(predicted**2)  # of all robots
+    noise, first = np.diag(sigma**2 + model), 0
+    for place in places:
+        part = slice(first, first := first + len(place.normal))
+        noise[part, part] += shift * place.normal @ place.normal.T
+    return noise
+
+
+def refuse_contradictions(parts, measured: np.ndarray, rows: np.ndarray, noise: np.ndarray) -> None:
+    """Raise InputError where another sign or unit explains a table far better than its own numbers.
+
+    rows (N, k): errors of drawn robots [m], noise (k, k): covariance of measured minus predicted errors. The density of
+    a table is that of Student's t with FREEDOM degrees: robots have jumps, so few of them are far from the others.
+    """
+    middle, covariance, first = rows.mean(axis=0), np.cov(rows.T) + noise, 0
+    for part, *_ in parts:
+        here = slice(first, first := first + len(part.error))
+        e, f, root = measured[here], middle[here], np.linalg.cholesky(covariance[here, here])
+
+        readings = [(f"error_um {text}", factor * np.ones(e.size), None) for text, factor in READINGS.items()]
+        for name, side in _sides(part):
+            text = f"the errors {name} have the opposite sign: is the wall measured from its other side?"
+            readings.append((text, np.where(side, -1.0, 1.0), part.lines[int(np.argmax(side))]))
+        tried = np.ones(e.size), *(factors for _, factors, _ in readings)
+        square = np.array([_square(root, factors * e - f) for factors in tried])
+        scale = np.array([0.0, *(np.sum(np.log(np.abs(factors))) for _, factors, _ in readings)])
+        density = scale - 0.5 * (FREEDOM + e.size) * np.log1p(square / FREEDOM)
+        better = [k for k in range(len(readings)) if density[k + 1] > density[0] + SURE]
+        if better:
+            text, _, line = readings[max(better, key=lambda k: (scale - 0.5 * square)[k + 1])]  # normal: without tails
+            raise InputError(part.path, f"no robot of the cell leaves these errors; they fit if {text}", line)
+
+
+def _square(root: np.ndarray, rest: np.ndarray) -> float:
+    """Square of a deviation (k,) in its deviations; root: of the covariance, lower triangle."""
+    left = np.linalg.solve(root, rest)
+    return float(left @ left)
+
+
+def _sides(part: WallPlaces):
+    """Yield names and places (k,) bool of the sides of a part, about the middle of its places."""
+    middle = 0.5 * (part.place.min(axis=0) + part.place.max(axis=0))
+    reach = np.maximum(np.ptp(part.place, axis=0), 1e-9)
+    for axis, letter in enumerate("xy"):
+        for sign, word in ((1.0, "largest"), (-1.0, "least")):
+            side = ~part.floor & (sign * (part.place[:, axis] - middle[axis]) > 0.45 * reach[axis])
+            if 1 < side.sum() < len(side):
+                yield f"at the {word} {letter}_mm", side
+    if 1 < part.floor.sum() < len(part.floor):
+        yield "of the floor", part.floor
+
+
+def strange_places(parts, rest: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the places that agree with the others, (k,) bool, and a sentence on each of the rest.
+
+    r_B = (S^-1)_BB^-1 (S^-1 r)_B   deviation of places B from what the others predict, with the covariance (S^-1)_BB^-1
+
+    A place with a neighbour that deviates in the same way is no mistake: no robot of the cell explains that stretch.
+    Raises InputError where too many contradict.
+    """
+    agreeing, tried, sentences = np.ones(rest.size, bool), np.zeros(rest.size, bool), []
+    where = [(number, part, k) for number, (part, *_) in enumerate(parts) for k in range(len(part.error))]
+    spot = np.array([(*part.place[k], part.floor[k], number) for number, part, k in where])
+    while True:
+        rows = np.flatnonzero(agreeing)
+        inverse = np.linalg.inv(covariance[np.ix_(rows, rows)])
+        lonely = np.where(tried[rows], 0.0, np.abs(inverse @ rest[rows]) / np.sqrt(np.diag(inverse)))
+        worst = int(np.argmax(lonely))
+        if lonely[worst] <= STRANGE:
+            return agreeing, tuple(sentences)
+        tried[rows[worst]] = True
+        off = spot[rows] - spot[rows[worst]]
+        apart = np.where(off[:, 2:].any(axis=1), 1.0, np.hypot(off[:, 0], off[:, 1]))
+        apart[worst] = np.inf
+        blocks = [np.array([worst, beside]) for beside in np.argsort(apart)[:BESIDE]]
+        joint = [np.linalg.solve(inverse[np.ix_(pair, pair)], (inverse @ rest[rows])[pair]) for pair in blocks]
+        if any(beside / own > ALIKE for own, beside in joint):
+            continue
+        agreeing[rows[worst]] = False
+        away, deviation = (inverse @ rest[rows])[worst] / inverse[worst, worst], inverse[worst, worst] ** -0.5
+        _, part, k = where[rows[worst]]
+        sentences.append(_strange(part, k, part.error[k] - away, deviation))
+        if np.sum(~agreeing) > MOST_STRANGE * agreeing.size:
+            reason = (
+                f"{np.sum(~agreeing)} of {agreeing.size} places contradict the others or the program: {sentences[0]}"
+            )
+            raise InputError(part.path, reason)
+
+
+def _strange(part: WallPlaces, k: int, expected: float, deviation: float) -> str:
+    """Return the sentence on a place that is left out, with the reading that would fit."""
+    error, (x, y) = part.error[k], 1e3 * part.place[k]
+    fits = (text for text, f in READINGS.items() if abs(f * error - expected) <= 2.0 * deviation < abs(f * error))
+    hint = next((f"; it would fit if it {text}" for text in fits), "")
+    return (
+        f"left out: {part.path}, line {part.lines[k]}: {1e6 * error:.3g} um at {x:g}, {y:g} mm contradicts the other "
+        f"places, which expect {1e6 * expected:.3g} +- {1e6 * deviation:.2g} um{hint}"
+    )
+
+
+def quantities(cell: Cell, robot: Cell) -> dict[str, tuple[str, float]]:
+    """Unit and value of each unknown of a robot, by its name; factors are on the values of the cell."""
+    law, own, assumed = robot.cutting.active, cell.cutting.active, robot.imperfections
+    soft = robot.arm.joint_compliance / cell.arm.joint_compliance
+    width = cell.arm.backlash
+    moved = 1e3 * (robot.stock.min - cell.stock.min)
+    known = np.flatnonzero(width)
+    return {
+        "base x": (" urad/(N m)", 1e6 * float(robot.arm.base_compliance[0])),
+        "base y": (" urad/(N m)", 1e6 * float(robot.arm.base_compliance[1])),
+        **{f"compliance of A{k}": (" x", float(value)) for k, value in enumerate(soft, 1)},
+        **{
+            name.replace("_", " "): (" x", getattr(law, name) / getattr(own, name))
+            for name in (*law.scattered, *law.axial_names)
+            if getattr(own, name)
+        },
+        "tool": (" um/kN", 1e9 * robot.tool.lateral_compliance),
+        "end share": ("", robot.cutting.end_share),
+        "servo lag": (" Hz", assumed.servo_frequency),
+        "dead time": (" ms", 1e3 * assumed.servo_delay),
+        "backlash": (" x", float(assumed.backlash[known[0]] / width[known[0]]) if known.size else 0.0),
+        "joining": ("", assumed.joining),
+        "damping ratio": ("", robot.dynamics.damping_ratio),
+        "frequency": (" x", float(np.sqrt(cell.mount.mass / robot.mount.mass)) if cell.mount.mass else 1.0),
+        **{f"stock {axis}": (" mm", float(value)) for axis, value in zip("xyz", moved, strict=True)},
+    }
+
+
+def _compared(before: Cell, after: Cell) -> tuple[tuple[str, str, float, float, float, float], ...]:
+    """Mean and deviation of each unknown before and after, from drawn robots; without those that do not scatter."""
+    tables = []
+    for cell in (before, after):
+        rng = np.random.default_rng(SAMPLE_SEED)
+        tables.append([quantities(before, perturbed(cell, rng)) for _ in range(SAMPLES)])
+    rows = []
+    for name, (unit, _) in tables[0][0].items():
+        drawn = [np.array([row[name][1] for row in table]) for table in tables]
+        if drawn[0].std() > 1e-9 * max(1.0, abs(float(drawn[0].mean()))):
+            numbers = [float(value) for values in drawn for value in (values.mean(), values.std())]
+            rows.append((name, unit, *numbers))
+    return tuple(rows)
+
+
+def keys_of(cell: Cell) -> dict:
+    """Return the keys that keep what was learned, for a file to include."""
+    assumed = cell.uncertainty
+    return {
+        "uncertainty": {
+            "learned_from": list(assumed.learned_from),
+            "learned": assumed.learned,
+            "learned_directions": assumed.learned_directions,
+        }
+    }
