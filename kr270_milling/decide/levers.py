@@ -85,17 +85,21 @@ def levers(
     if fed is None or fed.timed_by_source or not any(cell.tolerances.of()):
         raise InputError("--reach", "needs part.tolerance_um, and a program without times in path.file")
     rows: list[tuple[Lever, Cell]] = []
-    count = progress or (lambda done, total: None)
-    for number, ratio in enumerate(RATIOS):
-        count(number * robots, len(RATIOS) * robots)
+    done = 0
+
+    def count(robot: int) -> None:
+        if progress:
+            progress(done + robot, len(RATIOS) * robots)
+
+    for ratio in RATIOS:
+        count(0)
         softer = softened(cell, ratio)
         path, original = path_of(softer), simulate(softer)
         by = compensator(softer, path.target)
         planned = compensated(softer, original, by.method, None, by)
         program = written_trajectory(softer, planned.reference, motion)
-        errors = _errors(
-            softer, program, robots, seed, lambda done, n=number: count(n * robots + done, len(RATIOS) * robots)
-        )
+        errors = _errors(softer, program, robots, seed, count)
+        done += robots
         seconds = path.target.duration_ns * 1e-9
         for name, (error, share) in zip(("as programmed", by.method), np.moveaxis(errors, 0, -1), strict=True):
             shown = name if ratio == 1.0 else f"{name}, softer ramps"

@@ -339,10 +339,9 @@ def cell_of_case(case: Case, directory) -> Cell:
     settings = case.settings.split("; ") if case.settings else []
     if not case.program:
         return read_cell(find_file("paper.yaml"), settings)
-    cell = small_part(directory, case.program, *COARSE, *settings)
     path = directory / f"part{case.suffix}"
     path.write_text(case.program)
-    return cell.replace(path=cell.path.replace(file=str(path)))
+    return small_part(directory, case.program, *COARSE, *settings, f"path.file={path}")
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

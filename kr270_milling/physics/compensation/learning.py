@@ -245,7 +245,7 @@ class Learner:
             drawn, cubic = [(arm, deviation - bias) for arm, deviation in passes[1:]], self.cubic(reference)
             if not drawn:
                 break
-            size = np.mean([self._largest(deviation, weight) for _, deviation in drawn])
+            size = float(np.mean([self._largest(deviation, weight) for _, deviation in drawn]))
             if size > WORTH * best or len(drawn) < len(self.ensemble):
                 break
             best, offset = size, tried

@@ -141,7 +141,8 @@ def learn(
     measured = np.concatenate([part.error for part, *_ in parts])
     count = numbers_of(model)
     mean, spread = _state(cell, count)
-    total, ran, same = 2 * ROBOTS + count + STEPS, 0, {}  # same: errors of robots that cut alike
+    total, ran = 2 * ROBOTS + count + STEPS, 0
+    same: dict = {}  # errors of robots that cut alike
 
     def predict(numbers: np.ndarray) -> np.ndarray:
         """Errors [m] of a robot at all places; NaN where it fails."""
@@ -350,7 +351,8 @@ def strange_places(parts, rest: np.ndarray, covariance: np.ndarray) -> tuple[np.
     A place with a neighbour that deviates in the same way is no mistake: no robot of the cell explains that stretch.
     Raises InputError where too many contradict.
     """
-    agreeing, tried, sentences = np.ones(rest.size, bool), np.zeros(rest.size, bool), []
+    agreeing, tried = np.ones(rest.size, bool), np.zeros(rest.size, bool)
+    sentences: list[str] = []
     where = [(number, part, k) for number, (part, *_) in enumerate(parts) for k in range(len(part.error))]
     spot = np.array([(*part.place[k], part.floor[k], number) for number, part, k in where])
     while True:
@@ -428,8 +430,8 @@ def _compared(before: Cell, after: Cell) -> tuple[tuple[str, str, float, float, 
     for name, (unit, _) in tables[0][0].items():
         drawn = [np.array([row[name][1] for row in table]) for table in tables]
         if drawn[0].std() > 1e-9 * max(1.0, abs(float(drawn[0].mean()))):
-            numbers = [float(value) for values in drawn for value in (values.mean(), values.std())]
-            rows.append((name, unit, *numbers))
+            before_after = [(float(values.mean()), float(values.std())) for values in drawn]
+            rows.append((name, unit, *before_after[0], *before_after[1]))
     return tuple(rows)
 
 
