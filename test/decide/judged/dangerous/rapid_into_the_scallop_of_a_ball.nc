@@ -1,4 +1,5 @@
 (expect: stop rapid in material)
+(set: stock.max_mm=[30,10,0])
 (a flat end would have cut the walls beside the groove of the ball)
 G21 G90 G17
 (T1 D=10. CR=5. - BALL END MILL)
