@@ -44,7 +44,7 @@ from kr270_milling.show.commands.progress import steps, title_of
 from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
 from kr270_milling.show.report.tools_page import tools_page
-from kr270_milling.studies.identification.measured_part import keys_of, learn, read_part
+from kr270_milling.studies.identification.measured_part import learn, learned_keys, read_part
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
@@ -96,7 +96,7 @@ def run_compensate(args) -> Answer:
         values = _write(draft, final, jobs, decision, args, source, whole, reached)
         if learned:
             notes = [f"learned by kr270_milling {__version__} from measured parts", *learned.lines()]
-            file = write_include(draft / LEARNED_FILE, keys_of(learned.cell), notes)
+            file = write_include(draft / LEARNED_FILE, learned_keys(learned.cell), notes)
             values |= learned.as_dict() | {"learned_file": str(final(file))}
         if older := set_aside(args.out):
             print(f"programs of an earlier run moved to {Path(args.out, OLDER)}: {', '.join(older)}", file=sys.stderr)

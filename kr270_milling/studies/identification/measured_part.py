@@ -38,7 +38,7 @@ __all__ = [
     "Learned",
     "gaussian_update",
     "learn",
-    "keys_of",
+    "learned_keys",
     "quantities",
     "read_part",
     "refuse_contradictions",
@@ -435,7 +435,7 @@ def _compared(before: Cell, after: Cell) -> tuple[tuple[str, str, float, float, 
     return tuple(rows)
 
 
-def keys_of(cell: Cell) -> dict:
+def learned_keys(cell: Cell) -> dict:
     """Return the keys that keep what was learned, for a file to include."""
     assumed = cell.uncertainty
     return {
