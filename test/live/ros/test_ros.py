@@ -86,8 +86,8 @@ def test_a_pass_may_start_when_every_publisher_knows_every_subscriber(node, key,
         "recorder": {"reads": "/a", "records": "/a*", "left_out": "/w" if key == "records" else ""},
     }
     values[node][key] = value
-    found = unmatched({name: Report(0, "", texts) for name, texts in values.items()})
-    assert found.startswith(sentence) and bool(found) == bool(sentence)
+    missing = unmatched({name: Report(0, "", texts) for name, texts in values.items()})
+    assert missing.startswith(sentence) and bool(missing) == bool(sentence)
 
 
 # --- the environment of node processes: discovery on this host only ---
