@@ -336,7 +336,8 @@ def _shown(cell, result, decision, values: dict, args, reached):
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
     if reached:
-        yield _levers_table(reached)
+        table = _levers_table(reached)
+        yield from (table, f"levers: {table.note}")
     elif decision.level != YES and decision.verdict and not path_of(cell).straight:
         yield "levers: compensate --reach tries softer ramps of the path, which let the arm swing less after corners"
     yield from _details(cell, result, values)
