@@ -54,6 +54,7 @@ def compile_cuts() -> None:
 
     other = subprocess.Popen([sys.executable, "-c", "import conftest; conftest.compile_learning()"], cwd=ROOT / "test")
     check(compile_cut("engagement"))
+    compile_cut("engagement", "tool.type=ball")
     assert other.wait() == 0
 
 
@@ -65,14 +66,14 @@ def compile_learning() -> None:
     compensated(cell, simulate(cell), "learned")
 
 
-def compile_cut(detail: str) -> Cell:
+def compile_cut(detail: str, *more: str) -> Cell:
     """Compile the pass, the cut along a path and a single step; returns the cell."""
     from samples.small_part import GCODE, small_part
 
     from kr270_milling.cell.jobs import simulate
 
     with tempfile.TemporaryDirectory() as directory:
-        cell = small_part(Path(directory), GCODE, f"cutting.detail={detail}")
+        cell = small_part(Path(directory), GCODE, f"cutting.detail={detail}", *more)
         assert path_of(cell).target
     simulate(cell)
     places = np.zeros((2, 3))
