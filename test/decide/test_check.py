@@ -266,7 +266,7 @@ CASES = (
     Case("a ball-end mill with another corner", "tool shape", "", comment("D=20. CR=2. - ball end mill")),
     Case("a bull-nose mill without its corner", "tool shape", "", comment("D=20. - bullnose end mill")),
     Case("a chamfer mill", "tool shape", "", comment("D=20. - chamfer mill")),
-    Case("a ball-end mill of APT", "tool shape", "", APT.format("20,10"), suffix=".apt"),
+    warning("a ball-end mill of APT", "stability not judged", "", APT.format("20,10"), suffix=".apt"),
     # 0.3 times the least and 3 times the largest of config/materials.csv
     Case("forces a thousand times too small", "force coefficient", law(0.6), value=0.6, limit=0.3 * 243.77),
     Case("forces ten times too large", "force coefficient", law(6004.6), value=6004.6, limit=3.0 * 1319.41),
