@@ -44,9 +44,10 @@ from kr270_milling.show.report.tables import typeset
 
 
 def part(**features):
-    rows = tuple(SimpleNamespace(name=n, max_wall=w, max_floor=f) for n, (w, f) in features.items())
+    rows = tuple(SimpleNamespace(name=n, max_wall=w, max_floor=f, max_surface=np.nan) for n, (w, f) in features.items())
     walls, floors = ([getattr(row, key) for row in rows] for key in ("max_wall", "max_floor"))
-    return SimpleNamespace(rows=rows, whole=SimpleNamespace(max_wall=np.nanmax(walls), max_floor=np.nanmax(floors)))
+    whole = SimpleNamespace(max_wall=np.nanmax(walls), max_floor=np.nanmax(floors), max_surface=np.nan)
+    return SimpleNamespace(rows=rows, whole=whole)
 
 
 def test_the_error_that_is_farthest_beyond_its_own_tolerance_decides():

@@ -64,6 +64,7 @@ class CompliantRobot(ManagedNode):
         self.report(OK, "configured")
 
     def activate(self) -> None:
+        self._ready = False  # a report of the pass before says nothing of a node that was started again
         self.protocol.stop()
         self.report(OK, "waiting for a reference trajectory and a cutting process")
 
