@@ -30,7 +30,7 @@ SHORT = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
 def cluster():
     """The address of a scheduler with two workers."""
     timeouts = {"distributed.comm.timeouts.connect": "3s"}  # of requests for the result of a killed worker
-    with dask.config.set(timeouts), distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as made:
+    with dask.config.set(timeouts), distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as made:
         yield made.scheduler_address
 
 
