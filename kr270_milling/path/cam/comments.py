@@ -185,7 +185,7 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     """
     if re.match(r"\s*(?:stock|material|block|wcs|part)\b", comment, re.I):
         return None
-    comment = ASIDE.sub(lambda aside: aside["size"] or " ", re.sub(r"(?<=\d),(?=\d)", ".", comment))
+    comment = ASIDE.sub(lambda match: match["size"] or " ", re.sub(r"(?<=\d),(?=\d)", ".", comment))
     old = re.match(r"(.*?)TOOL\s*-\s*0*(\d+)\s+DIA\. OFF", comment, re.I)
     numbered = TOOL_NUMBER.match(comment)
     inside = re.search(r"\bT0*(\d+)\b", comment, re.I)

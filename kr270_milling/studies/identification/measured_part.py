@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import long_pass
@@ -112,11 +111,6 @@ class Learned:
             "residual_um": 1e6 * self.residual,
             "expected_um": 1e6 * self.expected,
         }
-
-    def table(self) -> TextTable:
-        """Return the table of all unknowns."""
-        rows = [(f"{row[0]}{row[1]}", *(f"{value:.3g}" for value in row[2:])) for row in self.rows]
-        return TextTable("Learned from measured parts", ("unknown", "before", "+-", "after", "+-"), rows)
 
 
 def read_part(path) -> WallPlaces:
