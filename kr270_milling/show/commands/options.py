@@ -167,7 +167,10 @@ def _add_compensate(parser) -> None:
         "--measured",
         metavar="WALL.csv",
         action="append",
-        help="experimental: errors of a part that was cut, the table of compare, 6 to 200 places: learn from it; may be given again",
+        help=(
+            "experimental: errors of a part that was cut, the table of compare, 6 to 200 places: learn from it; may "
+            "be given again"
+        ),
     )
     add(
         "--reference",
