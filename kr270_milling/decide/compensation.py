@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import PLANNED, ScoredPass, compensated, compensator, long_pass, simulate
 from kr270_milling.cell.models import path_of
-from kr270_milling.cell.plant import DIVERGED, Plant, coarser, perturbed
+from kr270_milling.cell.plant import DIVERGED, Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import ENOUGH, Decision, decided
 from kr270_milling.decide.findings import Violation, violation
@@ -21,7 +20,7 @@ from kr270_milling.decide.limits import Limit, limits
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
-from kr270_milling.decide.tolerance import Gauge, judge, um_text
+from kr270_milling.decide.tolerance import judge, um_text
 from kr270_milling.decide.verdict import (
     NO_METHOD,
     SAME,
@@ -29,8 +28,7 @@ from kr270_milling.decide.verdict import (
     alternatives,
     compare_methods,
     monte_carlo,
-    plants_at_once,
-    run_sample,
+    drawn_errors,
 )
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -145,11 +143,7 @@ def compensate(
 
 def _no_gain(cell: Cell, former: Trajectory, planned: Trajectory) -> str:
     """Return why the former reference stays; empty where the planned one leaves half of the robots 10 % less error."""
-    target, model = path_of(cell).target, coarser(cell)
-    rng, gauge = np.random.default_rng(CHOOSING_SEED), Gauge.of(model)
-    robots = [perturbed(model, rng) for _ in range(PLANNED)]
-    with ThreadPoolExecutor(plants_at_once(model)) as pool:
-        rows = np.array(list(pool.map(lambda one: run_sample(one, target, (former, planned), gauge)[:, 0], robots)))
+    rows = drawn_errors(cell, (former, planned), PLANNED, CHOOSING_SEED)[..., 0]
     before, after = np.median(np.nan_to_num(rows, nan=DIVERGED), axis=0)
     if after <= (1.0 - SAME) * before:
         return ""

@@ -7,7 +7,6 @@ mode leaves little. Scaling the acceleration by s and the jerk by s^2 makes all 
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +16,10 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensated, compensator, simulate
 from kr270_milling.cell.models import path_of
-from kr270_milling.cell.plant import coarser, perturbed
 from kr270_milling.decide.decision import ENOUGH
 from kr270_milling.decide.programs.written import written_trajectory
-from kr270_milling.decide.tolerance import Gauge
-from kr270_milling.decide.verdict import plants_at_once, run_sample
+from kr270_milling.decide.verdict import drawn_errors
 from kr270_milling.path.timing import Timing
-from kr270_milling.path.trajectory import Trajectory
 
 __all__ = ["Lever", "levers", "softened"]
 
@@ -98,7 +94,7 @@ def levers(
         by = compensator(softer, path.target)
         planned = compensated(softer, original, by.method, None, by)
         program = written_trajectory(softer, planned.reference, motion)
-        errors = _errors(softer, program, robots, seed, count)
+        errors = drawn_errors(softer, (path.target, program), robots, seed, count)
         done += robots
         seconds = path.target.duration_ns * 1e-9
         for name, (error, share) in zip(("as programmed", by.method), np.moveaxis(errors, 0, -1), strict=True):
@@ -109,15 +105,3 @@ def levers(
         if rows[-1][0].enough:
             break
     return rows
-
-
-def _errors(cell: Cell, program: Trajectory, robots: int, seed: int, count: Callable[[int], None]) -> np.ndarray:
-    """Errors [m] of drawn robots and their shares of the tolerance, as programmed and corrected, (robots, 2, 2)."""
-    nominal, target = coarser(cell), path_of(cell).target
-    gauge, rng, rows = Gauge.of(nominal), np.random.default_rng(seed), []
-    plants = [perturbed(nominal, rng) for _ in range(robots)]
-    with ThreadPoolExecutor(plants_at_once(nominal)) as pool:
-        for row in pool.map(lambda plant: run_sample(plant, target, (target, program), gauge), plants):
-            rows.append(row)
-            count(len(rows))
-    return np.array(rows)

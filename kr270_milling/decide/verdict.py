@@ -34,7 +34,7 @@ from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "MethodComparison",
            "Verdict", "alternatives", "coarser", "compare_methods", "cores", "judge_plants", "monte_carlo",
-           "plants_at_once", "run_sample"]  # fmt: skip
+           "plants_at_once", "drawn_errors", "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -300,6 +300,27 @@ def surely_more(hits: int, count: int, share: float) -> bool:
     from scipy.stats import binom  # takes longer to import than all else that a command needs
 
     return bool(binom.sf(hits - 1, count, share) < 1.0 - SURE)
+
+
+def drawn_errors(
+    cell: Cell,
+    references: Sequence[Trajectory],
+    robots: int,
+    seed: int,
+    count: Callable[[int], None] = lambda done: None,
+) -> np.ndarray:
+    """Errors [m] of drawn robots along references of a program, and their shares of the tolerance, (robots, k, 2).
+
+    count(done): called after each robot.
+    """
+    nominal, target = coarser(cell), path_of(cell).target
+    gauge, rng, rows = Gauge.of(nominal), np.random.default_rng(seed), []
+    drawn = [perturbed(nominal, rng) for _ in range(robots)]
+    with ThreadPoolExecutor(plants_at_once(nominal)) as pool:
+        for row in pool.map(lambda robot: run_sample(robot, target, references, gauge), drawn):
+            rows.append(row)
+            count(len(rows))
+    return np.array(rows)
 
 
 def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge) -> np.ndarray:
