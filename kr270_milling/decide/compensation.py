@@ -27,8 +27,8 @@ from kr270_milling.decide.verdict import (
     Verdict,
     alternatives,
     compare_methods,
-    monte_carlo,
     drawn_errors,
+    monte_carlo,
 )
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
