@@ -234,7 +234,7 @@ class EngagementCut(CutModel):
         super().__init__(tool, cutting, stock)
         if tool.has_flat_end:
             self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
-            self.state = make_engagement_state(self.params, stock)
+            self.state = make_engagement_state(self.params.reach, self.params.widths.size, stock)
         else:
             self.params = make_revolution_params(tool, cutting, stock, micro_step, bins, give)
             self.state = make_revolution_state(self.params, stock)

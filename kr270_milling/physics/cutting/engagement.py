@@ -217,11 +217,11 @@ def tables(radius: float, spacing: float, bins: int) -> dict:
     }
 
 
-def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementState:
-    """An untouched stock."""
+def make_engagement_state(reach: int, bins: int, stock: Stock) -> EngagementState:
+    """Return an untouched stock; reach: of the tool, in nodes."""
     tiles = tile_count(stock)
     nodes = min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + BLOCK  # of which a last block may look beyond its tile
-    footprint = (2 * params.reach + 3) ** 2
+    footprint = (2 * reach + 3) ** 2
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
     return EngagementState(
@@ -240,8 +240,8 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
         floors=np.zeros((FLOORS, 3)),
-        spans=np.zeros((6, 2 * params.reach + 3), np.int32),
-        ahead=np.zeros((params.widths.size, 2)),
+        spans=np.zeros((6, 2 * reach + 3), np.int32),
+        ahead=np.zeros((bins, 2)),
         sunk=np.zeros((SECTORS, 3)),
     )
 

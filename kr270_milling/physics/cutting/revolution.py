@@ -21,7 +21,7 @@ a flat end that sank by a level of the map at once. Its chip is then thicker, an
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -145,7 +145,7 @@ def make_revolution_params(
     lead = np.minimum(distance, radius) / np.maximum(slope, 1e-9)
     lead[0] = lead[1]
     cylinder = {"length": 1.0, "lever": radius, "middle": 0.0, "sine": 1.0, "cosine": 0.0, "sine_area": radius}
-    means = {
+    means: dict[str, Any] = {
         name: np.append(getattr(parts, name), cylinder.get(name, 0.0))
         for name in ("length", "bend", "lever", "middle", "sine", "cosine", "sine_area", "cosine_area")
     }
@@ -163,7 +163,7 @@ def make_revolution_params(
 
 def make_revolution_state(params: RevolutionParams, stock: Stock) -> RevolutionState:
     """Return an untouched stock."""
-    base = make_engagement_state(params, stock)
+    base = make_engagement_state(params.reach, params.widths.size, stock)
     return RevolutionState(
         **{name: getattr(base, name) for name in RevolutionState._fields if hasattr(base, name)},
         highest=np.zeros(base.pool.size // RUN + 1, np.uint16),
