@@ -1,6 +1,6 @@
 """Errors; ``str(error)`` is one sentence for the user, with the numbers in it.
 
-An error has a separate class only where code catches it alone:
+An error has a separate class only where code catches it alone::
 
     MillingError            base; exit code 2
       ConfigError           file, key, value, allowed values
