@@ -515,7 +515,7 @@ def stiffness(arm, **options) -> dict:
     Returns
     -------
     dict
-        Keys of ``stiffness --json``, see guide/json.md.
+        Keys of ``stiffness --json``, see guide/contributing/json.md.
 
     Examples
     --------
@@ -539,7 +539,7 @@ def identify(what: str, *files, **options) -> dict:
     Returns
     -------
     dict
-        Keys of ``identify --json``, see guide/json.md.
+        Keys of ``identify --json``, see guide/contributing/json.md.
 
     Examples
     --------
@@ -563,7 +563,7 @@ def compare(recording, cell, **options) -> dict:
     Returns
     -------
     dict
-        Keys of ``compare --json``, see guide/json.md.
+        Keys of ``compare --json``, see guide/contributing/json.md.
 
     Examples
     --------

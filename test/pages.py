@@ -34,7 +34,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
-    ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "kr270_milling/guide").glob("*.md")),
+    ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "kr270_milling/guide").rglob("*.md")),
     *sorted(page for folder in ("config", "kr270_milling", "test") for page in (ROOT / folder).rglob("README.md")),
 )  # fmt: skip
 FENCE = re.compile(r"(?:^<!-- ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -16,7 +16,7 @@ import pytest
 from hostile import POSTURE, settings
 
 ROOT = Path(__file__).resolve().parents[1]
-GUIDE = ROOT / "kr270_milling/guide/extending.md"
+GUIDE = ROOT / "kr270_milling/guide/contributing/extending.md"
 BLOCK = re.compile(r"^(New file|Change in) `([^`]+)`:\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OUTSIDE = "From a package of your own"
 MOST_FILES = {
@@ -98,7 +98,7 @@ for kind, grid_step in ((Cut, 1e-5), (EngagementCut, 1e-4)):
 
 # the topic is in the table on the page, and its protocol publishes the record
 assert "rigid_pose" in {topic.name for topic in published_by("compliant_robot")}
-assert topic_table() in Path("kr270_milling/live/nodes/README.md").read_text(encoding="utf-8")
+assert topic_table() in Path("kr270_milling/guide/nodes.md").read_text(encoding="utf-8")
 cell = read_cell("paper.yaml", "path.length_mm=4")
 robot = RobotProtocol(cell)
 robot.reference = path_of(cell).target

@@ -19,7 +19,7 @@ from kr270_milling.show.commands.options import COMMANDS, make_parser
 
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 #: pages whose commands another test runs in the same way
-RUN_ELSEWHERE = {"kr270_milling/studies/identification/README.md": "test_identification_commands.py"}
+RUN_ELSEWHERE = {"kr270_milling/guide/identification.md": "test_identification_commands.py"}
 
 
 def shell_lines() -> list[str]:
@@ -57,7 +57,7 @@ def test_commands_cells_topics_and_methods_of_the_pages_are_those_of_the_package
     assert {name for group in COMMANDS.values() for name in group} - {words.split()[0] for words in commands()} == set()
     named = {*re.findall(r"config/[\w.]+ml\b", TEXT), "config/fastdds.xml"}
     assert {str(p.relative_to(ROOT)) for p in ROOT.glob("config/*.[yx]*ml")} == named
-    assert topic_table() in (ROOT / "kr270_milling" / "live" / "nodes" / "README.md").read_text(encoding="utf-8")
+    assert topic_table() in (ROOT / "kr270_milling" / "guide" / "nodes.md").read_text(encoding="utf-8")
     named = [re.findall(r"`(\w+)`", names)[0] for names, _ in rows("method | what it does")]
     assert sorted(named) == sorted(name for name, method in METHODS.items() if method.recommended)
 
@@ -103,7 +103,7 @@ def test_a_shown_line_that_is_not_printed_is_named_and_brought_up_to_date():
 
 
 def test_the_key_reference_states_every_key():
-    page = (ROOT / "config/README.md").read_text(encoding="utf-8")
+    page = (ROOT / "kr270_milling/guide/contributing/keys.md").read_text(encoding="utf-8")
     assert key_table() == re.search(r"<!-- keys -->\n(.*?)<!-- end -->", page, re.DOTALL)[1]
 
 

@@ -86,7 +86,7 @@ def test_every_command_can_be_imported_without_ros():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
-#: table of guide/json.md -> record, and the rows of the table that the command adds
+#: table of guide/contributing/json.md -> record, and the rows of the table that the command adds
 RECORDS = {
     "check": (Checked, "cell reference cut tolerance tools tool stops warnings notes"),
     "comparison-of-methods": (MethodComparison, "path_deviation_um.<method>"),
