@@ -51,7 +51,7 @@ def figure_of(result):
 
 def write_gallery(page: Path) -> None:
     """Run the examples; add the code, the output and the last figure of each to their page."""
-    text, figures = page.read_text(encoding="utf-8"), {}
+    text, figures = page.read_text(encoding="utf-8").partition("\n`.ci/docs`")[0], {}
     for example in sorted(page.parent.glob("*.py")):
         with contextlib.redirect_stdout(io.StringIO()) as printed:
             names = runpy.run_path(str(example), run_name="__main__")
@@ -94,11 +94,10 @@ def write_sources(folder: Path) -> None:
     for made in (folder / "extra/demo").iterdir():
         if made.name != "report.html":
             shutil.rmtree(made) if made.is_dir() else made.unlink()
-    text = "# Report of the demo\n\nThe report that `kr270_milling demo --plain` writes.\n\n"
+    (folder / "extra/index.html").write_text('<meta http-equiv="refresh" content="0; url=README.html">', encoding="utf-8")
+    link = '<a href="demo/report.html">The report</a> that `kr270_milling demo --plain` writes:'
     frame = '<iframe src="demo/report.html" title="Report of the demo" style="width: 100%; height: 80vh"></iframe>'
-    (folder / "demo.md").write_text(
-        f'{text}<a href="demo/report.html">Open it alone.</a>\n\n{frame}\n', encoding="utf-8"
-    )
+    (folder / "demo.md").write_text(f"# Report of the demo\n\n{link}\n\n{frame}\n", encoding="utf-8")
     trees = ""
     for caption, names in GROUPS.items():
         entries = "\n".join(f"{GUIDE}/{name}" for name in names.split()).replace(f"{GUIDE}/../../", "")
