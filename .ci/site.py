@@ -1,4 +1,4 @@
-"""Make the sources of the site in a folder: the pages as they are, a gallery of the examples, the report of the demo.
+"""Make the sources of the site in a folder: the pages, a gallery of the examples, the report of the demo.
 
 usage: python .ci/site.py FOLDER
        python .ci/site.py --picture    writes the picture of the README, kr270_milling/guide/slot.svg
@@ -94,7 +94,8 @@ def write_sources(folder: Path) -> None:
     for made in (folder / "extra/demo").iterdir():
         if made.name != "report.html":
             shutil.rmtree(made) if made.is_dir() else made.unlink()
-    (folder / "extra/index.html").write_text('<meta http-equiv="refresh" content="0; url=README.html">', encoding="utf-8")
+    start = '<meta http-equiv="refresh" content="0; url=README.html">'
+    (folder / "extra/index.html").write_text(start, encoding="utf-8")
     link = '<a href="demo/report.html">The report</a> that `kr270_milling demo --plain` writes:'
     frame = '<iframe src="demo/report.html" title="Report of the demo" style="width: 100%; height: 80vh"></iframe>'
     (folder / "demo.md").write_text(f"# Report of the demo\n\n{link}\n\n{frame}\n", encoding="utf-8")

@@ -3,8 +3,8 @@
 usage: python test/pages.py [PAGE...] [--update]
 
 The commands of a fenced ``sh`` block run in their order in the directory of the page, a new one with ``config`` in it.
-Words behind ``sh``, which a page does not show, change that: ``sh not run: REASON``, or ``sh release: REASON`` for a block
-that takes long or needs other processes. This script runs the blocks for a release, the tests leave them out.
+Words behind ``sh``, which a page does not show, change that: ``sh not run: REASON``, or ``sh release: REASON`` for a
+block that takes long or needs other processes. This script runs the blocks for a release, the tests leave them out.
 A reason with "exit code 1" states that the commands end so. A block that installs the package is not run: .ci/run and
 .ci/pages start with these commands of the README.
 
@@ -219,8 +219,8 @@ def main(words: list[str]) -> int:
                 failed += 1
             os.chdir(home)
             if update:
-                before, found, _ = text.partition(KEYS)
-                text = before + (key_table() if found else "")
+                before, header, _ = text.partition(KEYS)
+                text = before + (key_table() if header else "")
                 page.write_text(text, encoding="utf-8")
     print(f"{failed} differences" if failed else "the pages show what is printed")
     return 1 if failed else 0
