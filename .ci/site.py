@@ -29,6 +29,7 @@ GROUPS = {
     "contributing/recompute contributing/messages contributing/benches contributing/faults contributing/book "
     "contributing/keys contributing/json contributing/conda ../../test/decide/judged/README ../../api/kr270_milling",
 }
+TITLES = {"api/kr270_milling.api": "Python API", "api/kr270_milling": "All modules"}
 
 
 def pictures(figures: dict[Path, object]) -> None:
@@ -101,10 +102,11 @@ def write_sources(folder: Path) -> None:
     (folder / "demo.md").write_text(f"# Report of the demo\n\n{link}\n\n{frame}\n", encoding="utf-8")
     trees = ""
     for caption, names in GROUPS.items():
-        entries = "\n".join(f"{GUIDE}/{name}" for name in names.split()).replace(f"{GUIDE}/../../", "")
+        pages = [f"{GUIDE}/{name}".replace(f"{GUIDE}/../../", "") for name in names.split()]
+        entries = "\n".join(f"{TITLES[page]} <{page}>" if page in TITLES else page for page in pages)
         trees += f"\n```{{toctree}}\n:caption: {caption}\n:hidden:\n\n{entries}\n```\n"
-    with (folder / "README.md").open("a", encoding="utf-8") as page:
-        page.write(trees)
+    with (folder / "README.md").open("a", encoding="utf-8") as readme:
+        readme.write(trees)
 
 
 if __name__ == "__main__":

@@ -605,7 +605,7 @@ def _scores_table(passes: Sequence[Pass], names: Sequence[str] = ()) -> TextTabl
 
 
 def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
-    title = ", ".join(repr(run)[1:-1] for run in passes)
+    title = ", ".join(f"{run.name}: max {run.max_deviation_um:.2f} um" for run in passes)
     figure = figure_of(title, "", "").set_subplots(rows=2, cols=1, shared_xaxes=True)
     for run in passes:
         which = f" {run.name}" if len(passes) > 1 else ""

@@ -77,6 +77,14 @@ def test_every_link_leads_to_a_file_and_the_first_line_says_the_purpose(page):
     assert page != PAGES[0] or text.count("\n") <= 120  # the README is short
 
 
+def test_the_first_screen_of_the_readme_has_picture_commands_python_and_limits_and_no_page_shows_marks():
+    lines = PAGES[0].read_text(encoding="utf-8").splitlines()[:60]
+    order = ["![", "demo --out out", "pytest", "```python", "**Supported**", "**Not supported**"]
+    places = [next(n for n, line in enumerate(lines) if part in line) for part in order]
+    assert places == sorted(places) and "<!--" not in TEXT
+    assert (ROOT / "kr270_milling/guide/slot.svg").stat().st_size < 100_000
+
+
 @pytest.mark.parametrize("block", [block for page in PAGES for block in blocks(page)], ids=str)
 def test_a_block_of_commands_is_run_or_states_the_reason(block):
     assert block.commands
