@@ -34,6 +34,7 @@ from kr270_milling.decide.programs.krl_motion import (
     number,
     point_speeds,
     position_text,
+    shortest,
 )
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
@@ -163,7 +164,7 @@ def _rows(run: Trajectory) -> np.ndarray:
 
 def _frames(run: Trajectory, numbers: np.ndarray) -> list[str]:
     rows = _rows(run)
-    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k])}}}" for k in numbers.tolist()]
+    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k], shortest)}}}" for k in numbers.tolist()]
 
 
 def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[str]:
