@@ -16,8 +16,8 @@ from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
-from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
-from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
+from kr270_milling.decide.exchange_share import exchange_share
+from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
 from kr270_milling.decide.inputs import input_violations
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
@@ -48,7 +48,7 @@ class Checked:
     residue: Residue | None = column("simulated_pass")
     #: each rapid move through material; None: the arm cannot make the path
     rapid_moves: tuple[Finding, ...] | None = column("rapid_moves", default=None)
-    exchange: ExchangeShare | None = None  #: simulated pass
+    exchange: tuple[float, str] | None = None  #: largest correction of a predicted pose as a share, and its line
     #: each reversal, with its jump; None: no pass was simulated
     load_reversals: tuple[Finding, ...] | None = column("load_reversals", default=None)
     #: robot program; None: the arm cannot make the path
@@ -68,7 +68,7 @@ class Checked:
 
     @computed("largest_pose_correction_share")
     def _share(self) -> float | None:
-        return self.exchange.share if self.exchange else None
+        return self.exchange[0] if self.exchange else None
 
     @computed("read_over")
     def _words(self) -> list[dict]:
@@ -99,10 +99,10 @@ class Checked:
 
     def findings_lines(self) -> list[str]:
         """Return a line for each finding, and those about the whole path."""
-        read_over = [self.program.summary] if self.program.summary else []
-        stability = [part.text for part in (self.stability, self.residue, self.exchange, self.blocks) if part]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
-        return [*read_over, *findings, self.rapid_text, *stability]
+        statements = [part.text if part else "" for part in (self.stability, self.residue, self.blocks)]
+        statements.insert(2, self.exchange[1] if self.exchange else "")
+        return [*filter(None, (self.program.summary, *findings, self.rapid_text, *statements))]
 
     @computed("removed_by_rapid_moves_mm3")
     def rapid_volume_mm3(self) -> float | None:
@@ -126,7 +126,7 @@ def check(
     motion: str | None = None,
     ran: ScoredPass | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
-    more: Iterable[Violation] = (),
+    more: Iterable[Finding] = (),
 ) -> Checked:
     """Check the cell's own path, or a corrected one; motion: LIN or SPLINE.
 
@@ -141,7 +141,7 @@ def check(
     run = programmed if reference is None else reference
     results, joints = arm_violations(arm_of(cell), cell.limits, run)
     stability = residue = rapid_moves = exchange = reversals = program_size = None
-    reachable = joints is not None and not any(v.kind == "joint limit" for v in results)
+    reachable = joints is not None and not any(v.what == "joint limit" for v in results)
     del joints  # of a long program they take 100 MB
     if reachable and reference is None and fed is not None:
         run = path_of(cell).target  # slowed down to what the joints can do
@@ -158,16 +158,17 @@ def check(
         if ran:
             jumps = load_reversals(arm_of(cell), path_of(cell), run, ran)
             results += jumps
-            reversals = separate(path_of(cell), run, "load reversal", jumps)
-        rapid_moves = separate(path_of(cell), run, "rapid in material", cut)
+            reversals = tuple(placed(path_of(cell), run, jump) for jump in jumps)
+        rapid_moves = tuple(placed(path_of(cell), run, f) for f in cut if f.what == "rapid in material")
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             with progress("stability") as report:
                 stability = stability_statement(cell, report)
             results += chatter_violations(stability, run.time)
         residue = residue_of(cell, ran.result) if ran else None
         if ran:
-            exchange = exchange_share(path_of(cell), ran)
-            results += exchange.violations()
+            share, text, coarse = exchange_share(path_of(cell), ran)
+            exchange = share, text
+            results += coarse
         if residue and residue.word == "grows":
             if stability and stability.word_at(path_of(cell), residue.time) == "stable":
                 residue = dataclasses.replace(residue, word="remains")
@@ -191,7 +192,7 @@ def check(
 
 def _cut(
     cell: Cell, run: Trajectory, ran: ScoredPass | None, progress: Callable
-) -> tuple[ScoredPass | None, list[Violation]]:
+) -> tuple[ScoredPass | None, list[Finding]]:
     """The pass along ``run``, simulated where it was not yet, and what it shows."""
     try:
         if ran is None:
@@ -200,18 +201,18 @@ def _cut(
                 ran = simulate(cell, run, "checked", report, most_rows=most_rows)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
-        failed = violation("deflection", error.deflection, FLIGHT, point, said=error)
+        failed = violation("deflection", error.deflection, FLIGHT, point, sentence=str(error))
     except DeflectionError as error:
-        failed = violation("joint deflection", error.deflection, error.limit, said=error)
+        failed = violation("joint deflection", error.deflection, error.limit, sentence=str(error))
     except (UnstableLoadError, EquilibriumError) as error:
-        failed = violation("load on the arm", error.load_factor, 1.0, said=error)
+        failed = violation("load on the arm", error.load_factor, 1.0, sentence=str(error))
     else:
         with progress("stock and fixtures"):
             return ran, cut_violations(cell, run, ran)
     return None, [failed, *contact_violations(cell, run)]
 
 
-def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Violation]:
+def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Finding]:
     if not np.array_equal(target.time_ns, run.time_ns):
         raise InputError("reference", f"its times are not those of the {len(target)} points of this cell's path")
     if run is target:

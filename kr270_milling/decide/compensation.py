@@ -15,7 +15,7 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import DIVERGED, Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import ENOUGH, Decision, decided
-from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.limits import Limit, limits
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
@@ -115,7 +115,7 @@ def compensate(
     with progress("surfaces"):
         parts = () if path_of(cell).straight else assess_all(cell, (programmed, revised))
     limited = [
-        violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
+        violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, sentence=limit_sentence(p, by))
         for p in by.limited
     ]
     checked = check(
@@ -172,7 +172,7 @@ CHOOSING_SEED = 1_000_003  #: of the robots that compare two programs, which nei
 DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
 
 
-def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation]:
+def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Finding]:
     """A violation where planned and written program differ by more than a share of the planned deviation.
 
     tolerance [m]: by which the points of the program may leave the planned path. After a step of the path by it, an

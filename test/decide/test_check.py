@@ -64,7 +64,7 @@ def test_out_of_reach_names_all_points_that_are(cell):
     centre = tool + arm.d6 * cell.workpiece.pose.rotation[:, 2]  # no tool: the flange is d6 in front of the wrist
     away = np.hypot(np.hypot(*centre[:, :2].T) - arm.a1, centre[:, 2] - arm.d1)
     lost = np.flatnonzero(away > arm.a2 + arm.forearm) + 1
-    assert joints is None and 2 < len(lost) < 9 and finding.point == np.argmax(away) + 1
+    assert joints is None and 2 < len(lost) < 9 and finding.where.point == np.argmax(away) + 1
     assert f"at points {lost[0]} to {lost[-1]}: " in finding.sentence
     assert finding.value == pytest.approx(away.max(), abs=1e-9)
 
@@ -72,31 +72,31 @@ def test_out_of_reach_names_all_points_that_are(cell):
 def test_a_joint_beyond_its_range_or_too_fast_or_hard_is_named_with_its_worst_point(cell):
     q = np.tile(arm_of(cell).posture, (5, 1))
     q[:, 4] = np.radians([110, 120, 126, 128, 121])  # A5 has +-125 deg
-    (limit,) = [f for f in along_joints(cell, q) if f.kind == "joint limit"]
-    assert limit.point == 4 and limit.severity == "stop" and "axis 5" in limit.sentence
+    (limit,) = [f for f in along_joints(cell, q) if f.what == "joint limit"]
+    assert limit.where.point == 4 and limit.severity == "stop" and "axis 5" in limit.sentence
     assert "points 3 to 4" in limit.sentence
     q = np.tile(arm_of(cell).posture, (6, 1))
     q[3:, 0] += np.radians(6.0)  # 120 deg/s within one step of 50 ms, where 110 are allowed
     fast, hard = (f for f in along_joints(cell, q) if f.severity == "stop")
-    assert fast.kind == "joint speed" and hard.kind == "joint acceleration" and hard.point in (3, 4)
-    assert fast.point == 4 and np.degrees(fast.value) == pytest.approx(120, rel=1e-6) and "axis 1" in fast.sentence
-    assert np.degrees(hard.value) == pytest.approx(120 / 0.05, rel=1e-6)
+    assert fast.what == "joint speed" and hard.what == "joint acceleration" and hard.where.point in (3, 4)
+    assert fast.where.point == 4 and fast.value == pytest.approx(120, rel=1e-6) and "axis 1" in fast.sentence
+    assert hard.value == pytest.approx(120 / 0.05, rel=1e-6)
 
 
 def test_singularities_of_wrist_elbow_and_shoulder_and_a_flip_of_the_wrist_have_their_points(cell):
     q = np.tile(arm_of(cell).posture, (9, 1))
     q[:, 4] = np.radians(np.linspace(8, -8.5, 9))
     results = along_joints(cell, q)
-    assert [f.point for f in results if f.kind == "configuration flip"] == [5]
-    (near,) = [f for f in results if f.kind == "singularity"]
+    assert [f.where.point for f in results if f.what == "configuration flip"] == [5]
+    (near,) = [f for f in results if f.what == "singularity"]
     assert np.degrees(near.value) == pytest.approx(np.abs(np.linspace(8, -8.5, 9)).min(), abs=1e-6)
-    assert near.point == 5 and "wrist" in near.sentence
+    assert near.where.point == 5 and "wrist" in near.sentence
     q = np.tile(arm_of(cell).posture, (3, 1))
     q[:, 2] = cell.arm.elbow_offset + np.radians([8, 6, 4])  # the stretched arm at elbow_offset
-    (near,) = [f for f in along_joints(cell, q) if f.kind == "singularity"]
-    assert near.point == 3 and "elbow" in near.sentence and np.degrees(near.value) == pytest.approx(4, abs=1e-6)
+    (near,) = [f for f in along_joints(cell, q) if f.what == "singularity"]
+    assert near.where.point == 3 and "elbow" in near.sentence and np.degrees(near.value) == pytest.approx(4, abs=1e-6)
     results = along_joints(with_limits(cell, shoulder_distance=5.0), np.tile(arm_of(cell).posture, (3, 1)))
-    (near,) = [f for f in results if f.kind == "singularity"]
+    (near,) = [f for f in results if f.what == "singularity"]
     wrist = pose(cell.arm, cell.mount, arm_of(cell).posture)  # no tool: the flange is d6 in front of the wrist centre
     centre = wrist.position - cell.arm.d6 * wrist.rotation[:, 2]
     assert near.value == pytest.approx(np.hypot(*centre[:2]), abs=1e-9) and "axis 1" in near.sentence
@@ -114,11 +114,11 @@ def shifted(run, lateral):
 def test_a_large_correction_and_a_step_shared_by_the_ticks_of_its_interval_are_reported_at_their_points():
     revised = shifted(LINE, 1.2e-3 * (np.arange(25) == 7))
     (finding,) = correction_size(LINE, revised, 4_000_000, 1e-3)
-    assert finding.point == 8 and finding.value == pytest.approx(1.2e-3) and "1200.0 um" in finding.sentence
+    assert finding.where.point == 8 and finding.value == pytest.approx(1200.0) and "1200.0 um" in finding.sentence
     assert correction_size(LINE, revised, 4_000_000, 1.3e-3) == []
     revised = shifted(LINE, np.where(np.arange(25) >= 10, 1e-4, 0.0))  # 100 um within 50 ms: 8 um in each tick of 4 ms
     (finding,) = correction_per_tick(LINE, revised, 4_000_000, 7.9e-6)
-    assert finding.point == 11 and finding.value == pytest.approx(8e-6)
+    assert finding.where.point == 11 and finding.value == pytest.approx(8.0)
     assert correction_per_tick(LINE, revised, 4_000_000, 8.1e-6) == []
 
 
@@ -136,7 +136,7 @@ def test_blending_rounds_a_corner_as_a_parabola_does_unless_the_tool_stops():
     u = np.linspace(0, 1, 2001)[:, None]
     parabola = (1 - u) ** 2 * control[0] + 2 * u * (1 - u) * control[1] + u**2 * control[2]
     missed = np.hypot(*parabola.T).min()
-    assert finding.point == 2 and finding.value == pytest.approx(missed / 5e-5, rel=1e-2)
+    assert finding.where.point == 2 and finding.value == pytest.approx(100 * missed / 5e-5, rel=1e-2)
     assert finding.severity == "warning"
     assert corner_blending(*corner(stop=True), 1e-3) == corner_blending(*corner(stop=False), 0.0) == []
 
@@ -165,10 +165,10 @@ def test_blending_is_only_a_matter_of_lin_motions(cell, ran):
 # --- Findings ---
 def test_neighbours_that_exceed_make_one_finding_named_by_the_worst():
     first, second = violations("spindle torque", np.array([0, 2, 3, 2, 0, 1.5, 1.0]), 1.0)
-    assert (first.point, first.value, first.limit, first.severity) == (3, 3.0, 1.0, "stop")
+    assert (first.where.point, first.value, first.limit, first.severity) == (3, 3.0, 1.0, "stop")
     assert "points 2 to 4" in first.sentence and "3 N m at point 3" in first.sentence
-    assert second.point == 6 and "(point 6)" in second.sentence
-    assert violations("spindle torque", np.array([0.0, np.nan]), 1.0)[0].point == 2
+    assert second.where.point == 6 and "(point 6)" in second.sentence
+    assert violations("spindle torque", np.array([0.0, np.nan]), 1.0)[0].where.point == 2
     assert violations("spindle torque", np.array([1.0, 1.0]), 1.0) == []
 
 
@@ -484,7 +484,7 @@ def test_every_rapid_move_through_material_is_a_stop_with_its_volume(tmp_path, n
     diameter, lines, volume, stops, depth = DANGEROUS[name]
     contacts, numbers = contacts_of(tmp_path, diameter, lines)
     assert {one.severity for one in contacts} == {"stop"} and numbers == list(stops or numbers)
-    assert 1e3 * max(one.value for one in contacts) == pytest.approx(depth, rel=1e-6)
+    assert max(one.value for one in contacts) == pytest.approx(depth, rel=1e-6)
     assert sum(one.amounts["volume_mm3"] for one in contacts) == pytest.approx(volume, rel=0.02)
 
 

@@ -198,10 +198,10 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):
     cell = small_part(tmp_path, GCODE)
     ran = simulate(cell)
-    share = exchange_share(path_of(cell), ran)
+    share, _, findings = exchange_share(path_of(cell), ran)
     feed_per_tooth = path_of(cell).feed_rate / (cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth)
-    assert share.share == pytest.approx(ran.result.correction.max() / feed_per_tooth) and not share.violations()
-    strict = cell.replace(exchange=cell.exchange.replace(stop_correction=0.5 * share.share))
+    assert share == pytest.approx(ran.result.correction.max() / feed_per_tooth) and not findings
+    strict = cell.replace(exchange=cell.exchange.replace(stop_correction=0.5 * share))
     done = compensation.compensate(strict, "linear")
     assert done.decision.level == NO and "largest correction of a predicted pose" in done.decision.sentence
 

@@ -188,5 +188,5 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
 def warning(path: CellPath, passes: Sequence[ScoredPass]) -> str:
     """Return a sentence about the pass with the coarsest exchange if the exchange was too coarse, else ""."""
     shares = [(scored.name, exchange_share(path, scored)) for scored in passes]
-    name, worst = max(shares, key=lambda item: item[1].share)
-    return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""
+    name, (share, text, _) = max(shares, key=lambda item: item[1][0])
+    return f"pass {name}: {text}" if share > path.exchange.warn_correction else ""

@@ -107,7 +107,7 @@ def test_texts_from_files_are_escaped(tmp_path, straight):
     bad = "<script>alert(1)</script>\"'&"
     cell, (first, second, _) = straight
     hostile = [ScoredPass(bad, first.reference, first.result, first.scores), second]
-    row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad)
+    row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad, 1, {})
     checked = SimpleNamespace(findings=(row,), stability=SimpleNamespace(text=bad), rapid_text=bad)
     words = dict.fromkeys(("title", "source", "command", "date"), bad)
     words |= {"decision": shown_decision("no", bad, bad, bad), "checked": checked}
@@ -118,7 +118,7 @@ def test_texts_from_files_are_escaped(tmp_path, straight):
 
 
 def test_the_decision_leads_the_page(tmp_path, straight):
-    row = Finding("warning", "correction", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3)
+    row = Finding("warning", "correction", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3, {})
     checked = SimpleNamespace(findings=(row,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
     decision = shown_decision("caution", "few robots", "method: spline, as set", "helps (1 to 3 um)")
     cell, passes = straight
