@@ -39,14 +39,14 @@ from kr270_milling.physics.motion.scores import Scores
 
 __all__ = [
     "NO_METHOD",
-    "JudgedCompensation",
+    "Compensated",
     "compensate",
     "limit_sentence",
 ]
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedCompensation:
+class Compensated:
     """Both passes and the decision on them."""
 
     original: ScoredPass  #: pass of the original program as written
@@ -73,7 +73,7 @@ def compensate(
     seed: int = 1,
     former: Trajectory | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
-) -> JudgedCompensation:
+) -> Compensated:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
@@ -138,7 +138,7 @@ def compensate(
             rows = limits(cell, program, max(1, robots // DRAWN_OF))
     backlash = backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)
-    return JudgedCompensation(programmed, plan, revised, by, parts, checked, decision, motions)
+    return Compensated(programmed, plan, revised, by, parts, checked, decision, motions)
 
 
 def _no_gain(cell: Cell, former: Trajectory, planned: Trajectory) -> str:

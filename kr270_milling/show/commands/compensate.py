@@ -97,7 +97,7 @@ def run_compensate(args) -> Answer:
         if learned:
             notes = [f"learned by kr270_milling {__version__} from measured parts", *learned.lines()]
             file = write_include(draft / LEARNED_FILE, learned_keys(learned.cell), notes)
-            values |= learned.as_dict() | {"learned_file": str(final(file))}
+            values |= as_dict(learned) | {"learned_file": str(final(file))}
         if older := set_aside(args.out):
             print(f"programs of an earlier run moved to {Path(args.out, OLDER)}: {', '.join(older)}", file=sys.stderr)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args, reached)
@@ -184,7 +184,7 @@ def _correction(cell, revised, by) -> dict:
     values = {"largest_correction_um": 1e6 * float(size.max()), "limited": limited}
     if by.errors[1:]:
         values["remaining_errors_um"] = [1e6 * error for error in by.errors]
-    values["identified"] = by.identified and by.identified.as_dict()
+    values["identified"] = by.identified and as_dict(by.identified)
     values["note"] = by.note or None
     if not by.chosen.smooth:
         values["chord_error_um"] = 1e6 * chord_error(path_of(cell).target)
