@@ -58,10 +58,6 @@ class Compensated:
     decision: Decision
     motions: tuple[str, ...]  #: motions of the robot programs
 
-    def lines(self) -> list[str]:
-        """The decision and the findings, as terminal, manifest and programs print them."""
-        return [*self.decision.lines(), *self.checked.findings_lines(), self.checked.counts]
-
 
 def compensate(
     cell: Cell,
