@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -42,10 +43,11 @@ class Checked:
 
     findings: tuple[Finding, ...] = column("findings")
     points: int = column("points")
-    ran: ScoredPass | None = column("")  #: the simulated pass; None: the arm cannot make it
     program: SourceProgram = column("")  #: contents of the file of the path beside its moves
-    stability: Stability | None = column("stability")  #: programmed path; None: the arm cannot follow it
-    residue: Residue | None = column("simulated_pass")
+    ran: ScoredPass | None = column("", default=None)  #: the simulated pass; None: the arm cannot make it
+    #: programmed path; None: the arm cannot follow it
+    stability: Stability | None = column("stability", default=None)
+    residue: Residue | None = column("simulated_pass", default=None)
     #: each rapid move through material; None: the arm cannot make the path
     rapid_moves: tuple[Finding, ...] | None = column("rapid_moves", default=None)
     exchange: tuple[float, str] | None = None  #: largest correction of a predicted pose as a share, and its line
@@ -140,54 +142,51 @@ def check(
     programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     results, joints = arm_violations(arm_of(cell), cell.limits, run)
-    stability = residue = rapid_moves = exchange = reversals = program_size = None
+    path = path_of(cell)
+    about: dict[str, Any] = {}  # what follows where the arm can make the path
     reachable = joints is not None and not any(v.what == "joint limit" for v in results)
     del joints  # of a long program they take 100 MB
     if reachable and reference is None and fed is not None:
-        run = path_of(cell).target  # slowed down to what the joints can do
+        run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
-        target = path_of(cell).target
-        straight = run.velocity is None and target.velocity is not None
+        straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
-        results += _correction(cell, target, run, robot_program)
-        program_size = program_blocks(robot_program, target, run)
+        results += _correction(cell, path.target, run, robot_program)
+        about["blocks"] = program_blocks(robot_program, path.target, run)
         ran, cut = _cut(cell, run, ran, progress)
         results += cut
-        if ran:
-            jumps = load_reversals(arm_of(cell), path_of(cell), run, ran)
-            results += jumps
-            reversals = tuple(placed(path_of(cell), run, jump) for jump in jumps)
-        rapid_moves = tuple(placed(path_of(cell), run, f) for f in cut if f.what == "rapid in material")
+        about["ran"] = ran
+        about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             with progress("stability") as report:
-                stability = stability_statement(cell, report)
-            results += chatter_violations(stability, run.time)
-        residue = residue_of(cell, ran.result) if ran else None
+                about["stability"] = stability_statement(cell, report)
+            results += chatter_violations(about["stability"], run.time)
         if ran:
-            share, text, coarse = exchange_share(path_of(cell), ran)
-            exchange = share, text
-            results += coarse
-        if residue and residue.word == "grows":
-            if stability and stability.word_at(path_of(cell), residue.time) == "stable":
-                residue = dataclasses.replace(residue, word="remains")
-            point = int(np.clip(np.searchsorted(run.time, residue.time), 0, len(run) - 1)) + 1
-            kind = "growing vibration" if residue.word == "grows" else "remaining vibration"
-            results.append(violation(kind, residue.residue, residue.limit, point, percent=100 * residue.residue))
+            shown, more_findings = _of_pass(cell, run, ran, about.get("stability"))
+            results += more_findings
+            about |= shown
     program = fed.toolpath.program if fed else SourceProgram()
-    return Checked(
-        gathered(path_of(cell), run, results),
-        len(run),
-        ran if reachable else None,
-        program,
-        stability,
-        residue,
-        rapid_moves,
-        exchange,
-        reversals,
-        program_size,
-    )
+    return Checked(gathered(path, run, results), len(run), program, **about)
+
+
+def _of_pass(
+    cell: Cell, run: Trajectory, ran: ScoredPass, stability: Stability | None
+) -> tuple[dict[str, Any], list[Finding]]:
+    """Return reversals of the load, exchange and vibration of a simulated pass, as fields of ``Checked``; findings."""
+    path = path_of(cell)
+    jumps = load_reversals(arm_of(cell), path, run, ran)
+    share, text, findings = exchange_share(path, ran)
+    residue = residue_of(cell, ran.result)
+    if residue.word == "grows":
+        if stability and stability.word_at(path, residue.time) == "stable":
+            residue = dataclasses.replace(residue, word="remains")
+        point = int(np.clip(np.searchsorted(run.time, residue.time), 0, len(run) - 1)) + 1
+        kind = "growing vibration" if residue.word == "grows" else "remaining vibration"
+        findings.append(violation(kind, residue.residue, residue.limit, point, percent=100 * residue.residue))
+    reversals = tuple(placed(path, run, jump) for jump in jumps)
+    return {"load_reversals": reversals, "exchange": (share, text), "residue": residue}, [*jumps, *findings]
 
 
 def _cut(
