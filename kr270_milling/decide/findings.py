@@ -14,7 +14,6 @@ import numpy as np
 
 from kr270_milling.base.column import column
 from kr270_milling.cell.paths import CellPath
-from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
 
 __all__ = [
@@ -303,13 +302,9 @@ def placed(path: CellPath, run: Trajectory, finding: Finding) -> Finding:
     x, y, z = (1e3 * v for v in position.tolist())
     if fed is None:
         return replace(finding, where=Place(point, None, None, (x, y, z)))
-    block = _block_to(fed, point or 1) if block is None else block
+    if block is None:  # the block that leads to the point; where two blocks meet, the block that ends there
+        ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point or 1, len(fed.distance)) - 1]
+        same_place = 1e-9  # [m], rounding of distances along a path
+        block = int(np.clip(np.searchsorted(ends, distance - same_place), 1, len(ends) - 1))
     line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
     return replace(finding, where=Place(point, line or None, feature or None, (x, y, z)))
-
-
-def _block_to(fed: TimedPath, point: int) -> int:
-    """The block that leads to a point, counted from 1; where two blocks meet, the block that ends there."""
-    ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point, len(fed.distance)) - 1]
-    same_place = 1e-9  # [m], rounding of distances along a path
-    return int(np.clip(np.searchsorted(ends, distance - same_place), 1, len(ends) - 1))

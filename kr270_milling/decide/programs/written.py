@@ -22,18 +22,13 @@ from kr270_milling.decide.programs.files import as_commanded, notes_of, timed_by
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["SOFTER", "motion_of", "read_krl", "softer_pass", "written_pass", "written_trajectory"]
+__all__ = ["SOFTER", "read_krl", "softer_pass", "written_pass", "written_trajectory"]
 
 SOFTER = 0.8  #: share of the acceleration of the second time law
 NOWHERE = Pose(np.zeros(3), np.eye(3))
 CALL = re.compile(r"([A-Z]\w*)\( \)")
 MOTION = re.compile(r"(SPL|LIN) XP(\d+)( C_DIS)?(?: WITH .*)?")
 FRAME = re.compile(r"DECL FRAME XP(\d+)=\{X (.*),Y (.*),Z (.*),A (.*),B (.*),C (.*)\}")
-
-
-def motion_of(cell: Cell, planned: Trajectory) -> str:
-    """SPLINE or LIN: LIN for straight lines along a cell's path."""
-    return "LIN" if planned.velocity is None else cell.krl.motion
 
 
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
@@ -81,7 +76,8 @@ def written_pass(
     cell: Cell, planned: ScoredPass, motion: str | None = None, plant: Plant | None = None, progress=None
 ) -> ScoredPass:
     """The pass of the written program of a planned pass; ``reference`` stays that of the plan, knot by knot."""
-    written = written_trajectory(cell, planned.reference, motion or motion_of(cell, planned.reference))
+    motion = motion or ("LIN" if planned.reference.velocity is None else cell.krl.motion)
+    written = written_trajectory(cell, planned.reference, motion)
     ran = simulate(cell, written, planned.name, progress, plant)
     return ScoredPass(planned.name, planned.reference, ran.result, ran.scores, ran.record)
 

@@ -52,12 +52,9 @@ def fixed_text(value: float | None, digits: int, least: float = 0.0) -> str:
 
 def micro(text: str) -> str:
     """Return a text with the signs of typography: µm, µrad, mm³ and ±."""
-    text = re.sub(r"(?:(?<=\d )|(?<=/))(mm|m|s)[23]\b", _raised, text)
+    raised = {"2": "²", "3": "³"}
+    text = re.sub(r"(?:(?<=\d )|(?<=/))(mm|m|s)([23])\b", lambda unit: unit[1] + raised[unit[2]], text)
     return re.sub(r"\bu(?=m\b|rad\b)", "µ", text).replace("+-", "±")
-
-
-def _raised(unit: re.Match) -> str:
-    return unit[1] + {"2": "²", "3": "³"}[unit[0][-1]]
 
 
 def shown(value, key: str = "") -> str:
