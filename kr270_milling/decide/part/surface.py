@@ -35,13 +35,15 @@ CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
 
 
 #: passage of a tooth by the left or right of the path of a rigid arm
-MARK = np.dtype([
-    ("centre", float, 3),  # of the rigid tool tip [m]
-    ("normal", float, 2),  # direction in which the tooth points, into the material
-    ("radius", float),  # of the tooth [m]
-    ("period", np.int64),  # number of the exchange period
-    ("share", float),  # elapsed fraction of that period
-])  # fmt: skip
+MARK = np.dtype(
+    [
+        ("centre", float, 3),  # of the rigid tool tip [m]
+        ("normal", float, 2),  # direction in which the tooth points, into the material
+        ("radius", float),  # of the tooth [m]
+        ("period", np.int64),  # number of the exchange period
+        ("share", float),  # elapsed fraction of that period
+    ]
+)
 
 
 @dataclass(frozen=True, eq=False)
