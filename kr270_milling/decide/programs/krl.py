@@ -35,6 +35,7 @@ from kr270_milling.decide.programs.krl_motion import (
     number,
     point_speeds,
     position_text,
+    shortest,
 )
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
@@ -61,6 +62,7 @@ class Setup:
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
     acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
     jerk: float = 0.0  #: jerk of the time law [m/s3]
+    external: tuple[float, ...] = (0.0,) * 6  #: E1 to E6, as the program of the path has them during its cuts
     date: str = ""
     source_hash: str = ""  #: SHA-256 of the recording or the tool path
     method: str = ""  #: of the compensation
@@ -148,7 +150,7 @@ def _rows(run: Trajectory) -> np.ndarray:
 
 def _frames(run: Trajectory, numbers: np.ndarray) -> list[str]:
     rows = _rows(run)
-    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k])}}}" for k in numbers.tolist()]
+    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k], shortest)}}}" for k in numbers.tolist()]
 
 
 def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[str]:
@@ -157,10 +159,10 @@ def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[
     retract[2] = max(retract[2], 1e3 * setup.safe_z)
     position, status, turn = setup.approaches[list(KINDS).index(kind)]
     above = [*(1e3 * position), *first[3:]]
-    home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles))}}}"]
+    home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles), setup.external)}}}"]
     return [
         *(home if program.home_angles.size else []),
-        f"DECL E6POS XAPPROACH={{{position_text(above, status, turn)}}}",
+        f"DECL E6POS XAPPROACH={{{position_text(above, status, turn, setup.external)}}}",
         f"DECL FRAME XP1={{{frame_text(first)}}}",
         f"DECL FRAME XRETRACT={{{frame_text(retract)}}}",
     ]

@@ -8,7 +8,8 @@ from __future__ import annotations
 import re
 import textwrap
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -29,10 +30,10 @@ __all__ = [
     "point_speeds",
     "position_text",
     "printable_ascii",
+    "shortest",
 ]
 
 WIDEST = 100  #: characters of a comment line
-EXTERNAL_AXES = ",".join(f"E{i} 0.0" for i in range(1, 7))
 
 
 def number(value: float, digits: int) -> str:
@@ -41,25 +42,35 @@ def number(value: float, digits: int) -> str:
     return text.removeprefix("-") if not text.strip("-0.") else text
 
 
+def shortest(value: float, digits: int) -> str:
+    """As ``number``, without zeros at the end."""
+    text = number(value, digits)
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
 def frame_row(pose: Pose) -> np.ndarray:
     """X, Y, Z [mm], A, B, C [deg], (..., 6)."""
     return np.concatenate([pose.position * 1e3, np.degrees(abc_from_rotation(pose.rotation))], axis=-1)
 
 
-def frame_text(row: Sequence[float] | np.ndarray) -> str:
-    """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5."""
-    texts = [number(v, 4 if i < 3 else 5) for i, v in enumerate(row)]
+def frame_text(row: Sequence[float] | np.ndarray, text: Callable[[float, int], str] = number) -> str:
+    """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5; text: ``number`` or ``shortest``."""
+    texts = [text(v, 4 if i < 3 else 5) for i, v in enumerate(row)]
     return ",".join(f"{name} {text}" for name, text in zip("XYZABC", texts, strict=True))
 
 
-def position_text(row: Sequence[float], status: int, turn: int) -> str:
-    """An E6POS."""
-    return f"{frame_text(row)},S {status},T {turn},{EXTERNAL_AXES}"
+def position_text(row: Sequence[float], status: int, turn: int, external: Sequence[float]) -> str:
+    """An E6POS; external: E1 to E6."""
+    return f"{frame_text(row)},S {status},T {turn},{_external_text(external)}"
 
 
-def axis_text(degrees: Sequence[float]) -> str:
-    """An E6AXIS."""
-    return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{EXTERNAL_AXES}"
+def axis_text(degrees: Sequence[float], external: Sequence[float]) -> str:
+    """An E6AXIS; external: E1 to E6."""
+    return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{_external_text(external)}"
+
+
+def _external_text(values: Sequence[float]) -> str:
+    return ",".join(f"E{i} {float(value)}" for i, value in enumerate(values, 1))
 
 
 def printable_ascii(text: str) -> str:
@@ -114,16 +125,23 @@ def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, notes: S
 def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, notes: Sequence[str]) -> list[str]:
     """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module."""
     lines: list[str] = []
-    first, end = piece
-    rests = True
-    for i in range(first, end):
-        k, starts, rests = int(points[i]), rests, bool(stops[points[i]]) or i == end - 1
-        feed, comment = f"$VEL.CP={number(speed[i], 3)}", _note(notes, k, points[i - 1])
+    feeds = [f"$VEL.CP={shortest(value, 3)}" for value in speed[slice(*piece)]]
+    rests = stops[points[slice(*piece)]].copy()
+    rests[-1] = True
+    begin, usual = 0, ""
+    for i, (feed, rest) in enumerate(zip(feeds, rests, strict=True)):
+        k = int(points[piece[0] + i])
+        comment = _note(notes, k, points[piece[0] + i - 1])
         if program.motion == "LIN":
-            blend = "" if rests or not program.blend_distance else " C_DIS"
-            lines += [*comment, feed, f"LIN XP{k + 1}{blend}"]
-        else:
-            lines += [*["SPLINE"] * starts, *comment, f"SPL XP{k + 1} WITH {feed}", *["ENDSPLINE"] * rests]
+            blend = "" if rest or not program.blend_distance else " C_DIS"
+            lines += [*comment, *[feed] * (feed != usual), f"LIN XP{k + 1}{blend}"]
+            usual = feed
+            continue
+        if i == begin:  # of a block, whose segments have its usual speed where they state none
+            usual = Counter(feeds[i : i + int(np.argmax(rests[i:])) + 1]).most_common(1)[0][0]
+            lines.append(f"SPLINE WITH {usual}")
+        lines += [*comment, f"SPL XP{k + 1}" + f" WITH {feed}" * (feed != usual), *["ENDSPLINE"] * bool(rest)]
+        begin = i + 1 if rest else begin
     return lines
 
 
