@@ -10,7 +10,6 @@ import textwrap
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,11 +19,11 @@ from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
     "WIDEST",
-    "Source",
     "axis_text",
     "comments",
     "frame_row",
     "frame_text",
+    "knot_notes",
     "modules_of",
     "motion_lines",
     "number",
@@ -88,22 +87,19 @@ def comments(texts: Iterable[str]) -> list[str]:
 GAUSS = np.polynomial.legendre.leggauss(4)
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
-    """Sources of the n knots."""
-
-    line: np.ndarray  #: in the file of the tool path, (n,), 0: none
-    feature: tuple[str, ...]  #: feature of the part, (n,), "": none
-
-    def comment(self, k: int, before: int) -> list[str]:
-        """The comment before point k, where line or feature are not those of the point before."""
-        if (self.line[k], self.feature[k]) == (self.line[before], self.feature[before]) or not self.line[k]:
-            return []
-        name = printable_ascii(self.feature[k])[:WIDEST]
-        return [f"; line {self.line[k]}" + f" ({name})" * bool(name)]
+def knot_notes(lines: Sequence[int] | np.ndarray, features: Sequence[str]) -> list[str]:
+    """Return line and feature of each knot as a comment, (n,); empty for line 0."""
+    names = {feature: printable_ascii(feature)[:WIDEST] for feature in set(features)}
+    named = {feature: f" ({name})" if name else "" for feature, name in names.items()}
+    return [f"; line {n}{named[feature]}" if n else "" for n, feature in zip(lines, features, strict=True)]
 
 
-def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: Source, most: int) -> list:
+def _note(notes: Sequence[str], k: int, before: int) -> list[str]:
+    """The comment before point k, where it is not that of the point before."""
+    return [notes[k]] if notes[k] and notes[k] != notes[before] else []
+
+
+def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, notes: Sequence[str], most: int) -> list:
     """Ranges of points after the first, [from, to), one for each module of ``most`` lines; they end at stops if near.
 
     Raises TrajectoryError for more points than the modules of a main module can hold.
@@ -112,7 +108,7 @@ def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: 
     for i in range(1, len(points)):
         stop = bool(stops[points[i]])
         lines += 2 if program.motion == "LIN" else 1 + 2 * stop
-        lines += len(source.comment(points[i], points[i - 1]))
+        lines += len(_note(notes, points[i], points[i - 1]))
         if lines > most - 4 or (stop and lines > 0.75 * most):
             pieces.append((start, i + 1))
             start, lines = i + 1, 0
@@ -126,7 +122,7 @@ def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: 
     return pieces
 
 
-def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, source: Source) -> list[str]:
+def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, notes: Sequence[str]) -> list[str]:
     """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module."""
     lines: list[str] = []
     feeds = [f"$VEL.CP={shortest(value, 3)}" for value in speed[slice(*piece)]]
@@ -135,7 +131,7 @@ def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, sour
     begin, usual = 0, ""
     for i, (feed, rest) in enumerate(zip(feeds, rests, strict=True)):
         k = int(points[piece[0] + i])
-        comment = source.comment(k, points[piece[0] + i - 1])
+        comment = _note(notes, k, points[piece[0] + i - 1])
         if program.motion == "LIN":
             blend = "" if rest or not program.blend_distance else " C_DIS"
             lines += [*comment, *[feed] * (feed != usual), f"LIN XP{k + 1}{blend}"]
