@@ -18,7 +18,6 @@ __all__ = ["draft_text", "stock_of", "straight_text", "tools_text"]
 #: YAML with places for str.format
 TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="utf-8")
 
-ALLOWANCE = 5e-3  #: [m], around the path of the cutter and below it
 ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
@@ -46,7 +45,6 @@ STRAIGHT = {
       length_mm: 40.0                    # yours
       feed_rate_m_per_min: 2.0           # yours""",
 }  # fmt: skip
-TOOLS = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
 
 
 @dataclass(frozen=True)
@@ -80,10 +78,11 @@ def _box_of(path: Toolpath, radius: float) -> Box:
     top = 0.0 if bottom < -1e-6 else float(level.max(initial=bottom)) + 1e-3
     inside = ends[ends[:, 2] < top + 1e-9]
     inside = inside if len(inside) else ends
-    margin = radius + ALLOWANCE
+    allowance = 5e-3  # [m], around the path of the cutter and below it
+    margin = radius + allowance
     low = np.floor((inside.min(axis=0)[:2] - margin) * 1e3 + ROUNDING) / 1e3
     high = np.ceil((inside.max(axis=0)[:2] + margin) * 1e3 - ROUNDING) / 1e3
-    base = math.floor((bottom - ALLOWANCE) * 1e3 + ROUNDING) / 1e3
+    base = math.floor((bottom - allowance) * 1e3 + ROUNDING) / 1e3
     return Box(np.array([*low, base]), np.array([*high, top]))
 
 
@@ -148,9 +147,10 @@ def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
         keys = TOOL.format(**_tool(path))
         indented = "\n".join(f"  {line}" for line in keys.splitlines())
         entries.append(f"      {path.program.tool}:  # {label}\n{indented}")
+    tools = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
     values = _common(paths[0], stock) | {
         "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
-        "tool": TOOLS + "\n".join(entries),
+        "tool": tools + "\n".join(entries),
         "path": f"      file: {_quoted(file)}",
         "name": _module_name(file),
         "name_note": "yours: of the robot programs; the name of the tool is added",

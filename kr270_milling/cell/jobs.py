@@ -47,7 +47,6 @@ __all__ = [
     "simulate",
 ]
 
-LONG_PASS = 500_000  #: exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
 PLANNED = 16  #: simulated robots for which ``robust`` plans
 
 
@@ -312,7 +311,8 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
 
 def long_pass(path: CellPath) -> bool:
     """Return whether the series of a pass along a path fill so much memory that few of them are stored."""
-    return path.clock.steps(path.target.duration_ns) > LONG_PASS
+    few_periods = 500_000  # exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
+    return path.clock.steps(path.target.duration_ns) > few_periods
 
 
 def compensated(

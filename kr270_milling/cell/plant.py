@@ -38,7 +38,6 @@ __all__ = [
     "robot_of",
 ]
 
-LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
@@ -271,6 +270,7 @@ def coarser(cell: Cell) -> Cell:
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
     exchange = cell.exchange
-    if exchange.period <= LONG_PERIOD and exchange.micro_step <= LONG_STEP:
+    long_period, long_step = 0.3e-3, math.radians(1.0) + 1e-9  # [s], [rad] of the exchange; longer ones do not change
+    if exchange.period <= long_period and exchange.micro_step <= long_step:
         exchange = exchange.replace(period=2.0 * exchange.period, micro_step=2.0 * exchange.micro_step)
     return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=exchange)

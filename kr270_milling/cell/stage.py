@@ -6,7 +6,6 @@ import functools
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import AL7075_T6, CutModel, Cutting, EngagementCut, Stock, Tool
 
 __all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
-
-ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: of no effect: the spindle does not turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,4 +85,5 @@ def _still(removal: Removal, stock: Stock) -> EngagementCut:
     tool = Tool(diameter=2.0 * removal.radius, teeth=1)
     if removal.cutter is not None and not removal.cutter.has_flat_end:
         tool = removal.cutter
-    return EngagementCut(tool, Cutting(**ANY_LAW), stock, math.radians(1.0))
+    law = Cutting(law="linear_edge", linear_edge=AL7075_T6)  # of no effect: the spindle does not turn
+    return EngagementCut(tool, law, stock, math.radians(1.0))

@@ -9,9 +9,6 @@ from kr270_milling.base.errors import InputError
 
 __all__ = ["ProgramError", "ProgramTool", "ReadOver", "Refusal", "SourceProgram"]
 
-MOST_KINDS = 8  #: kinds of refused words that one sentence lists; the error carries all of them
-MOST_LINES = 40  #: kinds that a terminal lists
-
 
 @dataclass(frozen=True)
 class ReadOver:
@@ -117,11 +114,13 @@ class ProgramError(InputError):
         for refusal in program.refused:
             kinds.setdefault((refusal.reason, refusal.advice), []).append(refusal)
         texts = [(like[0].line, like[0].sentence + _lines_of(like[1:])) for like in kinds.values()]
-        more = len(texts) - MOST_LINES, len(texts) - MOST_KINDS
+        most_kinds = 8  # kinds of refused words that one sentence lists; the error carries all of them
+        most_lines = 40  # kinds that a terminal lists
+        more = len(texts) - most_lines, len(texts) - most_kinds
         #: one text for each kind, for a terminal
-        self.listing = tuple(f"{source}, line {line}: {text}" for line, text in texts[:MOST_LINES])
+        self.listing = tuple(f"{source}, line {line}: {text}" for line, text in texts[:most_lines])
         self.listing += (f"{source}: and {more[0]} other kinds of words",) * (more[0] > 0)
-        sentence = " | ".join([texts[0][1], *(f"line {line}: {text}" for line, text in texts[1:MOST_KINDS])])
+        sentence = " | ".join([texts[0][1], *(f"line {line}: {text}" for line, text in texts[1:most_kinds])])
         sentence += f" | and {more[1]} other kinds of words" * (more[1] > 0)
         super().__init__(source, sentence, program.refused[0].line)
 

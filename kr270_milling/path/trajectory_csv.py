@@ -19,7 +19,6 @@ __all__ = ["write_csv", "read_csv"]
 
 KNOT = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 VELOCITY = ("vx_mm_per_s", "vy_mm_per_s", "vz_mm_per_s")
-LATEST = 9e9  #: [s], what nanoseconds in 64 bits hold
 JOINTS = ("a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg")
 
 
@@ -60,7 +59,8 @@ def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | N
     several = {part[0]: [name in column for name in part] for part in (VELOCITY, JOINTS)}
     if any(any(there) != all(there) for there in several.values()):
         raise InputError(path, f"the header must be {','.join(KNOT)}, then velocities and joint angles if any", 1)
-    table.refuse(np.abs(column["time_s"]) > LATEST, "a time is too large")
+    latest = 9e9  # [s], what nanoseconds in 64 bits hold
+    table.refuse(np.abs(column["time_s"]) > latest, "a time is too large")
 
     def columns(names) -> np.ndarray:
         return np.stack([column[name] for name in names], -1)

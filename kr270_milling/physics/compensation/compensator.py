@@ -21,8 +21,6 @@ from kr270_milling.physics.compensation.settings import CompensationSettings
 
 __all__ = ["Compensator", "noise_floor", "remaining_error"]
 
-LEAST_STEP = 0.05e-6  #: [m]: an improvement of the largest error by less, or by less than 1 %, ends the learning
-
 
 def remaining_error(target: Trajectory, record: PassRecord) -> float:
     """Largest distance [m] of the tool from the target path, across the feed, over the scored part of a pass.
@@ -177,7 +175,8 @@ class Compensator:
         first = len(self.errors) == 1
         if first or error < (best + floor if best < self.errors[0] else best):
             self._best = (min(error, best), self.reference, self.limited)
-        worth = first or best - error > max(0.01 * best, LEAST_STEP, floor)
+        least_step = 0.05e-6  # [m]: an improvement of the largest error by less, or by less than 1 %, ends the learning
+        worth = first or best - error > max(0.01 * best, least_step, floor)
         self._in_vain = 0 if worth else self._in_vain + 1
         return self.finished or self._in_vain > bool(floor) or len(self.errors) > self.parameters.max_passes
 

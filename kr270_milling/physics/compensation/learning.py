@@ -42,13 +42,7 @@ FREE = 0.3  #: their weight in the fit of the arm: a tool without load separates
 ALONG = 0.1  #: weight of deviations along the feed, which change the time and not the part
 SMOOTHNESS = 1e-5  #: weight of the roughness without noise: prevents neighbouring knots from cancelling each other
 ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against loads; noise beyond it is smoothed
-#: weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise, gains
-#: less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
-CAREFUL = 1.0
-ROUNDS = 4  #: most passes of the simulated robots; the cut answers the correction, so the first one is not the last
 LONG = 600_000_000_000  #: [ns], assumed: the passes of a longer program take minutes each, so two must do
-WORTH = 0.98  #: of the mean square of their largest deviations: a pass that gains less is the last
-SETTLED = 1e-4  #: of the cost of the path as programmed: a step of the search that gains less is the last
 MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
 
 
@@ -231,10 +225,17 @@ class Learner:
         if self._robots is None:
             return offset
         segments, weight, smooth = self.segments, self._weight(), self.conditions.smooth
-        settled = SETTLED * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
+        settled_gain = 1e-4  # of the cost of the path as programmed: a step of the search that gains less is the last
+        settled = settled_gain * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
         lifted = Lifted(self.arm, segments, self.conditions)
         best, tried, bias = np.inf, offset, 0.0
-        for number in range(ROUNDS if self.target.duration_ns < LONG else 2):
+        # weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise,
+        # gains less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
+        careful = 1.0
+        # most passes of the simulated robots; the cut answers the correction, so the first one is not the last
+        rounds = 4
+        worth = 0.98  # of the mean square of their largest deviations: a pass that gains less is the last
+        for number in range(rounds if self.target.duration_ns < LONG else 2):
             reference, _ = corrected(self.target, tried, smooth)
             passes = [
                 (arm, segments.middle(ran.time_ns, ran.position - self.target.sample(ran.time_ns)))
@@ -246,11 +247,11 @@ class Learner:
             if not drawn:
                 break
             size = float(np.mean([self._largest(deviation, weight) for _, deviation in drawn]))
-            if size > WORTH * best or len(drawn) < len(self.ensemble):
+            if size > worth * best or len(drawn) < len(self.ensemble):
                 break
             best, offset = size, tried
             self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
-            tried = offset + lifted.least_mean_square(drawn, weight, CAREFUL, settled).knots(segments)
+            tried = offset + lifted.least_mean_square(drawn, weight, careful, settled).knots(segments)
             if np.array_equal(tried, offset):
                 break
         return offset

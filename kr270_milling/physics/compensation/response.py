@@ -30,9 +30,6 @@ from kr270_milling.physics.motion.dynamics import ArmFactors
 
 __all__ = ["ArmResponse", "Lag", "Segments", "cubic_coefficients"]
 
-MOST_DAMPING = 0.95
-LEAST_DAMPING = 1e-4
-LONGEST = 3e-3  #: [s], of a part: a tenth of the period of a mode at 33 Hz
 FEWEST, MOST = 4, 16  #: parts in a segment
 BLOCK = 4096  #: segments that are computed at once, some 12 kB each
 
@@ -47,7 +44,8 @@ class Segments:
     @classmethod
     def of(cls, time_ns: np.ndarray) -> Segments:
         typical = float(np.median(np.diff(time_ns))) * 1e-9
-        return cls(time_ns, int(np.clip(np.ceil(typical / LONGEST - 1e-9), FEWEST, MOST)))
+        longest = 3e-3  # [s], of a part: a tenth of the period of a mode at 33 Hz
+        return cls(time_ns, int(np.clip(np.ceil(typical / longest - 1e-9), FEWEST, MOST)))
 
     def __len__(self) -> int:
         return self.time_ns.size - 1
@@ -240,10 +238,12 @@ class ArmResponse:
         The static displacement under a wrench, push / omega^2, is that of ``softness`` alone.
         """
         factor = np.broadcast_to(frequency, (self.order,))
+        most_damping = 0.95
+        least_damping = 1e-4
         return dataclasses.replace(
             self,
             frequency=self.frequency * factor,
-            damping=np.clip(self.damping * damping, LEAST_DAMPING, MOST_DAMPING),
+            damping=np.clip(self.damping * damping, least_damping, most_damping),
             push=self.push * factor[:, None] ** 2,
             gain=self.gain * gain,
             softness=self.softness * softness,

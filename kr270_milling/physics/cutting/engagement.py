@@ -75,8 +75,6 @@ FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # share of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 16  # nodes, a power of two
-NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
-NEAR = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
 # Places in EngagementState.ints
@@ -192,7 +190,8 @@ def tables(radius: float, spacing: float, bins: int) -> dict:
     angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
     sectors = np.clip(np.floor((angle + np.pi) * SECTORS / (2.0 * np.pi)), 0, SECTORS - 1)
     along = np.arange(-reach - BLOCK // 2, reach + BLOCK // 2 + 1)  # half a block beyond both ends
-    far = np.maximum(np.hypot(offset[:, None], along), NEAREST) * spacing / radius
+    nearest = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
+    far = np.maximum(np.hypot(offset[:, None], along), nearest) * spacing / radius
     window = np.pad(np.ones(BLOCK - 1), 1, constant_values=0.5) / BLOCK  # half of the axis to either side
     inverse = np.stack([np.convolve(row, window, "valid") for row in 1.0 / far])
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
@@ -313,9 +312,10 @@ def engage(s, p, pose_from, pose_to, n, wrench):
 @inlined
 def _floor_near(s, p, tip):
     """Deepest known level of a footprint NEAR the tip; -1: none is known."""
+    near = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
     for k in range(s.ints[FLOORS_KNOWN]):
         u, v = s.floors[k, 0] - tip[0], s.floors[k, 1] - tip[1]
-        if u * u + v * v < (NEAR * p.radius) ** 2:
+        if u * u + v * v < (near * p.radius) ** 2:
             return np.int64(s.floors[k, 2])
     return np.int64(-1)
 

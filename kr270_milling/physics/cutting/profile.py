@@ -18,7 +18,6 @@ __all__ = ["Pieces", "outline", "pieces"]
 
 ARC = math.radians(0.25)  # between two points of an arc: a chord stays within 2.4e-6 of its radius
 TURN = math.radians(3.0)  # of the edge within a piece
-WIDTH = 0.05  # of a piece across the axis, as a share of the radius: the tip of a ball meets several in a shallow cut
 
 
 class Pieces(NamedTuple):
@@ -72,9 +71,11 @@ def _cone(tool: Tool, radius: float) -> np.ndarray:
 def pieces(points: np.ndarray, radius: float) -> Pieces:
     """Divide the edge of an outline (n, 2) [m]: a piece turns by at most TURN and is at most WIDTH wide and 4 high."""
     fine = [points[:1]]
+    # of a piece across the axis, as a share of the radius: the tip of a ball meets several in a shallow cut
+    width = 0.05
     for before, after in zip(points, points[1:], strict=False):
         wide, high = np.abs(after - before) / radius
-        count = max(1, math.ceil(wide / WIDTH - 1e-9), math.ceil(high / (4.0 * WIDTH) - 1e-9))
+        count = max(1, math.ceil(wide / width - 1e-9), math.ceil(high / (4.0 * width) - 1e-9))
         fine.append(before + np.arange(1, count + 1)[:, None] / count * (after - before))
     fine_points = np.vstack(fine)
     step = np.diff(fine_points, axis=0)
@@ -82,7 +83,7 @@ def pieces(points: np.ndarray, radius: float) -> Pieces:
     first = [0]
     for k in range(1, len(step)):
         size = (fine_points[k + 1] - fine_points[first[-1]]) / radius
-        if abs(kappa[k] - kappa[first[-1]]) > TURN or size[0] > 1.001 * WIDTH or size[1] > 4.004 * WIDTH:
+        if abs(kappa[k] - kappa[first[-1]]) > TURN or size[0] > 1.001 * width or size[1] > 4.004 * width:
             first.append(k)
     length, middle = np.hypot(*step.T), 0.5 * (fine_points[1:] + fine_points[:-1])
     total = np.add.reduceat(length, first)

@@ -58,7 +58,6 @@ ENTRIES = 4096  # of the profile from the axis to the radius
 RUN = 16  # nodes of a row whose highest one is known
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 LEVEL = 1e-6  # cos(kappa) of a flat end is 1 to this
-LOG_LOST = 1 << 62
 
 
 class RevolutionParams(NamedTuple):
@@ -258,8 +257,9 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     """Lower the nodes (i, low..high) of one run, and add what they lose to their bins."""
     logged, total, new = s.ints[LOGGED], 0, 0
     room = logged + high - low < s.log_place.size
+    log_lost = 1 << 62
     if not room:
-        logged = LOG_LOST
+        logged = log_lost
     outer = (r - RIM) * (r - RIM)
     last_piece, bins = p.edges.size - 1, p.widths.size
     for j in range(low, high + 1):

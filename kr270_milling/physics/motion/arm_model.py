@@ -17,10 +17,6 @@ from kr270_milling.physics.robot.mass import MODELS
 
 __all__ = ["Dynamics", "MeasuredModes", "arm_model", "measured_model", "modal_models"]
 
-#: distance [m] that counts as much as a radian, where rotation and translation of the reference cannot both be met:
-#: a turn about the tool tip moves the edge of an ordinary cutter by it
-RADIUS = 0.01
-
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes(Record):
@@ -112,7 +108,10 @@ def measured_model(measured: MeasuredModes) -> ModalModel:
     which some mode moves it, and follows the reference in the others.
     """
     shapes = measured.shape.reshape(-1, 6).T  # (6, r)
-    weight = np.array([1.0] * 3 + [RADIUS] * 3)
+    # distance [m] that counts as much as a radian, where rotation and translation of the reference cannot both be met:
+    # a turn about the tool tip moves the edge of an ordinary cutter by it
+    lever = 0.01
+    weight = np.array([1.0] * 3 + [lever] * 3)
     r = measured.frequency.size
     return ModalModel(
         inertial=np.arange(r),

@@ -19,7 +19,6 @@ __all__ = ["BRANCHES", "branches", "branches_at", "inverse_along", "inverse_near
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)
-SLACK = 1e-12  #: [rad], of the joint limits: rounding
 TWO_PI = 2 * np.pi
 
 
@@ -70,7 +69,8 @@ def inverse_along(
 
 def _check_limits(arm: Arm, q: np.ndarray) -> None:
     """Raise JointLimitError for the first posture (..., 6) [rad] with a joint out of its range."""
-    bad = np.argwhere(~((q >= arm.joint_lower - SLACK) & (q <= arm.joint_upper + SLACK)))
+    slack = 1e-12  # [rad], of the joint limits: rounding
+    bad = np.argwhere(~((q >= arm.joint_lower - slack) & (q <= arm.joint_upper + slack)))
     if len(bad):
         *index, joint = (int(i) for i in bad[0])
         limits = float(arm.joint_lower[joint]), float(arm.joint_upper[joint])

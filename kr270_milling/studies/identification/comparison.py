@@ -16,9 +16,6 @@ __all__ = [
     "compare", "line_through",
 ]  # fmt: skip
 
-LEAST_OVERLAP = 0.6  #: share of the shorter series that both must have in common
-LEAST_LIKENESS = 0.5  #: below it two series are not of the same pass
-
 
 @dataclass(frozen=True)
 class LinearFit:
@@ -49,7 +46,8 @@ def best_lag(measured: np.ndarray, simulated: np.ndarray, same_size: bool) -> tu
     overlap = _slide(np.ones((len(measured), 1)), np.ones((len(simulated), 1)))
     likeness = product / np.sqrt(np.maximum(squares_m * squares_s, 1e-300))
     score = -(squares_m + squares_s - 2 * product) / np.maximum(overlap, 1.0) if same_size else likeness
-    enough = overlap > LEAST_OVERLAP * min(len(measured), len(simulated))
+    least_overlap = 0.6  # share of the shorter series that both must have in common
+    enough = overlap > least_overlap * min(len(measured), len(simulated))
     place = int(np.argmax(np.where(enough, score, -np.inf)))
     return place - (len(simulated) - 1), float(likeness[place])
 
@@ -144,7 +142,8 @@ def _aligned(what: str, measured: VectorSeries, simulated: VectorSeries, same_si
     middle = simulated.values.mean(0) if same_size else 0.0  # squares of small numbers
     theirs, ours = (resampled(p.time, p.values, step) - middle for p in (measured, simulated))
     lag, likeness = best_lag(theirs, ours, same_size)
-    if likeness < LEAST_LIKENESS:
+    least_likeness = 0.5  # below it two series are not of the same pass
+    if likeness < least_likeness:
         raise ModelError(
             f"the measured {what} does not resemble the simulated one at any lag (best correlation {likeness:.2f}): "
             "check the topic, the axes of the sensor and the cell"

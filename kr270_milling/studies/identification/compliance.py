@@ -24,10 +24,6 @@ __all__ = ["Fit", "fit_compliance"]
 
 #: relative standard deviation of a number that the data cannot identify, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15
-#: that of the base, in units of ``problem.TILT`` where the arm file has a rigid base: assumed, as stiff as published
-#: foundations or rigid
-BASE_PRIOR = 1.0
-ROUNDS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +124,8 @@ def _fitted(problem: Problem, exclusions: dict[int, Exclusion], robust: bool) ->
     sought, measured = int(free.sum()), int(problem.finite.sum())
     if measured <= sought:
         raise ModelError(f"{measured} measured numbers for {sought} unknown ones; measure more loads or postures")
-    for _ in range(ROUNDS):
+    rounds = 30
+    for _ in range(rounds):
         x = problem.solve(x, free, weights)
         left = problem.weighted(problem.predict(x))
         new = robust_weights(left) if robust else weights
@@ -147,7 +144,10 @@ def _fitted(problem: Problem, exclusions: dict[int, Exclusion], robust: bool) ->
         variance = robust_variance(problem.weighted(problem.predict(x)), sought)
     else:
         variance = scatter(chi2, freedom, True)
-    prior = np.where(problem.is_base, BASE_PRIOR, PRIOR)[~free]
+    # that of the base, in units of ``problem.TILT`` where the arm file has a rigid base: assumed, as stiff as published
+    # foundations or rigid
+    base_prior = 1.0
+    prior = np.where(problem.is_base, base_prior, PRIOR)[~free]
     weighted = a * np.sqrt(each)[:, None]
     covariance = _with_prior(np.linalg.inv(a[:, free].T @ a[:, free]) * variance, weighted, free, prior)
     quantile = half_interval(freedom, problem.measured.sigma_known and not robust)

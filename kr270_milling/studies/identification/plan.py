@@ -31,12 +31,7 @@ __all__ = [
 ]  # fmt: skip
 
 MARGIN = np.radians(5.0)  #: distance to every joint limit
-MOST_TURN = np.radians(180.0)  #: turn of axes 4 and 6, for the cables
-LEAST_MEASURE = 0.1  #: distance to the singularities of elbow and wrist: assumed
-TEST_FORCE = 100.0  #: [N] along each axis in turn, what milling of aluminium asks of the arm
 CRITERIA = ("test pose", "A", "D")
-WEAK = 1.0  #: relative standard deviation of each number before anything is measured: regular from the first test on
-SWEEPS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +76,8 @@ def candidates(arm: Arm, mount: Mount, bench: Bench, postures: int, seed: int) -
 def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np.ndarray:
     """(k, 6) [rad], k up to ``count``."""
     low, high = arm.joint_lower + MARGIN, arm.joint_upper - MARGIN
-    low[[3, 5]], high[[3, 5]] = np.maximum(low[[3, 5]], -MOST_TURN), np.minimum(high[[3, 5]], MOST_TURN)
+    most_turn = np.radians(180.0)  # turn of axes 4 and 6, for the cables
+    low[[3, 5]], high[[3, 5]] = np.maximum(low[[3, 5]], -most_turn), np.minimum(high[[3, 5]], most_turn)
     drawn = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(16 * count))))
     q = low + (high - low) * drawn
     frames = forward(arm, mount, q)
@@ -90,7 +86,8 @@ def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np
     fits = (lowest > bench.lowest) & (point[:, 2] < bench.highest)
     fits &= np.hypot(point[:, 0], point[:, 1]) > bench.nearest
     fits &= np.hypot(*np.moveaxis(frames.nodes[:, 4, :2], -1, 0)) > bench.nearest
-    fits &= (singularity_measures(arm, q)[:, 1:] > LEAST_MEASURE).all(1)
+    least_measure = 0.1  # distance to the singularities of elbow and wrist: assumed
+    fits &= (singularity_measures(arm, q)[:, 1:] > least_measure).all(1)
     if not fits.any():
         raise MillingError("no posture of this arm keeps its tool above the floor and away from its base")
     return q[fits][:count]
@@ -98,7 +95,8 @@ def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np
 
 def at_posture(mount: Mount, q) -> Measurements:
     """TEST_FORCE along x, y and z of the base at the tool point of posture q (6,) [rad], as tests without a result."""
-    return unmeasured(np.tile(np.asarray(q, float), (3, 1)), TEST_FORCE * np.eye(3), mount.xyz, 1.0)
+    test_force = 100.0  # [N] along each axis in turn, what milling of aluminium asks of the arm
+    return unmeasured(np.tile(np.asarray(q, float), (3, 1)), test_force * np.eye(3), mount.xyz, 1.0)
 
 
 def read_test_pose(path, mount: Mount) -> Measurements | None:
@@ -139,7 +137,8 @@ class Planner:
         chosen: list[int] = []
         for _ in range(count):
             chosen.append(self._addition(chosen, criterion))
-        for _ in range(SWEEPS):
+        sweeps = 20
+        for _ in range(sweeps):
             before = list(chosen)
             for i in range(count):
                 chosen[i] = self._addition(chosen[:i] + chosen[i + 1 :], criterion)
@@ -163,7 +162,9 @@ class Planner:
 
     def _covariance(self, rows) -> np.ndarray:
         slopes = self._slopes[list(rows)].reshape(-1, self._slopes.shape[-1])
-        return np.linalg.inv(slopes.T @ slopes + np.eye(slopes.shape[1]) / WEAK**2)
+        # relative standard deviation of each number before anything is measured: regular from the first test on
+        weak = 1.0
+        return np.linalg.inv(slopes.T @ slopes + np.eye(slopes.shape[1]) / weak**2)
 
     def _addition(self, others: list[int], criterion: str) -> int:
         """Return the candidate that improves the criterion most.

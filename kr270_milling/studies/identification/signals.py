@@ -21,14 +21,10 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
 COLUMNS = ("time_s", *AXES, FORCE)
 QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  #: specific data type of a UFF file -> quantity
-FORCES = (9, 13)  #: specific data types: reaction force, excitation force
 SI = ("", "NONE", "M", "M/S", "M/S2", "M/S^2", "M/S**2", "N", "RAD")  #: labels of units of a UFF file
 UFF = (".uff", ".unv", ".58")
 FEWEST = 16
 MOST_BYTES = 256 * 1024 * 1024  #: size of a UFF file, which is read as a whole
-LONGEST_GAP = 10.0  #: steps that are bridged by a straight line: assumed
-UNEVEN = 0.1  #: share of a step by which stamps may be uneven without a word: assumed, 3 degrees at 10 samples a period
-CONFLICTS = 0.01  #: share of the messages that may repeat a stamp with other values: assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,16 +99,19 @@ def _even_stamps(path, time: np.ndarray, lines) -> tuple[np.ndarray, float, str]
         share = f"{int((steps == 0.0).sum())} of {len(time)} samples have the stamp of the sample before them"
         raise InputError(path, f"{share}, as {time[late]:.9g} s: write the stamps with all their digits", line)
     step = float(np.median(steps))
-    if steps.max() > LONGEST_GAP * step:
+    longest_gap = 10.0  # steps that are bridged by a straight line: assumed
+    if steps.max() > longest_gap * step:
         raise InputError(path, f"has a gap of {steps.max():.3g} s where samples come every {step:.3g} s")
     uneven = float(np.abs(steps - step).max())
     even = np.linspace(time[0], time[-1], len(time))
     digit = next((d for d in 10.0 ** -np.arange(10) if np.abs(time - d * np.rint(time / d)).max() < 1e-3 * d), 0.0)
+    # share of a step by which stamps may be uneven without a word: assumed, 3 degrees at 10 samples a period
+    noticed = 0.1
     if np.abs(time - even).max() <= 1.01 * digit:
         note = f"the stamps are rounded to {digit:g} s: the samples are taken as even, every {even[1] - even[0]:.6g} s"
-        return even, float(even[1] - even[0]), note if uneven > UNEVEN * step else ""
+        return even, float(even[1] - even[0]), note if uneven > noticed * step else ""
     note = f"the stamps are uneven, {steps.min():.3g} to {steps.max():.3g} s: straight lines give even samples"
-    return time, step, note if uneven > UNEVEN * step else ""
+    return time, step, note if uneven > noticed * step else ""
 
 
 def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
@@ -163,7 +162,8 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
 
 
 def _is_force(history: dict) -> bool:
-    return history.get("ordinate_spec_data_type") in FORCES
+    forces = (9, 13)  # specific data types: reaction force, excitation force
+    return history.get("ordinate_spec_data_type") in forces
 
 
 def _direction(history: dict, number: int) -> str:
@@ -192,7 +192,8 @@ def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
         raise RecordingError(path, f"{matches[0]} has no two messages")
     stamp, first, place = np.unique(read.stamp, return_index=True, return_inverse=True)
     others = int((read.values != read.values[first[place]]).any(1).sum())  # a repeated answer has the same values
-    if others > CONFLICTS * len(place):
+    conflicts = 0.01  # share of the messages that may repeat a stamp with other values: assumed
+    if others > conflicts * len(place):
         reason = f"{others} of {len(place)} messages of {matches[0]} have the stamp of another message"
         raise RecordingError(path, f"{reason}: stamp each sample with its own time")
     return stamp * 1e-9, read.values[first]

@@ -35,12 +35,8 @@ __all__ = [
 
 PLACE = ("x_mm", "y_mm")
 COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "surface", "note")
-SURFACES = ("wall", "floor")
-FARTHEST = 2e-3  #: [m] from a place to the predicted wall
-LARGEST = 5e-3  #: [m] of a measured error; more is a wrong unit
 FEWEST = 3  #: places for a gain and an offset
 NEAR = 5  #: points of the predicted wall, whose mean is the prediction
-PATCH = 1e-3  #: [m], radius of the floor whose median is the prediction: the ball of a probe
 PLANTS = 16
 BAND = (0.05, 0.95)
 
@@ -79,10 +75,12 @@ def read_wall(path) -> WallPlaces:
     """Read a CSV file of places, one a row; the columns are COLUMNS. Raises InputError."""
     table = read_table(path, COLUMNS, (*PLACE, "error_um"))
     error, sigma = 1e-6 * table.number("error_um"), 1e-6 * table.number("sigma_um", 0.0)
-    table.refuse(np.abs(error) > LARGEST, f"error_um must be in um and at most {1e6 * LARGEST:g}")
+    largest = 5e-3  # [m] of a measured error; more is a wrong unit
+    table.refuse(np.abs(error) > largest, f"error_um must be in um and at most {1e6 * largest:g}")
     table.refuse(sigma < 0.0, "sigma_um must be at least 0")
     surface = np.array(table.texts("surface") if "surface" in table else [""] * len(table))
-    table.refuse(~np.isin(surface, ("", *SURFACES)), f"surface must be one of {', '.join(SURFACES)}; empty: wall")
+    surfaces = ("wall", "floor")
+    table.refuse(~np.isin(surface, ("", *surfaces)), f"surface must be one of {', '.join(surfaces)}; empty: wall")
     if len(table) < FEWEST:
         raise InputError(path, f"has {len(table)} places, but a comparison needs at least {FEWEST}")
     place, height = 1e-3 * table.numbers(PLACE), 1e-3 * table.number("z_mm", np.nan)
@@ -120,18 +118,20 @@ class PredictedPlaces:
     def _wall(self, k: int, tree: cKDTree, bottom: np.ndarray) -> np.ndarray:
         """Indices of the nearest points of the walls, at the height of the place where that is given."""
         z, walls = self.measured.height[k], self._ideal.walls
-        distance, near = tree.query(self.measured.place[k], k=min(8 * NEAR, bottom.size), distance_upper_bound=FARTHEST)
+        farthest = 2e-3  # [m] from a place to the predicted wall
+        distance, near = tree.query(self.measured.place[k], k=min(8 * NEAR, bottom.size), distance_upper_bound=farthest)
         near = np.atleast_1d(near)[np.isfinite(np.atleast_1d(distance))]
         if np.isfinite(z):
             near = near[(bottom[near] - 1e-5 <= z) & (z <= bottom[near] + walls.height[near] + 1e-5)]
         if not near.size:
-            self._refuse(k, f"is farther than {1e3 * FARTHEST:g} mm from every wall that the cell leaves")
+            self._refuse(k, f"is farther than {1e3 * farthest:g} mm from every wall that the cell leaves")
         return near[:NEAR]
 
     def _floor(self, k: int) -> np.ndarray:
         """Indices of the level nodes around a place, in the map as one row."""
         ideal, (x, y) = self._ideal, self.measured.place[k]
-        near = np.hypot(ideal.x[:, None] - x, ideal.y - y) <= PATCH
+        patch = 1e-3  # [m], radius of the floor whose median is the prediction: the ball of a probe
+        near = np.hypot(ideal.x[:, None] - x, ideal.y - y) <= patch
         depth = ideal.height[near]
         level = near & ~ideal.unjudged & (ideal.owner >= 0)
         if depth.size:

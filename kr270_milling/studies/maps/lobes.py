@@ -17,8 +17,6 @@ from kr270_milling.studies.identification.cuts import engagement_angles
 
 __all__ = ["engagement_text", "lobes"]
 
-THREADS = 2
-
 
 def lobes(
     cell: Cell, speeds: Sequence[float], arm: bool = True, progress: Callable[[int, int], None] | None = None
@@ -28,7 +26,7 @@ def lobes(
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
     results = []
-    with ThreadPoolExecutor(THREADS) as pool:
+    with ThreadPoolExecutor(max_workers=2) as pool:
         for lobe in pool.map(lambda speed: _lobe_at(cell, modes, speed), speeds):
             results.append(lobe)
             if progress is not None:
