@@ -18,12 +18,6 @@ from kr270_milling.physics.cutting.engagement import (
 from kr270_milling.physics.cutting.grid import TILE, GridError, Stock, levels_in_window
 from kr270_milling.physics.cutting.lanes import LANES
 from kr270_milling.physics.cutting.laws import Cutting
-from kr270_milling.physics.cutting.revolution import (
-    RevolutionParams,
-    RevolutionState,
-    make_revolution_params,
-    make_revolution_state,
-)
 from kr270_milling.physics.cutting.state import (
     FAILED,
     LEVEL_SUM,
@@ -67,8 +61,8 @@ class CutModel:
     tool, cutting, stock: records of the parameter file; the grid of ``stock`` is that of the model.
     """
 
-    params: Params | EngagementParams | RevolutionParams
-    state: State | EngagementState | RevolutionState
+    params: Params | EngagementParams
+    state: State | EngagementState
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
         self.tool, self.cutting, self.stock = tool, cutting, stock
@@ -110,7 +104,7 @@ class CutModel:
         return wrench, torque, volume
 
     @property
-    def final_params(self) -> Params | EngagementParams | RevolutionParams:
+    def final_params(self) -> Params | EngagementParams:
         """Parameters for positions that no correction changes."""
         return self.params
 
@@ -130,7 +124,7 @@ class CutModel:
         self.state.pool[used : most // self.state.pool.itemsize].fill(0)
 
     @property
-    def state_of_pass(self) -> State | EngagementState | RevolutionState:
+    def state_of_pass(self) -> State | EngagementState:
         """The state for a pass in which no step is taken back."""
         return self.state
 
@@ -225,19 +219,15 @@ class EngagementCut(CutModel):
     gets predicted poses. ``along`` gets final poses. A tool whose end is not flat takes the part of ``revolution``.
     """
 
-    params: EngagementParams | RevolutionParams
-    state: EngagementState | RevolutionState
+    params: EngagementParams
+    state: EngagementState
 
     def __init__(
         self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
     ):
         super().__init__(tool, cutting, stock)
-        if tool.has_flat_end:
-            self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
-            self.state = make_engagement_state(self.params.reach, self.params.widths.size, stock)
-        else:
-            self.params = make_revolution_params(tool, cutting, stock, micro_step, bins, give)
-            self.state = make_revolution_state(self.params, stock)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
+        self.state = make_engagement_state(self.params, stock)
 
     def continue_from(self, before: CutModel) -> None:
         super().continue_from(before)
@@ -246,11 +236,11 @@ class EngagementCut(CutModel):
             self.state.rest[:used] = self.state.pool[:used]
 
     @property
-    def final_params(self) -> EngagementParams | RevolutionParams:
+    def final_params(self) -> EngagementParams:
         return self.params._replace(give=0.0)
 
     @property
-    def state_of_pass(self) -> EngagementState | RevolutionState:
+    def state_of_pass(self) -> EngagementState:
         """Without an undo log, whose writing takes time."""
         nodes = np.empty(0, np.uint16)
         return self.state._replace(log_place=np.empty(0, np.int64), log_level=nodes, log_rest=nodes)
