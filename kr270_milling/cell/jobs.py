@@ -22,7 +22,7 @@ from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import method_of
-from kr270_milling.physics.compensation.mirror import Mirror, mirror
+from kr270_milling.physics.compensation.mirror import mirror
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
@@ -275,7 +275,7 @@ def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
     """
     turn = cell.workpiece.pose.rotation
     in_base = np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
-    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base, True).pose
+    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base, True)[0]
     return Trajectory(target.time_ns, modified.position, modified.quaternion, None, target.frame)
 
 
@@ -286,7 +286,7 @@ def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
     """
     if cell.compensation.sag_compensated:
         return arm_of(cell).joints(reference)
-    return _mirror(cell, reference, np.zeros((len(reference), 6)), False).joints
+    return _mirror(cell, reference, np.zeros((len(reference), 6)), False)[1]
 
 
 def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
@@ -295,7 +295,7 @@ def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
     return {"start": joints[0], "end": joints[-1], "min": joints.min(axis=0), "max": joints.max(axis=0)}
 
 
-def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
+def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool):
     tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
     return mirror(
         cell.arm,

@@ -7,15 +7,7 @@ from dataclasses import dataclass
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["ProgramError", "ProgramTool", "ReadOver", "Refusal", "SourceProgram"]
-
-
-@dataclass(frozen=True)
-class ReadOver:
-    """A word without effect on the path, and how often the program contains it."""
-
-    word: str
-    count: int
+__all__ = ["ProgramError", "ProgramTool", "Refusal", "SourceProgram"]
 
 
 @dataclass(frozen=True)
@@ -90,13 +82,13 @@ class SourceProgram:
     feed_units: tuple[str, ...] = ()  #: unit of the F words, such as "mm a minute"
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
-    read_over: tuple[ReadOver, ...] = ()
+    read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
     refused: tuple[Refusal, ...] = ()
 
     @property
     def summary(self) -> str:
         """Return one line about the ignored words, "" if there are none."""
-        words = ", ".join(f"{r.count} {r.word}" for r in self.read_over)
+        words = ", ".join(f"{count} {word}" for word, count in self.read_over)
         return f"read over: {words}" if words else ""
 
     @property

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
-__all__ = ["Evidence", "Identified", "fit_arm"]
+__all__ = ["Evidence", "fit_arm"]
 
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
@@ -32,22 +32,6 @@ class Evidence:
     deviation: np.ndarray  #: [m], (m, parts, 3)
     wrench: np.ndarray | None  #: [N, N m], (m, parts, 6)
     on_path: np.ndarray | None = None  #: wrench on a tool on its path [N, N m], (m, parts, 6)
-
-
-@dataclass(frozen=True)
-class Identified:
-    """The fitted values; modes that the passes do not show are missing."""
-
-    gain: float  #: gain of the tool's response to the reference
-    compliance_factor: float  #: on the static compliance of the model
-    frequency_hz: tuple[float, ...]
-    damping_ratio: tuple[float, ...]
-    mode: tuple[int, ...]  #: numbers of these modes in the model, from 1
-
-    def as_dict(self) -> dict:
-        rows = zip(self.mode, self.frequency_hz, self.damping_ratio, strict=True)
-        modes = [{"mode": m, "frequency_hz": f, "damping_ratio": z} for m, f, z in rows]
-        return {"gain": self.gain, "compliance_factor": self.compliance_factor, "modes": modes}
 
 
 class _Problem:
@@ -122,8 +106,10 @@ def fit_arm(
     passes: tuple[Evidence, ...],
     weight: np.ndarray,
     noise: float,
-) -> tuple[ArmResponse, Identified | None]:
-    """Return the arm that explains the passes, the uncorrected pass first, and the fitted values.
+) -> tuple[ArmResponse, dict | None]:
+    """Return the arm that explains the passes, the uncorrected pass first, and the fitted values as written to JSON.
+
+    The gain is that of the response to the reference; modes that the passes do not show are missing.
 
     path: cubics of the programmed path, (m, 4, 3); approach: its velocity before [m/s], (3,); weight: (m, parts);
     noise: standard deviation of the deviation of a part [m]. Nothing is fitted before the first corrected pass where
@@ -142,13 +128,16 @@ def fit_arm(
         best = min(starts, key=lambda numbers: float(np.sum(problem.residuals(numbers) ** 2)))
     numbers = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
     fitted, problem.arm = problem.arm_of(numbers), whole
-    return problem.arm_of(numbers), Identified(
-        fitted.gain,
-        fitted.softness,
-        tuple((fitted.frequency[0, problem.modes] / (2.0 * np.pi)).tolist()),
-        tuple(fitted.damping[0, problem.modes].tolist()),
-        tuple((problem.modes + 1).tolist()),
-    )
+    modes = [
+        {"mode": mode + 1, "frequency_hz": float(frequency), "damping_ratio": float(damping)}
+        for mode, frequency, damping in zip(
+            problem.modes.tolist(),
+            fitted.frequency[0, problem.modes] / (2.0 * np.pi),
+            fitted.damping[0, problem.modes],
+            strict=True,
+        )
+    ]
+    return problem.arm_of(numbers), {"gain": fitted.gain, "compliance_factor": fitted.softness, "modes": modes}
 
 
 def _pieces(arm: ArmResponse, segments: Segments, path, passes: tuple[Evidence, ...], weight):

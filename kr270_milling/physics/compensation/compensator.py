@@ -10,7 +10,6 @@ from scipy.interpolate import make_lsq_spline
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.arm_fit import Identified
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.limiting import Bounds, Limited
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
@@ -113,7 +112,7 @@ class Compensator:
         return self.parameters.max_passes if self.repeats else None
 
     @property
-    def identified(self) -> Identified | None:
+    def identified(self) -> dict | None:
         """The arm as fitted to the passes."""
         return self.learner.identified if self.learner else None
 

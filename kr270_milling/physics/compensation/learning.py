@@ -25,7 +25,7 @@ from scipy.ndimage import uniform_filter1d
 from kr270_milling.base.errors import ModelError
 from kr270_milling.path.controller_motion import block_ends, controller_motion
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.arm_fit import Evidence, Identified, fit_arm
+from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
@@ -71,7 +71,7 @@ class Learner:
         self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
-        self.identified: Identified | None = None
+        self.identified: dict | None = None
         self.passes: tuple[Evidence, ...] = ()
         #: deviation on the path without a correction [m], (m, parts, 3)
         self.expected = np.zeros((len(self.segments), self.segments.parts, 3))

@@ -26,14 +26,10 @@ class SampledMethod:
         return Correction(sampled_correction(task.target, task.reference, task.ran), self.smooth)
 
 
-@dataclass(frozen=True)
 class MirrorMethod:
     """The static mirror (30)-(32) under the mean wrench of the last pass; straight lines where the target has them."""
 
-    name: str
-    smooth: bool = True
-    repeats: bool = False
-    recommended: bool = False
+    name, smooth, repeats, recommended = "mirror", True, False, False
 
     def revise(self, task: RevisionTask) -> Correction:
         if task.models.mirror is None:
@@ -73,7 +69,7 @@ METHODS: dict[str, Method] = {
         SampledMethod("linear", smooth=False, recommended=False),
         SampledMethod("spline", smooth=True),
         LEARNED,
-        MirrorMethod("mirror"),
+        MirrorMethod(),
         ResponseMethod("inverse"),
         ResponseMethod("robust", robust=True),
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.record import Record, parameter
+from kr270_milling.base.record import Record, parameter, section
 from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, discretise, discretise_reference, modes
 from kr270_milling.physics.robot import Arm, Mount, cartesian_mass, compliance, equilibrium, pose, rotate_matrix
 from kr270_milling.physics.robot.mass import MODELS
@@ -62,7 +62,7 @@ class Dynamics(Record):
     reference_inertia: bool = parameter(
         True, text="the reference moves the motor side: F - M r'' in (1); false: (1) as the paper prints it"
     )
-    modes: MeasuredModes = MeasuredModes()
+    modes: MeasuredModes = section(MeasuredModes)
 
     def check(self) -> None:
         if self.modes.frequency.size and self.follow_pose:

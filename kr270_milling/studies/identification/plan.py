@@ -26,25 +26,12 @@ from kr270_milling.studies.identification.measurements import Measurements, unme
 from kr270_milling.studies.identification.problem import Problem
 
 __all__ = [
-    "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "candidates", "read_test_pose",
+    "CRITERIA", "Candidates", "Design", "Planner", "at_posture", "candidates", "read_test_pose",
     "sorted_tests",
 ]  # fmt: skip
 
 MARGIN = np.radians(5.0)  #: distance to every joint limit
 CRITERIA = ("test pose", "A", "D")
-
-
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """Loads and measuring equipment."""
-
-    point: np.ndarray  #: flange frame [m], (3,): where the loads act and the reflector sits
-    mass: float = 100.0  #: [kg] hung from it
-    pull: float = 800.0  #: [N] of a rope with a load cell, horizontal; the vertical axis cannot be turned by a mass
-    sigma: float = 20e-6  #: [m] of each measured coordinate
-    lowest: float = 0.3  #: [m] over the base, of tool and wrist
-    highest: float = 2.2  #: [m], of the tool, where a mass can still be hung
-    nearest: float = 0.9  #: [m] from axis 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +45,35 @@ class Candidates:
         return Candidates(self.tests.take(rows), self.kind[rows])
 
 
-def candidates(arm: Arm, mount: Mount, bench: Bench, postures: int, seed: int) -> Candidates:
-    """Every load in up to ``postures`` postures spread evenly over the free space (Sobol')."""
-    q = _postures(arm, mount, bench, postures, seed)
-    kinds = np.flatnonzero([bench.mass > 0.0, *[bench.pull > 0.0] * 3])
+def candidates(
+    arm: Arm,
+    mount: Mount,
+    postures: int,
+    seed: int,
+    point: np.ndarray,
+    mass: float = 100.0,
+    pull: float = 800.0,
+    sigma: float = 20e-6,
+) -> Candidates:
+    """Every load in up to ``postures`` postures spread evenly over the free space (Sobol').
+
+    point: of the flange [m], (3,), where the loads act and the reflector is; mass [kg] hung there; pull [N] of a
+    horizontal rope with a load cell, as no mass turns the vertical axis; sigma [m] of each measured coordinate.
+    """
+    q = _postures(arm, mount, point, postures, seed)
+    kinds = np.flatnonzero([mass > 0.0, *[pull > 0.0] * 3])
     if not kinds.size:
-        raise ParameterError("mass_kg and pull_n", [bench.mass, bench.pull], "above 0, one of them at least")
+        raise ParameterError("mass_kg and pull_n", [mass, pull], "above 0, one of them at least")
     outward = np.stack([np.cos(q[:, 0]), -np.sin(q[:, 0]), np.zeros(len(q))], -1)  # from axis 1
     sideways = np.stack([np.sin(q[:, 0]), np.cos(q[:, 0]), np.zeros(len(q))], -1)
-    hang = np.tile([0.0, 0.0, -GRAVITY * bench.mass], (len(q), 1))
-    pulls = [bench.pull * outward, bench.pull * sideways, bench.pull * (outward + sideways) / np.sqrt(2.0)]
+    hang = np.tile([0.0, 0.0, -GRAVITY * mass], (len(q), 1))
+    pulls = [pull * outward, pull * sideways, pull * (outward + sideways) / np.sqrt(2.0)]
     force = np.stack([hang, *pulls], 1)[:, kinds].reshape(-1, 3)
-    tests = unmeasured(np.repeat(q, len(kinds), axis=0), force, bench.point, bench.sigma)
+    tests = unmeasured(np.repeat(q, len(kinds), axis=0), force, point, sigma)
     return Candidates(tests, np.tile(kinds, len(q)))
 
 
-def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np.ndarray:
+def _postures(arm: Arm, mount: Mount, point_on_flange: np.ndarray, count: int, seed: int) -> np.ndarray:
     """(k, 6) [rad], k up to ``count``."""
     low, high = arm.joint_lower + MARGIN, arm.joint_upper - MARGIN
     most_turn = np.radians(180.0)  # turn of axes 4 and 6, for the cables
@@ -81,11 +81,14 @@ def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np
     drawn = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(16 * count))))
     q = low + (high - low) * drawn
     frames = forward(arm, mount, q)
-    point = frames.flange.apply(bench.point)
+    point = frames.flange.apply(point_on_flange)
     lowest = np.minimum(point[:, 2], frames.nodes[:, 2:, 2].min(1))
-    fits = (lowest > bench.lowest) & (point[:, 2] < bench.highest)
-    fits &= np.hypot(point[:, 0], point[:, 1]) > bench.nearest
-    fits &= np.hypot(*np.moveaxis(frames.nodes[:, 4, :2], -1, 0)) > bench.nearest
+    above_base = 0.3  # [m], of tool and wrist
+    within_reach = 2.2  # [m], of the tool, where a mass can still be hung
+    from_axis = 0.9  # [m] from axis 1
+    fits = (lowest > above_base) & (point[:, 2] < within_reach)
+    fits &= np.hypot(point[:, 0], point[:, 1]) > from_axis
+    fits &= np.hypot(*np.moveaxis(frames.nodes[:, 4, :2], -1, 0)) > from_axis
     least_measure = 0.1  # distance to the singularities of elbow and wrist: assumed
     fits &= (singularity_measures(arm, q)[:, 1:] > least_measure).all(1)
     if not fits.any():

@@ -24,10 +24,10 @@ from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.show.report.identification.comparison import advice
 from kr270_milling.show.report.identification.compliance import reason
 from kr270_milling.studies.identification import comparison
-from kr270_milling.studies.identification.comparison import ComparedSeries, VectorSeries
+from kr270_milling.studies.identification.comparison import ComparedSeries
 from kr270_milling.studies.identification.compliance import fit_compliance
 from kr270_milling.studies.identification.measurements import read_measurements
-from kr270_milling.studies.identification.plan import Bench, Planner, candidates, read_test_pose
+from kr270_milling.studies.identification.plan import Planner, candidates, read_test_pose
 from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem
 
 
@@ -75,7 +75,7 @@ def test_coverage():
 )
 def test_plan():
     """The error is that of the displacement predicted for 100 N along each axis, against the true arm."""
-    rng, choice = np.random.default_rng(12), candidates(ARM, MOUNT, BENCH, 1000, 2)
+    rng, choice = np.random.default_rng(12), candidates(ARM, MOUNT, 1000, 2, MOUNT.xyz)
     planned = Planner(ARM, MOUNT, choice, POSE).best(12).rows
     kinds = [np.flatnonzero(choice.kind == kind) for kind in choice.kind[planned]]
     true = displacements(TRUE, MOUNT, POSE)[:, :3]
@@ -154,12 +154,12 @@ def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
 
 
 # --- Plans of load tests: the design is what it claims, the exchange finds the best of what can be enumerated ---
-BENCH, POSE = Bench(MOUNT.xyz), read_test_pose(find_file("test_piece.yaml"), MOUNT)
+POSE = read_test_pose(find_file("test_piece.yaml"), MOUNT)
 
 
 @pytest.fixture(scope="module")
 def choice():
-    return candidates(ARM, MOUNT, BENCH, 200, 3)
+    return candidates(ARM, MOUNT, 200, 3, MOUNT.xyz)
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +171,8 @@ def test_candidates_keep_to_limits_floor_and_distance(choice):
     q = choice.tests.q
     assert np.all((q > ARM.joint_lower) & (q < ARM.joint_upper)) and np.abs(q[:, [3, 5]]).max() <= np.pi
     point = forward(ARM, MOUNT, q).tool.position
-    assert point[:, 2].min() > BENCH.lowest and point[:, 2].max() < BENCH.highest
-    assert np.hypot(point[:, 0], point[:, 1]).min() > BENCH.nearest
+    assert point[:, 2].min() > 0.3 and point[:, 2].max() < 2.2
+    assert np.hypot(point[:, 0], point[:, 1]).min() > 0.9
     size = np.linalg.norm(choice.tests.wrench[:, :3], axis=1)
     assert size[choice.kind == 0] == pytest.approx(980.665) and size[choice.kind > 0] == pytest.approx(800.0)
     assert not choice.tests.wrench[choice.kind > 0, 2].any()
@@ -180,7 +180,7 @@ def test_candidates_keep_to_limits_floor_and_distance(choice):
 
 def test_the_exchange_finds_the_best_of_all_choices():
     """All 4060 choices of 3 of 30 candidates."""
-    few = candidates(ARM, MOUNT, BENCH, 8, 5).take(np.arange(30))
+    few = candidates(ARM, MOUNT, 8, 5, MOUNT.xyz).take(np.arange(30))
     planner = Planner(ARM, MOUNT, few, POSE)
     best = min(planner.design(rows).pose_error for rows in itertools.combinations(range(30), 3))
     assert planner.best(3).pose_error <= 1.02 * best
@@ -278,7 +278,7 @@ def model():
 def as_pass(result, lag=0.0, noise=0.0) -> ComparedSeries:
     force, place = noise * np.random.default_rng(4).normal(size=(2, *result.actual.shape))
     values = (result.wrench[:, :3] + 1e6 * force, result.actual + place)
-    return ComparedSeries(*(VectorSeries(result.time + lag, value) for value in values))
+    return {name: (result.time + lag, value) for name, value in zip(("force", "pose"), values, strict=True)}
 
 
 def compared(measured: ComparedSeries, model):
@@ -311,13 +311,13 @@ def test_advice_separates_larger_forces_from_a_softer_arm(model):
 
 def test_a_force_alone_or_a_place_alone_is_compared_and_another_pass_is_refused(model):
     both = as_pass(model)
-    assert set(compared(ComparedSeries(both.force, None), model).lags) == {"force"}
-    assert set(compared(ComparedSeries(None, both.tool), model).lags) == {"pose"}
+    assert set(compared({"force": both["force"]}, model).lags) == {"force"}
+    assert set(compared({"pose": both["pose"]}, model).lags) == {"pose"}
     with pytest.raises(MillingError, match="neither a force nor a place"):
-        compared(ComparedSeries(None, None), model)
+        compared({}, model)
     noise = np.random.default_rng(0).normal(size=model.wrench[:, :3].shape)
     with pytest.raises(ModelError, match="does not resemble"):
-        compared(ComparedSeries(VectorSeries(model.time, noise), None), model)
+        compared({"force": (model.time, noise)}, model)
 
 
 def test_the_line_of_a_known_series_and_its_standard_deviation():
