@@ -121,8 +121,8 @@ class Scene:
     def _width(self) -> float:
         """[m], of the tool's tip in the description."""
         tips = [link for link in self._links if link.name in (TOOL, OLD_TOOL)]
-        tools = [vertex for link in tips for colour, vertex, _ in link.meshes if colour == "tool"]
-        return 2 * float(np.hypot(*tools[0][:, :2].T).max()) if tools else 0.02
+        tools = [mesh for link in tips for mesh in link.meshes if mesh.colour == "tool"]
+        return 2 * float(np.hypot(*tools[0].vertex[:, :2].T).max()) if tools else 0.02
 
     def _add_point(self, stamp: int, position: np.ndarray) -> None:
         self._count += 1

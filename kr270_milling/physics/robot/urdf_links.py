@@ -9,7 +9,14 @@ import numpy as np
 
 from kr270_milling.base.frames import rotation_from_abc
 
-__all__ = ["Link", "links_of"]
+__all__ = ["Link", "Mesh", "links_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    colour: str
+    vertex: np.ndarray  #: in the frame of the link [m], (v, 3)
+    triangle: np.ndarray  #: rows of ``vertex``, (t, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +29,7 @@ class Link:
     xyz: np.ndarray  #: its origin there [m], (3,)
     axis: np.ndarray  #: (3,)
     joint: str
-    #: colour, vertices in the frame of the link [m], (v, 3), and triangles, rows of the vertices, (t, 3)
-    meshes: tuple[tuple[str, np.ndarray, np.ndarray], ...]
+    meshes: tuple[Mesh, ...]
 
 
 def links_of(text: str) -> tuple[Link, ...]:
@@ -64,7 +70,7 @@ def _origin(element) -> tuple[np.ndarray, np.ndarray]:
     return rotation_from_abc(_numbers(element.get("rpy"))[::-1]), _numbers(element.get("xyz"))
 
 
-def _mesh(visual) -> tuple[str, np.ndarray, np.ndarray]:
+def _mesh(visual) -> Mesh:
     rotation, xyz = _origin(visual.find("origin"))
     shape = visual.find("geometry")[0]
     if shape.tag == "box":
@@ -73,7 +79,7 @@ def _mesh(visual) -> tuple[str, np.ndarray, np.ndarray]:
     else:
         vertex, triangle = _prism(20, 0.0)  # a prism of 20 sides approximates a cylinder
         size = np.array([float(shape.get(key)) for key in ("radius", "radius", "length")])
-    return visual.find("material").get("name"), (vertex * size) @ rotation.T + xyz, triangle
+    return Mesh(visual.find("material").get("name"), (vertex * size) @ rotation.T + xyz, triangle)
 
 
 def _prism(sides: int, first: float) -> tuple[np.ndarray, np.ndarray]:

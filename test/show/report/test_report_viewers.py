@@ -94,13 +94,13 @@ def test_the_solids_of_every_link_are_closed_and_the_tool_ends_in_the_tip(cell, 
     meshes = {link.name: link.meshes for link in links_of(text)}
     for name in ("base_link", *(f"link_{j}" for j in range(1, 7)), "tcp"):
         assert meshes[name], name
-        for _, vertex, triangle in meshes[name]:
-            corners = vertex[triangle]
+        for mesh in meshes[name]:
+            corners = mesh.vertex[mesh.triangle]
             volume = np.sum(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6
             assert volume > 0.0
-            edges = np.concatenate([triangle[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+            edges = np.concatenate([mesh.triangle[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
             assert {tuple(e) for e in edges} == {tuple(e[::-1]) for e in edges}
-    vertices = np.vstack([vertex for _, vertex, _ in meshes["tcp"]])
+    vertices = np.vstack([mesh.vertex for mesh in meshes["tcp"]])
     assert vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # z points from the flange to the tip
     at_tip = vertices[np.abs(vertices[:, 2]) < 1e-9]
     assert np.hypot(*at_tip[:, :2].T).max() == pytest.approx(cell.tool.radius, abs=1e-9)
