@@ -24,6 +24,7 @@ from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance
 from kr270_milling.decide import decision as decisions
 from kr270_milling.decide import verdict as verdicts
+from kr270_milling.decide.stability import modes_of
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.method import Method
@@ -396,7 +397,8 @@ def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobe
     --------
     >>> stability(cell, range(6000, 10001, 500)).plot()
     """
-    return Lobes(tuple(lobes(cell, [float(speed) * np.pi / 30.0 for speed in speeds_rpm], arm)))
+    speeds = [float(speed) * np.pi / 30.0 for speed in speeds_rpm]
+    return Lobes(tuple(lobes(path_of(cell), cell.cutting, modes_of(cell, arm), speeds)))
 
 
 def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) -> pandas.DataFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +13,7 @@ import numpy as np
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.cell.arm import commanded_joints, mirrored
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, low_frequency_of, modal_model_of, path_of
 from kr270_milling.cell.paths import CellPath
@@ -22,7 +23,6 @@ from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import method_of
-from kr270_milling.physics.compensation.mirror import mirror
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
@@ -34,7 +34,6 @@ from kr270_milling.physics.motion.scores import Scores, score
 __all__ = [
     "ScoredPass",
     "arm_response",
-    "commanded_joints",
     "compensated",
     "compensator",
     "expected_deviations",
@@ -81,9 +80,8 @@ def simulate(
     reference = target if reference is None else reference
     if plant is not None:
         result, number = plant.run(reference, progress), plant.passes - 1
-        record = pass_record(
-            cell, result.time_ns, _measured(cell, result), result.wrench, plant.cell.imperfections, number
-        )
+        seen = result.time_ns, _measured(cell, result), result.wrench
+        record = pass_record(path_of(cell), cell.imperfections, *seen, plant.cell.imperfections, number)
         return ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant.cell)), record)
     cut = cut_of(cell)
     result = run_pass(
@@ -128,7 +126,7 @@ def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
     if isinstance(ran, ScoredPass) and ran.record is not None:
         return ran.record
     result = ran.result if isinstance(ran, ScoredPass) else ran
-    return pass_record(cell, result.time_ns, _measured(cell, result), result.wrench)
+    return pass_record(path_of(cell), cell.imperfections, result.time_ns, _measured(cell, result), result.wrench)
 
 
 def _measured(cell: Cell, result: PassResult) -> np.ndarray:
@@ -140,7 +138,8 @@ def _measured(cell: Cell, result: PassResult) -> np.ndarray:
 
 
 def pass_record(
-    cell: Cell,
+    path: CellPath,
+    assumed: Imperfections,
     time_ns: np.ndarray,
     tool: np.ndarray,
     wrench: np.ndarray,
@@ -149,14 +148,14 @@ def pass_record(
 ) -> PassRecord:
     """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], received, recorded or simulated.
 
-    The noise of the positions is what the cell states in ``imperfections``. tracker: simulate tracker and force sensor
-    with this noise for the true tool centres and wrenches of the pass ``number``.
+    assumed: imperfections of the cell, which state the noise of the positions; tracker: those of a simulated tracker
+    and force sensor, whose noise is added to the true tool centres and wrenches of the pass ``number``.
     """
-    revolution = 2e9 * np.pi / cell.tool.spindle_speed
-    noise = (tracker or cell.imperfections).pose_noise
+    revolution = 2e9 * np.pi / path.tool.spindle_speed
+    noise = (tracker or assumed).pose_noise
     sensed = wrench if tracker is None else tracker.sensed(wrench, number)
     tool = tool if tracker is None else tracker.measured(tool, number)
-    return PassRecord(time_ns, tool, round(path_of(cell).full_engagement * 1e9), sensed, revolution, noise)
+    return PassRecord(time_ns, tool, round(path.full_engagement * 1e9), sensed, revolution, noise)
 
 
 def compensator(cell: Cell, target: Trajectory, method: str | Method | None = None) -> Compensator:
@@ -167,7 +166,7 @@ def compensator(cell: Cell, target: Trajectory, method: str | Method | None = No
 def models_of(cell: Cell) -> CellModels:
     """The models of arm and cut for a compensation method."""
     return CellModels(
-        mirror=lambda target, wrench: mirrored(cell, target, wrench),
+        mirror=functools.partial(mirrored, arm_of(cell), cell.compensation.relaxation),
         arm=lambda target: arm_response(cell, target),
         predict=lambda reference, factors: predicted(cell, reference, factors),
         cut=lambda path: cut_along(cell, path),
@@ -251,7 +250,7 @@ def cut_along(cell: Cell, path: Trajectory) -> PassRecord:
     tool = path.sample(stamps)
     wrench, _, _ = cut_of(cell).along(tool, steps * path_of(cell).clock.micro_steps)
     wrench = np.where(path_of(cell).drilling_at(stamps)[:, None], 0.0, wrench)
-    return pass_record(cell, stamps, tool, wrench)
+    return pass_record(path_of(cell), cell.imperfections, stamps, tool, wrench)
 
 
 def predicted(cell: Cell, reference: Trajectory, factors: ArmFactors | None = None) -> PassRecord:
@@ -268,45 +267,10 @@ def predicted(cell: Cell, reference: Trajectory, factors: ArmFactors | None = No
     return record_of(cell, result)
 
 
-def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
-    """Target points modified by (30)-(32) for wrenches (k, 6) at the knots, in workpiece axes.
-
-    Without the sag under the link weights: who commands the joints deals with that, see ``commanded_joints``.
-    """
-    turn = cell.workpiece.pose.rotation
-    in_base = np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
-    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base, True)[0]
-    return Trajectory(target.time_ns, modified.position, modified.quaternion, None, target.frame)
-
-
-def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
-    """The inverse kinetostatic model: joint positions [rad], (k, 6), that bring the tool to the reference points.
-
-    Where the controller does not compensate the sag under the link weights, they do.
-    """
-    if cell.compensation.sag_compensated:
-        return arm_of(cell).joints(reference)
-    return _mirror(cell, reference, np.zeros((len(reference), 6)), False)[1]
-
-
 def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
     """The joint positions [deg], (6,), that a reference commands: at its start and end, the least and the largest."""
-    joints = np.degrees(commanded_joints(cell, reference))
+    joints = np.degrees(commanded_joints(arm_of(cell), cell.compensation, reference))
     return {"start": joints[0], "end": joints[-1], "min": joints.min(axis=0), "max": joints.max(axis=0)}
-
-
-def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool):
-    tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
-    return mirror(
-        cell.arm,
-        cell.mount,
-        tool,
-        wrench_in_base,
-        arm_of(cell).posture,
-        tool_compliance=cell.tool.lateral_compliance,
-        relaxation=cell.compensation.relaxation,
-        sag_compensated=sag_compensated,
-    )
 
 
 def long_pass(path: CellPath) -> bool:

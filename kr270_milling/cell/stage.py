@@ -6,6 +6,7 @@ import functools
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -85,5 +86,5 @@ def _still(removal: Removal, stock: Stock) -> EngagementCut:
     tool = Tool(diameter=2.0 * removal.radius, teeth=1)
     if removal.cutter is not None and not removal.cutter.has_flat_end:
         tool = removal.cutter
-    law = Cutting(law="linear_edge", linear_edge=AL7075_T6)  # of no effect: the spindle does not turn
-    return EngagementCut(tool, law, stock, math.radians(1.0))
+    law: dict[str, Any] = {"linear_edge": AL7075_T6}  # of no effect: the spindle does not turn
+    return EngagementCut(tool, Cutting(law="linear_edge", **law), stock, math.radians(1.0))

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import ScoredPass, commanded_joints
+from kr270_milling.cell.arm import PlacedArm, commanded_joints
+from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.settings import CompensationSettings
+from kr270_milling.physics.cutting import Stock
 from kr270_milling.physics.robot.urdf import COLOURS, urdf
 from kr270_milling.physics.robot.urdf_links import Link, links_of
 
@@ -32,22 +34,19 @@ class RobotModel:
     workpiece_xyz: np.ndarray  #: [m], (3,)
 
 
-def robot_model(cell: Cell, shown: ScoredPass) -> RobotModel:
+def robot_model(placed: PlacedArm, settings: CompensationSettings, stock: Stock, shown: ScoredPass) -> RobotModel:
     """Return the robot with the commanded postures of a pass."""
-    time, joints = _postures(cell, shown.reference)
-    low, high = cell.stock.min, cell.stock.max
+    thinned = _thinned(shown.reference)
+    joints, low, high = commanded_joints(placed, settings, thinned), stock.min, stock.max
     corners = np.array([[(low, high)[(c >> k) & 1][k] for k in range(3)] for c in range(8)])
     colours = {name: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for name, rgb in COLOURS.items()}
-    links = links_of(urdf(cell.arm, cell.mount, cell.tool.radius))
-    place = cell.workpiece.pose
+    links = links_of(urdf(placed.arm, placed.mount, placed.tool.radius))
+    place, name = placed.place, placed.arm.name
     return RobotModel(
-        cell.arm.name, links, colours, shown.name, time, joints, place.apply(corners), place.rotation, place.position
+        name, links, colours, shown.name, thinned.time, joints, place.apply(corners), place.rotation, place.position
     )
 
 
-def _postures(cell: Cell, reference: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def _thinned(reference: Trajectory) -> Trajectory:
     time_ns = np.unique(np.linspace(0, reference.duration_ns, MOST_POSTURES).round().astype(np.int64))
-    thinned = Trajectory(
-        time_ns, reference.sample(time_ns), reference.sample_orientation(time_ns), None, reference.frame
-    )
-    return thinned.time, commanded_joints(cell, thinned)
+    return Trajectory(time_ns, reference.sample(time_ns), reference.sample_orientation(time_ns), None, reference.frame)

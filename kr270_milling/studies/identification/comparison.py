@@ -106,8 +106,8 @@ def compare(measured: ComparedSeries, simulated: ComparedSeries, target, feed, r
     lags, ringing = {}, {}
     both = measured.keys() & simulated.keys()
     if "force" in both:
-        (time, ours), theirs = simulated["force"], measured["force"]
-        lags["force"], force = _aligned("force", theirs, (time, ours), same_size=False)
+        time, ours = simulated["force"]
+        lags["force"], force = _aligned("force", measured["force"], (time, ours), same_size=False)
         inside = np.isfinite(force).all(1)
         channels += [
             _channel(f"force {axis}", "N", time[inside], force[inside, k], ours[inside, k], revolution)
@@ -118,12 +118,11 @@ def compare(measured: ComparedSeries, simulated: ComparedSeries, target, feed, r
         time, centre = simulated["pose"]
         lags["pose"], place = _aligned("place of the tool", measured["pose"], (time, centre), same_size=True)
         inside, count = np.isfinite(place).all(1), _count(time, revolution)
-        deviations = {
-            "measured": path_deviation(place, target, feed)[inside],
-            "simulated": path_deviation(centre, target, feed)[inside],
-        }
+        theirs = path_deviation(place, target, feed)[inside]
+        ours = path_deviation(centre, target, feed)[inside]
         time = time[inside]
-        channels.append(_channel("deviation", "m", time, *deviations.values(), revolution))
+        channels.append(_channel("deviation", "m", time, theirs, ours, revolution))
+        deviations = {"measured": theirs, "simulated": ours}
         ringing = {k: ringing_frequency(time, _smoothed(v[:, None], count)[:, 0]) for k, v in deviations.items()}
     if not channels:
         raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
@@ -140,7 +139,7 @@ def _aligned(what: str, measured, simulated, same_size: bool) -> tuple[float, np
     (measured_time, vectors), (time, values) = measured, simulated
     step = float(np.median(np.diff(time)))
     middle = values.mean(0) if same_size else 0.0  # squares of small numbers
-    theirs, ours = (resampled(*series, step) - middle for series in (measured, simulated))
+    theirs, ours = (resampled(at, rows, step) - middle for at, rows in (measured, simulated))
     lag, likeness = best_lag(theirs, ours, same_size)
     least_likeness = 0.5  # below it two series are not of the same pass
     if likeness < least_likeness:

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
-from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
+from kr270_milling.cell.arm import mirrored
+from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cli import main
 from kr270_milling.decide.path_limits import correction_per_tick, correction_size
@@ -198,7 +199,7 @@ def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
     k = np.arange(0, len(target), 20)
     some = Trajectory(target.time_ns[k] - target.time_ns[k[0]], target.position[k], target.quaternion[k])
     wrench = np.tile([80.0, -150.0, 60.0, 20.0, -30.0, 40.0], (len(some), 1))
-    points = mirrored(cell, some, wrench)
+    points = mirrored(arm_of(cell), cell.compensation.relaxation, some, wrench)
     modified, _ = corrected(some, points.position - some.position, False, quaternion=points.quaternion)
     turn, part = np.kron(np.eye(2), cell.workpiece.pose.rotation), cell.workpiece.pose
     loaded = loaded_pose(cell.arm, cell.mount, arm_of(cell).joints(modified), wrench @ turn.T, True)
