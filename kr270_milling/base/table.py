@@ -30,7 +30,7 @@ class Table:
     path: str
     names: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    lines: tuple[int, ...]  #: of each row in the file
+    lines: tuple[int, ...]  #: line of each row in the file
 
     def __len__(self) -> int:
         return len(self.rows)

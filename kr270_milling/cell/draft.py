@@ -29,7 +29,7 @@ TOOL = """\
       teeth: {teeth}                     # {teeth_source}
       rotation: clockwise                # yours: counterclockwise, with M4, for a left-hand cutter
       {speed}                            # {speed_source}"""
-#: what the template holds for a slot along +x, of which no program says anything
+#: values of the template for a slot along +x, which has no program
 STRAIGHT_TOOL = {
     "diameter": DIAMETER, "diameter_source": "yours", "end": "", "teeth": TEETH, "teeth_source": "yours",
     "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours",
@@ -91,14 +91,14 @@ def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
     down = np.flatnonzero(path.rapid & ~path.drilling & (path.position[:, 2] < box.high[2] - 1e-6))
     places = 100_000  # of a path, at most
     distance, step = np.linspace(0.0, path.length, 2 + min(places, int(path.length / CLEARANCE)), retstep=True)
-    way, block = path.position_at(distance), path.block_at(distance)
-    way, block = way[~path.rapid[block]], block[~path.rapid[block]]
+    tip, block = path.position_at(distance), path.block_at(distance)
+    tip, block = tip[~path.rapid[block]], block[~path.rapid[block]]
     cut = box
     _, first = np.unique(np.round(path.position[down], 5), axis=0, return_index=True)
     for number in down[first[:1000]].tolist():
         *place, height = path.position[number].tolist()
-        cleared = ((block < number) & (way[:, 2] < height + 1e-6)) | path.drilling[block]
-        if (np.hypot(*(way[cleared, :2] - place).T) < max(CLEARANCE, step)).any():
+        cleared = ((block < number) & (tip[:, 2] < height + 1e-6)) | path.drilling[block]
+        if (np.hypot(*(tip[cleared, :2] - place).T) < max(CLEARANCE, step)).any():
             continue
         nearest = np.clip(place, cut.low[:2], cut.high[:2])
         if math.dist(nearest, place) < radius + CLEARANCE:

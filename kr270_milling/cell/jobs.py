@@ -57,7 +57,7 @@ class ScoredPass:
     reference: Trajectory
     result: PassResult
     scores: Scores
-    record: PassRecord | None = None  #: what a tracker reported of it; None: the pass as it was
+    record: PassRecord | None = None  #: report of a tracker on the pass; None: the pass itself
 
     def row(self) -> dict:
         """The keys that every command prints."""
@@ -80,8 +80,8 @@ def simulate(
     reference = target if reference is None else reference
     if plant is not None:
         result, number = plant.run(reference, progress), plant.passes - 1
-        seen = result.time_ns, _measured(cell, result), result.wrench
-        record = pass_record(path_of(cell), cell.imperfections, *seen, plant.cell.imperfections, number)
+        series = result.time_ns, _measured(cell, result), result.wrench
+        record = pass_record(path_of(cell), cell.imperfections, *series, plant.cell.imperfections, number)
         return ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant.cell)), record)
     cut = cut_of(cell)
     result = run_pass(
@@ -105,7 +105,7 @@ def scored(
 ) -> Scores:
     """Return the scores against a target (default: the path of the cell).
 
-    low_frequency [Hz]: of the arm that ran, where that is another one.
+    low_frequency [Hz]: of the arm of the pass, where that is another arm.
     """
     feed = (target or path_of(cell).target).sample_velocity(result.time_ns)
     lowest = low_frequency_of(cell) if low_frequency is None else low_frequency
@@ -121,11 +121,11 @@ def scored(
     )
 
 
-def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
+def record_of(cell: Cell, run: ScoredPass | PassResult) -> PassRecord:
     """Return the record for the compensator: stamps and tool centres, as a node receives them on ``tool_pose``."""
-    if isinstance(ran, ScoredPass) and ran.record is not None:
-        return ran.record
-    result = ran.result if isinstance(ran, ScoredPass) else ran
+    if isinstance(run, ScoredPass) and run.record is not None:
+        return run.record
+    result = run.result if isinstance(run, ScoredPass) else run
     return pass_record(path_of(cell), cell.imperfections, result.time_ns, _measured(cell, result), result.wrench)
 
 
@@ -187,15 +187,15 @@ def robot_passes(
 
     def run(robot: Cell) -> tuple[ArmResponse, PassRecord] | None:
         try:
-            ran = Plant(model, robot, robot.imperfections.replace(repeatability=0.0)).run(reference)
+            result = Plant(model, robot, robot.imperfections.replace(repeatability=0.0)).run(reference)
         except MillingError:
             return None
-        if np.abs(ran.actual - ran.reference).max() >= DIVERGED:
+        if np.abs(result.actual - result.reference).max() >= DIVERGED:
             return None
-        return robot_response(robot, target), PassRecord(ran.time_ns, ran.actual)
+        return robot_response(robot, target), PassRecord(result.time_ns, result.actual)
 
     with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
-        return [ran for ran in pool.map(run, drawn) if ran is not None]
+        return [result for result in pool.map(run, drawn) if result is not None]
 
 
 def robot_response(robot: Cell, target: Trajectory) -> ArmResponse:
@@ -209,8 +209,8 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
     """The modes of the arm on each segment of the target, at one posture or along the path, as the pass has them."""
     models, posture = [modal_model_of(cell)], np.zeros(len(target) - 1, int)  # posture: number of a segment's model
     if cell.dynamics.follow_pose:
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])
-        place = np.rint(0.5 * (way[1:] + way[:-1]) / cell.dynamics.posture_spacing).astype(int)
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])
+        place = np.rint(0.5 * (length[1:] + length[:-1]) / cell.dynamics.posture_spacing).astype(int)
         _, first, posture = np.unique(place, return_index=True, return_inverse=True)
         middle = (target.time_ns[1:] + target.time_ns[:-1])[first] // 2
         models = arm_of(cell).modes_at(arm_of(cell).joints_along(target, middle))
@@ -223,7 +223,9 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
         tool=np.stack([model.tool for model in models if model.tool is not None])
         if cell.tool.lateral_compliance
         else None,
-        carry=np.stack([_carry(one, after) for one, after in zip(models, [*models[1:], models[-1]], strict=True)]),
+        carry=np.stack(
+            [_carry(before, after) for before, after in zip(models, [*models[1:], models[-1]], strict=True)]
+        ),
         moves=cell.dynamics.reference_inertia,
         posture=posture,
     )
@@ -300,10 +302,10 @@ def compensated(
     def run(reference: Trajectory) -> PassRecord:
         for key in passes.keys() - {id(by.best)}:
             del passes[key]
-        ran = simulate(cell, reference, name, progress, plant)
+        scored_pass = simulate(cell, reference, name, progress, plant)
         if not large:
-            passes[id(reference)] = ran
-        return record_of(cell, ran)
+            passes[id(reference)] = scored_pass
+        return record_of(cell, scored_pass)
 
     reference = by.improve(record_of(cell, original), run)
     if reference is original.reference:

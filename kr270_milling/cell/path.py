@@ -150,9 +150,9 @@ def _beside_stock(timed: TimedPath, tool: Tool, stock: Stock) -> tuple[str, int]
         if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < stock.max[2])):
             return None
         low, high = np.minimum(low, at.min(axis=0)), np.maximum(high, at.max(axis=0))
-    way, box = _extent(low, high), _extent(stock.min, stock.max)
+    path_box, box = _extent(low, high), _extent(stock.min, stock.max)
     hint = "check the datum and the unit (G20, G21)"
-    reason = f"the tool never reaches the stock: it goes through {way} mm, the stock fills {box} mm; {hint}"
+    reason = f"the tool never reaches the stock: it goes through {path_box} mm, the stock fills {box} mm; {hint}"
     return reason, int(np.flatnonzero(~timed.toolpath.rapid[1:])[0]) + 1
 
 

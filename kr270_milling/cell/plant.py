@@ -58,20 +58,20 @@ class Plant:
     def run(self, reference: Trajectory, progress=None) -> PassResult:
         """Run a pass on a fresh workpiece.
 
-        The result is true, and not what a noisy tracker reports: its ``reference`` is the course of the motors, with
+        The result is true, and not what a noisy tracker reports: its ``reference`` is the motion of the motors, with
         repeatability; its deflections contain the backlash.
         """
         cell, number = self.cell, self.passes
         self.passes += 1
-        course = imperfect_course(cell, reference, number, self.target)
+        motion = imperfect_course(cell, reference, number, self.target)
         iterations = cell.exchange.iterations
         model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
         silent = path_of(cell).drilling_at
-        return run_pass(model, cut_of(cell), path_of(cell).clock, self.target, course, iterations, progress, silent)
+        return run_pass(model, cut_of(cell), path_of(cell).clock, self.target, motion, iterations, progress, silent)
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Trajectory | None = None) -> Trajectory:
-    """Return the course of the motors of a plant that follows ``reference`` in its pass ``number``.
+    """Return the motion of the motors of a plant that follows ``reference`` in its pass ``number``.
 
     target: the programmed trajectory; None: that of the cell.
     """

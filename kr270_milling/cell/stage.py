@@ -34,7 +34,7 @@ class Stage:
 
     tool: str  #: name in the program
     number: int  #: in the order of the program, from 1
-    count: int  #: of the tools
+    count: int  #: number of tools
     earlier: tuple[Removal, ...] = ()  #: in the order of the program
     later: tuple[Removal, ...] = ()
     same_tip: bool = False  #: the mount of an earlier tool has the same tip
@@ -75,8 +75,8 @@ def swept(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel
     for removal in removals:
         each = _still(removal, stock)
         each.continue_from(cut)
-        way = removal.actual if actual else removal.programmed
-        each.along(way, np.zeros(len(way), np.int64))  # the spindle does not turn: no force is computed
+        tip = removal.actual if actual else removal.programmed
+        each.along(tip, np.zeros(len(tip), np.int64))  # the spindle does not turn: no force is computed
         cut = each
     return cut
 

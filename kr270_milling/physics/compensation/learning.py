@@ -97,19 +97,19 @@ class Learner:
             )
         return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
 
-    def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:
+    def with_pass(self, record: PassRecord, reference: Trajectory) -> Learner:
         """Return a learner that has also learned from a pass along ``reference``."""
         learner = copy.copy(self)
-        learner.learn(ran, reference)
+        learner.learn(record, reference)
         return learner
 
-    def learn(self, ran: PassRecord, reference: Trajectory) -> None:
+    def learn(self, record: PassRecord, reference: Trajectory) -> None:
         """Take a pass along ``reference`` into account."""
-        segments, time_ns = self.segments, ran.time_ns
-        deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
-        last = self._evidence(ran, self.cubic(reference), deviation)
-        self.scored = self._scored(ran)
-        self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
+        segments, time_ns = self.segments, record.time_ns
+        deviation = segments.middle(time_ns, record.position - self.target.sample(time_ns))
+        last = self._evidence(record, self.cubic(reference), deviation)
+        self.scored = self._scored(record)
+        self._noise = record.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
         weight = np.where(self.scored, 1.0, FREE)
         passes = (*self.passes, last)
         self.arm, self.identified = fit_arm(
@@ -128,34 +128,34 @@ class Learner:
         """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""
         if self._cut is None:
             raise ModelError("without a pass the wrench must come from the model's cut")
-        ran = self._cut(self.target)
-        self._ideal, self.scored = self._wrench(ran), self._scored(ran)
+        record = self._cut(self.target)
+        self._ideal, self.scored = self._wrench(record), self._scored(record)
         self.expected = self.arm.swing(self.segments, self.path, self.path[0, 1])
         if self._ideal is not None:
             self.expected = self.expected + self.arm.deflect(self.segments, self._ideal)
         return self
 
-    def _scored(self, ran: PassRecord) -> np.ndarray:
+    def _scored(self, record: PassRecord) -> np.ndarray:
         """(m, parts) bool: parts in which a sample is scored, and those before them."""
-        scored = self.segments.mean(ran.time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
+        scored = self.segments.mean(record.time_ns, record.scored[:, None].astype(float)).ravel() > 0.0
         scored[:-1] |= scored[1:]  # up to the edge of the first part
         return scored.reshape(len(self.segments), self.segments.parts)
 
-    def _evidence(self, ran: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
-        """Where nothing measured the wrench it is that of the first pass, and that of the model's own pass."""
-        wrench = self._wrench(ran)
+    def _evidence(self, record: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
+        """Return the evidence of a pass; an unknown wrench is that of the first pass, there that of the model's pass."""
+        wrench = self._wrench(record)
         if wrench is None and self.passes:
             return dataclasses.replace(self.passes[0], cubic=cubic, deviation=deviation)
         if wrench is None and self._predict is not None:
             wrench = self._wrench(self._predict(self.target, None))
         return Evidence(cubic, deviation, wrench)
 
-    def _wrench(self, ran: PassRecord) -> np.ndarray | None:
+    def _wrench(self, record: PassRecord) -> np.ndarray | None:
         """In each part, (m, parts, 6); None where it is not known."""
-        if ran.wrench is None or not ran.wrench.any():
+        if record.wrench is None or not record.wrench.any():
             return None
-        middle = np.concatenate([ran.time_ns[:1], (ran.time_ns[1:] + ran.time_ns[:-1]) // 2])
-        return self.segments.mean(middle, ran.wrench)  # each is the mean of the period that ends at its stamp
+        middle = np.concatenate([record.time_ns[:1], (record.time_ns[1:] + record.time_ns[:-1]) // 2])
+        return self.segments.mean(middle, record.wrench)  # each is the mean of the period that ends at its stamp
 
     def _expected(self) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs on its path without a correction of the reference."""
@@ -164,13 +164,13 @@ class Learner:
         if last.on_path is not None:
             ideal = ideal + self.arm.deflect(segments, last.on_path)
         shares = np.zeros(len(self.passes))
-        for n, ran in enumerate(self.passes):
-            size = np.sqrt(np.mean(ran.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
+        for n, evidence in enumerate(self.passes):
+            size = np.sqrt(np.mean(evidence.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
             shares[n] = 1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24)
         shares /= shares.sum()
         rest = np.zeros_like(ideal)
-        for weight, ran in zip(shares, self.passes, strict=True):
-            rest += weight * (ran.deviation - self._modelled(ran))
+        for weight, evidence in zip(shares, self.passes, strict=True):
+            rest += weight * (evidence.deviation - self._modelled(evidence))
         noise = self._noise**2 * np.sum(shares**2)
         if noise:  # the mean over a knot's distance, of which a correction can make use
             width = segments.parts
@@ -200,11 +200,11 @@ class Learner:
         factor = max(0.0, np.sum(wrench[..., :3] * modelled[..., :3]) / np.sum(modelled[..., :3] ** 2))
         return wrench + factor * (self._ideal - modelled)
 
-    def _modelled(self, ran: Evidence) -> np.ndarray:
+    def _modelled(self, evidence: Evidence) -> np.ndarray:
         """Deviation [m], (m, parts, 3), that the arm explains: under the wrench, its inertia and the correction."""
         arm, segments = self.arm, self.segments
-        moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, ran.cubic)
-        return moved if ran.wrench is None else moved + arm.deflect(segments, ran.wrench)
+        moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, evidence.cubic)
+        return moved if evidence.wrench is None else moved + arm.deflect(segments, evidence.wrench)
 
     def correction(self) -> np.ndarray:
         """Values [m] at the knots, (k, 3), for the motion of a program: a C2 spline, or straight lines."""
@@ -238,8 +238,8 @@ class Learner:
         for number in range(rounds if self.target.duration_ns < LONG else 2):
             reference, _ = corrected(self.target, tried, smooth)
             passes = [
-                (arm, segments.middle(ran.time_ns, ran.position - self.target.sample(ran.time_ns)))
-                for arm, ran in self._robots(self.target, reference)
+                (arm, segments.middle(record.time_ns, record.position - self.target.sample(record.time_ns)))
+                for arm, record in self._robots(self.target, reference)
             ]
             if number == 0:  # the pass of the model beyond what ``inverse`` expects
                 bias = passes[0][1] - self._with(reference)

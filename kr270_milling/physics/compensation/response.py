@@ -39,7 +39,7 @@ class Segments:
     """The m segments between m + 1 knots. Values of a part are those at its middle."""
 
     time_ns: np.ndarray  #: knots [ns], (m + 1,)
-    parts: int  #: of each segment
+    parts: int  #: number of parts of a segment
 
     @classmethod
     def of(cls, time_ns: np.ndarray) -> Segments:
@@ -148,16 +148,16 @@ class Lag:
         return cls(c**-0.5, 0.5 * b * c**-0.5) if c else None
 
     def _matrices(self, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of segments (m,) [s]: (y, y') at the end from those at the start (m, 2, 2) and from a cubic (m, 2, 4);
+        """Matrices of segments (m,) [s]: (y, y') at the end from those at the start (m, 2, 2) and from a cubic (m, 2, 4);
         the cubic from (y, y') at both ends, (m, 4, 4)."""
         w, z, t = self.frequency, self.damping, duration
         solved = np.eye(4)  # p from c, v, a, j
         for row in (2, 1, 0):
             solved[row] -= 2.0 * z / w * solved[row + 1] + (solved[row + 2] / w**2 if row < 2 else 0.0)
         free = np.stack(_free(w, z, t), axis=-1).reshape(-1, 2, 2)
-        one, zero = np.ones_like(t), np.zeros_like(t)
-        ahead = np.stack([one, t, t**2 / 2.0, t**3 / 6.0, zero, one, t, t**2 / 2.0], axis=-1).reshape(-1, 2, 4)
-        hermite = [one, zero, zero, zero, zero, one, zero, zero, -6.0 / t**2, -4.0 / t, 6.0 / t**2, -2.0 / t]
+        unity, zero = np.ones_like(t), np.zeros_like(t)
+        ahead = np.stack([unity, t, t**2 / 2.0, t**3 / 6.0, zero, unity, t, t**2 / 2.0], axis=-1).reshape(-1, 2, 4)
+        hermite = [unity, zero, zero, zero, zero, unity, zero, zero, -6.0 / t**2, -4.0 / t, 6.0 / t**2, -2.0 / t]
         hermite += [12.0 / t**3, 6.0 / t**2, -12.0 / t**3, 6.0 / t**2]
         driven = (ahead - np.concatenate([free, np.zeros_like(free)], axis=-1)) @ solved
         return free, driven, np.stack(hermite, axis=-1).reshape(-1, 4, 4)
@@ -203,11 +203,11 @@ class ArmResponse:
     push: np.ndarray  #: wrench -> modal force, (n, r, 6)
     carry: np.ndarray  #: u at the end of the last segment of a posture -> u of the next posture, (n, r, r)
     moves: bool = True  #: the reference moves the motors' side of the springs; false: eq. (1) as printed
-    gain: float = 1.0  #: of the response to the reference: what the process takes back or adds
+    gain: float = 1.0  #: gain of the response to the reference, as far as the process changes it
     tool: np.ndarray | None = None  #: compliance of the tool tip against the spindle [m/N], (n, 3, 3); None: rigid
     softness: float = 1.0  #: factor of the displacement under the wrench
     posture: np.ndarray | None = None  #: number of the posture of each segment, (m,); None: each has its own
-    lag: Lag | None = None  #: of the motors behind a correction; None: they follow at once
+    lag: Lag | None = None  #: lag of the motors behind a correction; None: they follow at once
 
     @classmethod
     def rigid(cls, segments: int) -> ArmResponse:

@@ -18,7 +18,7 @@ __all__ = ["RESOLVED_NODES", "Stock", "TILE", "GridError", "tile_count", "levels
 
 TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
 LEVELS = 65535
-RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: a slot then has 97 % of its force
+RESOLVED_NODES = 10.0  #: nodes that a tooth meets in a micro-step, with which a slot has 97 % of its force
 MAX_TILES = 32768  # of 128 KiB each; a node's place in the pool then fits an int32
 
 

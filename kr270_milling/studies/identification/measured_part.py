@@ -59,8 +59,8 @@ READINGS = {
 }
 STEPS = 8  #: most passes that follow the slopes
 KNOWN = 0.8  #: deviation of an unknown after and before, above which the places do not show it
-RANGE = (-3.0, 3.0)  #: of the numbers behind a robot: 99.7 % of them
-ROBOTS = 32  #: of the ensemble
+RANGE = (-3.0, 3.0)  #: range of the numbers behind a robot, which has 99.7 % of them
+ROBOTS = 32  #: robots of the ensemble
 SAMPLES, SAMPLE_SEED = 200, 1_000_002  #: robots that show an unknown before and after; no seed of a verdict
 
 
@@ -125,7 +125,7 @@ def learn(
     measured = np.concatenate([part.error for part, *_ in parts])
     count = numbers_of(model)
     mean, spread = _state(cell, count)
-    total, ran = 2 * ROBOTS + count + STEPS, 0
+    total, passes_run = 2 * ROBOTS + count + STEPS, 0
     same: dict = {}  # errors of robots that cut alike
 
     def predict(numbers: np.ndarray) -> np.ndarray:
@@ -143,12 +143,12 @@ def learn(
 
     def run(robots: np.ndarray) -> np.ndarray:
         """Errors (k, places) of robots (k, n)."""
-        nonlocal ran
+        nonlocal passes_run
         rows: list[np.ndarray] = []
         with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
             for row in pool.map(predict, robots):
                 rows.append(row)
-                progress(ran := min(ran + 1, total), total)
+                progress(passes_run := min(passes_run + 1, total), total)
         return np.array(rows)
 
     rng = np.random.default_rng(SAMPLE_SEED)
