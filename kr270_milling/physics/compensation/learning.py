@@ -142,7 +142,7 @@ class Learner:
         return scored.reshape(len(self.segments), self.segments.parts)
 
     def _evidence(self, record: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
-        """Return the evidence of a pass; an unknown wrench is that of the first pass, there that of the model's pass."""
+        """Return the evidence of a pass; an unknown wrench is that of the first pass, or of the model's pass."""
         wrench = self._wrench(record)
         if wrench is None and self.passes:
             return dataclasses.replace(self.passes[0], cubic=cubic, deviation=deviation)

@@ -148,8 +148,8 @@ class Lag:
         return cls(c**-0.5, 0.5 * b * c**-0.5) if c else None
 
     def _matrices(self, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Matrices of segments (m,) [s]: (y, y') at the end from those at the start (m, 2, 2) and from a cubic (m, 2, 4);
-        the cubic from (y, y') at both ends, (m, 4, 4)."""
+        """Matrices of segments (m,) [s]: (y, y') at the end from those at the start, (m, 2, 2), and from a cubic,
+        (m, 2, 4); the cubic from (y, y') at both ends, (m, 4, 4)."""
         w, z, t = self.frequency, self.damping, duration
         solved = np.eye(4)  # p from c, v, a, j
         for row in (2, 1, 0):
