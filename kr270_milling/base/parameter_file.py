@@ -35,7 +35,7 @@ def read_tree(path) -> dict:
     """Return the ``/**: ros__parameters:`` dict of a parameter file, merged over the files of its ``includes``.
 
     Each file is read once, even if several files include it. Raises ConfigError, also for more than MOST_INCLUDES
-    names in all files together and for a chain of more than MOST_DEPTH includes.
+    names in all files together and for a chain of more than 8 includes.
     """
     return _merged(Path(path), (), {}, [])
 

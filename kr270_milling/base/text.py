@@ -9,7 +9,6 @@ from kr270_milling.base.errors import InputError
 
 __all__ = ["encoding_of", "read_lines", "short", "unended"]
 
-BLOCK_NUMBER = re.compile(r"\AN[ \t]*[0-9]+", re.I)
 MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
 
@@ -57,7 +56,8 @@ def unended(lines: list[str]) -> str:
     Such a file may be cut off in the middle of its last number, unless its last line repeats an earlier one.
     """
     reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
-    last, *earlier = (BLOCK_NUMBER.sub("", line.strip()).strip() for line in lines[::-1])
+    block_number = re.compile(r"\AN[ \t]*[0-9]+", re.I)
+    last, *earlier = (block_number.sub("", line.strip()).strip() for line in lines[::-1])
     longer = {line for line in earlier if line.startswith(last)} if last else {last}
     return "" if longer == {last} else reason
 

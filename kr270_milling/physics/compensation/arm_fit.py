@@ -18,7 +18,6 @@ __all__ = ["Evidence", "fit_arm"]
 
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
-SCAN = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  #: factors on frequency and damping that are tried first
 KEPT = 4  #: latest corrected passes that are fitted
 MOST_FITTED = 8192  #: segments; of a longer path PIECES are fitted
 PIECES, PIECE = 4, 1024  #: pieces, evenly spread over the path, and segments of each
@@ -123,8 +122,9 @@ def fit_arm(
     problem = _Problem(arm, segments, path, approach, passes, weight, noise)
     best = problem.start(1.0, 1.0)
     rest = problem.residuals(best)
+    scan = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  # factors on frequency and damping that are tried first
     if rest @ rest > rest.size:  # the model leaves more than the errors that are supposed
-        starts = [problem.start(frequency, damping) for frequency in SCAN[0] for damping in SCAN[1]]
+        starts = [problem.start(frequency, damping) for frequency in scan[0] for damping in scan[1]]
         best = min(starts, key=lambda numbers: float(np.sum(problem.residuals(numbers) ** 2)))
     numbers = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
     fitted, problem.arm = problem.arm_of(numbers), whole

@@ -306,7 +306,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
 
 @inlined
 def _floor_near(s, p, tip):
-    """Deepest known level of a footprint NEAR the tip; -1: none is known."""
+    """Deepest known level of a footprint near the tip; -1: none is known."""
     near = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
     for k in range(s.ints[FLOORS_KNOWN]):
         u, v = s.floors[k, 0] - tip[0], s.floors[k, 1] - tip[1]

@@ -26,7 +26,7 @@ from kr270_milling.physics.cutting.state import (
 __all__ = ["NO_FORCES", "sweep", "undo"]
 
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
-TURN = 1.26  # a point beyond NEAR seen from a centre that moves by x turns by at most TURN x / radius
+TURN = 1.26  # a point beyond ``near`` seen from a centre that moves by x turns by at most TURN x / radius
 JUMP = 0.125  # share of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
@@ -214,7 +214,7 @@ def _end(s, p, i, step, turn, x, y, depth, level):
     """Add the load of the end edge of tooth i, which lowers the floor below a sinking tool; the volume cut so [m^3].
 
     The floor is cut at least to FLOOR, and where that is not known to the shallowest level of this run; the side edge
-    cuts what is higher. The floor is measured LEAD ahead of the tooth, where nodes near the axis are not cut yet.
+    cuts what is higher. The floor is measured ``lead`` ahead of the tooth, where nodes near the axis are not cut yet.
     """
     floor = s.ints[RUN_LEVEL] - 1
     if s.ints[FLOOR] >= 0:

@@ -19,12 +19,12 @@ __all__ = ["BRANCHES", "branches", "branches_at", "inverse_along", "inverse_near
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)
-TWO_PI = 2 * np.pi
 
 
 def _wrapped(angle):
     """The angle [rad], a number or an array, within a half turn to either side."""
-    return angle - TWO_PI * np.round(angle / TWO_PI)
+    two_pi = 2 * np.pi
+    return angle - two_pi * np.round(angle / two_pi)
 
 
 wrapped = njit(cache=True, nogil=True)(_wrapped)

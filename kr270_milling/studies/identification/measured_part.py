@@ -291,7 +291,7 @@ def refuse_contradictions(parts, measured: np.ndarray, rows: np.ndarray, noise: 
     """Raise InputError where another sign or unit explains a table far better than its own numbers.
 
     rows (N, k): errors of drawn robots [m], noise (k, k): covariance of measured minus predicted errors. The density of
-    a table is that of Student's t with FREEDOM degrees: robots have jumps, so few of them are far from the others.
+    a table is that of Student's t with 4 degrees of freedom: robots have jumps, so few of them are far from the others.
     """
     middle, covariance, first = rows.mean(axis=0), np.cov(rows.T) + noise, 0
     freedom = 4.0  # assumed

@@ -20,8 +20,6 @@ __all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resa
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
 COLUMNS = ("time_s", *AXES, FORCE)
-QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  #: specific data type of a UFF file -> quantity
-SI = ("", "NONE", "M", "M/S", "M/S2", "M/S^2", "M/S**2", "N", "RAD")  #: labels of units of a UFF file
 UFF = (".uff", ".unv", ".58")
 FEWEST = 16
 MOST_BYTES = 256 * 1024 * 1024  #: size of a UFF file, which is read as a whole
@@ -35,7 +33,7 @@ class Signals:
     values: np.ndarray  #: (n, channels)
     names: tuple[str, ...]  #: axes of the channels, from AXES where they are known
     force: np.ndarray | None = None  #: force of the hammer [N], (n,)
-    quantity: str = ""  #: from QUANTITIES; empty: the file does not state the quantity
+    quantity: str = ""  #: displacement, velocity or acceleration; empty: the file does not state the quantity
     drive: str = ""  #: from AXES, where the file states the direction of the force, or the other point that was hit
     notes: tuple[str, ...] = ()  #: sentences about stamps and channels
 
@@ -141,7 +139,8 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
     nodes = list(dict.fromkeys(int(s["rsp_node"]) for s in moves))
     times = [np.asarray(s["x"], float) for s in histories]
     rates = list(dict.fromkeys(f"{1 / (x[1] - x[0]):.6g} from {x[0]:g} s" for x in times if len(x) > 1))
-    kinds = list(dict.fromkeys(QUANTITIES.get(s.get("ordinate_spec_data_type"), "") for s in moves))
+    quantities = {8: "displacement", 11: "velocity", 12: "acceleration"}  # specific data type of a UFF file -> quantity
+    kinds = list(dict.fromkeys(quantities.get(s.get("ordinate_spec_data_type"), "") for s in moves))
     for kind, several in (("nodes", nodes), ("sampling rates, a second:", rates), ("quantities", kinds)):
         if len(several) > 1:
             listed = ", ".join(str(value) or "unknown" for value in several)
@@ -152,7 +151,10 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
     if forces and moves and int(forces[0]["rsp_node"]) != nodes[0]:
         drive = f"node {int(forces[0]['rsp_node'])}, not node {nodes[0]}"
     labels = [str(s.get("ordinate_axis_units_lab") or "").strip() for s in histories]
-    foreign = (f"{name} in {label}" for name, label in zip(names, labels, strict=True) if label.upper() not in SI)
+    si_labels = ("", "NONE", "M", "M/S", "M/S2", "M/S^2", "M/S**2", "N", "RAD")  # labels of units of a UFF file
+    foreign = (
+        f"{name} in {label}" for name, label in zip(names, labels, strict=True) if label.upper() not in si_labels
+    )
     notes = tuple(f"the file states {text}: its numbers are taken as SI units" for text in foreign)
     length = min(len(s["data"]) for s in histories)
     signs = [-1.0 if int(s["rsp_dir"]) < 0 else 1.0 for s in histories]

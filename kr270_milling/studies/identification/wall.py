@@ -36,7 +36,6 @@ __all__ = [
 PLACE = ("x_mm", "y_mm")
 COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "surface", "note")
 FEWEST = 3  #: places for a gain and an offset
-NEAR = 5  #: points of the predicted wall, whose mean is the prediction
 PLANTS = 16
 BAND = (0.05, 0.95)
 
@@ -119,13 +118,16 @@ class PredictedPlaces:
         """Indices of the nearest points of the walls, at the height of the place where that is given."""
         z, walls = self.measured.height[k], self._ideal.walls
         farthest = 2e-3  # [m] from a place to the predicted wall
-        distance, near = tree.query(self.measured.place[k], k=min(8 * NEAR, bottom.size), distance_upper_bound=farthest)
+        nearest = 5  # points of the predicted wall, whose mean is the prediction
+        distance, near = tree.query(
+            self.measured.place[k], k=min(8 * nearest, bottom.size), distance_upper_bound=farthest
+        )
         near = np.atleast_1d(near)[np.isfinite(np.atleast_1d(distance))]
         if np.isfinite(z):
             near = near[(bottom[near] - 1e-5 <= z) & (z <= bottom[near] + walls.height[near] + 1e-5)]
         if not near.size:
             self._refuse(k, f"is farther than {1e3 * farthest:g} mm from every wall that the cell leaves")
-        return near[:NEAR]
+        return near[:nearest]
 
     def _floor(self, k: int) -> np.ndarray:
         """Indices of the level nodes around a place, in the map as one row."""
