@@ -83,7 +83,9 @@ def engagement_angles(mode, width, diameter: float) -> tuple[np.ndarray, np.ndar
     """Entry and exit angles [rad], (n,), of a tooth, from the feed direction in the sense of rotation.
 
     The chip thickness is h = f_z cos(phi). Up-milling begins at phi = -90 deg with h = 0 and ends where the width is
-    used up, sin(phi) = 2 width / diameter - 1; down-milling is its mirror image. mode: slot, up or down, (n,); width: (n,).
+    used up, sin(phi) = 2 width / diameter - 1; down-milling is its mirror image.
+
+    mode: slot, up or down, (n,); width: (n,).
     """
     mode, limit = np.asarray(mode), np.arcsin(np.clip(2.0 * width / diameter - 1.0, -1.0, 1.0))
     return np.where(mode == "down", -limit, -np.pi / 2), np.where(mode == "up", limit, np.pi / 2)

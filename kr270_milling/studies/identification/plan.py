@@ -97,7 +97,7 @@ def _postures(arm: Arm, mount: Mount, point_on_flange: np.ndarray, count: int, s
 
 
 def at_posture(mount: Mount, q) -> Measurements:
-    """Forces of 100 N along x, y and z of the base at the tool point of posture q (6,) [rad], as tests without a result."""
+    """Tests without a result: 100 N along x, y and z of the base at the tool point of posture q (6,) [rad]."""
     test_force = 100.0  # [N] along each axis in turn, what milling of aluminium asks of the arm
     return unmeasured(np.tile(np.asarray(q, float), (3, 1)), test_force * np.eye(3), mount.xyz, 1.0)
 
