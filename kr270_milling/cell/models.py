@@ -35,6 +35,8 @@ __all__ = [
     "removal_of",
 ]
 
+MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
+
 
 def arm_of(cell: Cell) -> PlacedArm:
     """Return the arm of a cell at its workpiece."""
@@ -107,9 +109,8 @@ def _postures(cell: Cell, reference: Trajectory) -> tuple[int, np.ndarray]:
         return 1, np.zeros(1, np.int64)
     path, spacing = path_of(cell), cell.dynamics.posture_spacing
     steps, least = path.clock.steps(reference.duration_ns), 1
-    most_long_postures = 20_000  # of a program that is cut by its engagement; more lie between two of them, linearly
     if cell.cutting.by_engagement:  # a rapid move has no force, and a long program does not need every posture
-        fastest, least = path.feed_rate, -(-steps // most_long_postures)
+        fastest, least = path.feed_rate, -(-steps // MOST_LONG_POSTURES)
     else:
         fastest = float(np.max(reference.feed(reference.time_ns)))
     between = max(least, int(spacing / max(fastest, 1e-9) / cell.exchange.period))

@@ -36,6 +36,7 @@ from kr270_milling.base.record import read_tree
 __all__ = ["StudyRows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
+ANSWER = 10.0  #: [s] for a scheduler to answer
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 
 
@@ -185,7 +186,6 @@ def _executor(scheduler: str | None, rows_of: Callable[[int], bytes]) -> Iterato
     import dask
     from dask.distributed import Client
 
-    answer = 10.0  # [s] for a scheduler to answer
     patience = 30.0  # [s] for a first worker
     quiet = {
         "distributed.logging.distributed": "critical",  # a worker that ends may miss a heartbeat
@@ -196,7 +196,7 @@ def _executor(scheduler: str | None, rows_of: Callable[[int], bytes]) -> Iterato
     }
     with dask.config.set(quiet):
         try:
-            client = Client(scheduler, timeout=answer)
+            client = Client(scheduler, timeout=ANSWER)
         except (OSError, ValueError) as error:
             raise ModelError(f"the scheduler {scheduler} does not answer: {error}") from None
         with client:
