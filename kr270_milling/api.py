@@ -120,7 +120,7 @@ class Pass(Shown, jobs.ScoredPass):
         return [_scores_table([self])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """Return every series as a pandas frame, units in the column names; raises MissingExtra without pandas."""
+        """Return every series as a pandas frame, units in the column names; raises MillingError without pandas."""
         rows = series_rows(self.result, path_of(self.cell).target)
         return _pandas().DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
 
@@ -168,7 +168,7 @@ class Compensation(Shown):
         return [_scores_table([self.original, *named.values()], [self.original.name, *named])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """Return the series of both passes, their names in the column ``pass``; raises MissingExtra without pandas."""
+        """Return the series of both passes, their names in the column ``pass``; raises MillingError without pandas."""
         frames = {run.name: run.to_frame() for run in (self.original, self.compensated)}
         return _pandas().concat(frames, names=["pass"]).reset_index(level=0)
 
@@ -422,7 +422,7 @@ def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) ->
     ------
     ConfigError, ParameterError
         A key or a value that is not allowed.
-    MissingExtra
+    MillingError
         pandas is not installed.
 
     Examples
@@ -460,7 +460,7 @@ def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, to
     ------
     ParameterError
         No placement, or too many.
-    MissingExtra
+    MillingError
         pandas is not installed.
 
     Examples

@@ -69,7 +69,7 @@ def cleared(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutMod
 def swept(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel:
     """Return the stock after other tools, on the grid of ``stock``; actual: along their passes, else as programmed.
 
-    Raises GridError.
+    Raises MillingError.
     """
     cut = _still(removals[0], stock)
     for removal in removals:

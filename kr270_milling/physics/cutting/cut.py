@@ -15,7 +15,7 @@ from kr270_milling.physics.cutting.engagement import (
     make_engagement_params,
     make_engagement_state,
 )
-from kr270_milling.physics.cutting.grid import TILE, GridError, Stock, levels_in_window
+from kr270_milling.physics.cutting.grid import TILE, Stock, levels_in_window
 from kr270_milling.physics.cutting.lanes import LANES
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.state import (
@@ -33,26 +33,7 @@ from kr270_milling.physics.cutting.state import (
 from kr270_milling.physics.cutting.sweep import NO_FORCES
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Cut", "CutModel", "EngagementCut", "SweepError", "UndoError"]
-
-
-class UndoError(MillingError):
-    """The last sweep cannot be taken back."""
-
-    def __init__(self, size: int):
-        self.size = size
-        super().__init__(f"the last sweep cleared more nodes than the {size} that can be taken back")
-
-
-class SweepError(MillingError):
-    """A sweep that makes no sense."""
-
-    def __init__(self, pose_from, pose_to, first: int, n: int):
-        self.pose_from, self.pose_to, self.first, self.n = pose_from, pose_to, first, n
-        super().__init__(
-            f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of "
-            "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
-        )
+__all__ = ["Cut", "CutModel", "EngagementCut"]
 
 
 class CutModel:
@@ -72,17 +53,19 @@ class CutModel:
         """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
 
         first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
-        Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises SweepError, GridError.
+        Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises MillingError.
         """
         start, end = np.array(pose_from, float), np.array(pose_to, float)
         sound = start.shape == end.shape == (3,) and all(map(math.isfinite, start.tolist() + end.tolist()))
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
-            raise SweepError(pose_from, pose_to, first, n)
+            raise MillingError(
+                f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of "
+                "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
+            )
         self._make_room(n, math.dist(start.tolist(), end.tolist()))
         wrench = np.empty(6)
         self.torque = cut_step(self.state, self.params, start, end, int(first), int(n), forces, wrench)
-        if self.state.ints[FAILED]:
-            raise GridError(self.state.pool.size // TILE**2)
+        self.refuse_failure()
         return wrench
 
     def along(
@@ -93,14 +76,13 @@ class CutModel:
         predicted: whether the positions are those that the robot predicted, as in ``sweep``.
 
         Returns the mean wrench (n, 6) [N, N m], the mean spindle torque (n,) [N m] and the volume removed (n,) [m^3] on
-        the way to each position; 0 for the first. Raises GridError.
+        the way to each position; 0 for the first. Raises MillingError.
         """
         positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
         cut_poses(self.state, params, positions, steps, NO_FORCES, wrench, torque, volume)
-        if self.state.ints[FAILED]:
-            raise GridError(self.state.pool.size // TILE**2)
+        self.refuse_failure()
         return wrench, torque, volume
 
     @property
@@ -129,9 +111,18 @@ class CutModel:
         return self.state
 
     def restore(self) -> None:
-        """Take the last sweep back, once. Raises UndoError."""
-        if not cut_undo(self.state):
-            raise UndoError(self.undo_size)
+        """Take the last sweep back, once. Raises MillingError."""
+        self.refuse_failure(cut_undo(self.state))
+
+    def refuse_failure(self, undone: bool = True) -> None:
+        """Raise MillingError after a sweep that found no tile of the grid; undone: whether all could be taken back."""
+        if self.state.ints[FAILED]:
+            raise MillingError(
+                f"the cut area fills more than {self.state.pool.size // TILE**2} tiles of the grid; a larger "
+                "stock.grid_step_um would fit"
+            )
+        if not undone:
+            raise MillingError(f"the last sweep cleared more nodes than the {self.undo_size} that can be taken back")
 
     @property
     def undo_size(self) -> int:

@@ -20,16 +20,13 @@ give the covariance. Vibration behind corners is within the error of the model, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import long_pass
-from kr270_milling.cell.models import path_of
-from kr270_milling.cell.plant import coarser, cores, numbers_of, perturbed, robot_of
+from kr270_milling.cell.plant import coarser, numbers_of, perturbed, robot_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.studies.identification.wall import PredictedPlaces, WallPlaces, read_wall, robot_errors
 
@@ -126,30 +123,22 @@ def learn(
     count = numbers_of(model)
     mean, spread = _state(cell, count)
     total, passes_run = 2 * ROBOTS + count + STEPS, 0
-    same: dict = {}  # errors of robots that cut alike
+    same: dict[Cell, np.ndarray] = {}  # errors of robots that cut alike
 
-    def predict(numbers: np.ndarray) -> np.ndarray:
-        """Errors [m] of a robot at all places; NaN where it fails."""
-        robot = robot_of(model, numbers)
-        robot = robot.replace(imperfections=robot.imperfections.replace(repeatability=0.0, pose_noise=0.0))
-        if robot in same:
-            return same[robot]
-        try:
-            runs = zip(parts, places, strict=True)
-            errors = np.concatenate([robot_errors(robot, model, part[1], at) for part, at in runs])
-        except MillingError:
-            errors = np.full(measured.size, np.nan)
-        return same.setdefault(robot, errors)
-
-    def run(robots: np.ndarray) -> np.ndarray:
-        """Errors (k, places) of robots (k, n)."""
+    def run(numbers: np.ndarray) -> np.ndarray:
+        """Errors (k, places) of robots behind numbers (k, n)."""
         nonlocal passes_run
-        rows: list[np.ndarray] = []
-        with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
-            for row in pool.map(predict, robots):
-                rows.append(row)
-                progress(passes_run := min(passes_run + 1, total), total)
-        return np.array(rows)
+        robots = [robot_of(model, row) for row in numbers]
+        robots = [
+            robot.replace(imperfections=robot.imperfections.replace(repeatability=0.0, pose_noise=0.0))
+            for robot in robots
+        ]
+        new = list(dict.fromkeys(robot for robot in robots if robot not in same))
+        runs = [(reference, at) for (_, reference, _), at in zip(parts, places, strict=True)]
+        for robot, row in zip(new, robot_errors(new, model, runs), strict=True):
+            same[robot] = row
+            progress(passes_run := min(passes_run + 1, total), total)
+        return np.array([same[robot] for robot in robots])
 
     rng = np.random.default_rng(SAMPLE_SEED)
     size, axes = np.linalg.eigh(spread)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import long_pass
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.part.stations import stations_of
@@ -162,28 +163,38 @@ def compare_wall(
 
     Raises InputError as ``PredictedPlaces`` does.
     """
-    predicted = robot_errors(cell, cell, reference, PredictedPlaces(cell, measured))
+    predicted = _errors(cell, cell, reference, PredictedPlaces(cell, measured))
     nominal, rng = coarser(cell), np.random.default_rng(seed)
-    drawn = [perturbed(nominal, rng) for _ in range(plants)]
-    places, rows = PredictedPlaces(nominal, measured), []
-
-    def errors(plant: Cell) -> np.ndarray:
-        try:
-            return robot_errors(plant, nominal, reference, places)
-        except MillingError:
-            return np.full(len(measured.error), np.nan)
-
-    with ThreadPoolExecutor(cores()) as pool:
-        for row in pool.map(errors, drawn):
-            rows.append(row)
-            progress(len(rows), plants)
+    drawn, places = [perturbed(nominal, rng) for _ in range(plants)], PredictedPlaces(nominal, measured)
+    rows: list[np.ndarray] = []
+    for row in robot_errors(drawn, nominal, [(reference, places)]):
+        rows.append(row)
+        progress(len(rows), plants)
     noise = measured.sigma * rng.normal(size=(len(rows), len(predicted)))
     low, high = np.nanquantile(np.array(rows) + noise, BAND, axis=0)
     line = line_through(measured.error, predicted, len(predicted))
     return WallComparison(measured, predicted, low, high, plants, line)
 
 
-def robot_errors(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> np.ndarray:
+def robot_errors(
+    robots: Iterable[Cell], cell: Cell, parts: Sequence[tuple[Trajectory | None, PredictedPlaces]]
+) -> Iterator[np.ndarray]:
+    """Errors [m], (n,), that each robot leaves at places of the parts of a cell; NaN for a robot that fails.
+
+    parts: the reference that was run, None: the target, and the places of each part.
+    """
+
+    def errors(robot: Cell) -> np.ndarray:
+        try:
+            return np.concatenate([_errors(robot, cell, reference, places) for reference, places in parts])
+        except MillingError:
+            return np.full(sum(places.normal.shape[0] for _, places in parts), np.nan)
+
+    with ThreadPoolExecutor(1 if long_pass(path_of(cell)) else cores()) as pool:
+        yield from pool.map(errors, robots)
+
+
+def _errors(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> np.ndarray:
     """Errors [m], (n,), that a robot leaves at places of the part of a cell; raises MillingError where it fails."""
     target = path_of(cell).target
     reference, cut = target if reference is None else reference, cut_of(robot)
