@@ -28,7 +28,7 @@ from kr270_milling.studies.identification.comparison import ComparedSeries
 from kr270_milling.studies.identification.compliance import fit_compliance
 from kr270_milling.studies.identification.measurements import read_measurements
 from kr270_milling.studies.identification.plan import Planner, candidates, read_test_pose
-from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem
+from kr270_milling.studies.identification.problem import Problem
 
 
 @pytest.fixture
@@ -98,12 +98,12 @@ def test_each_cause_of_a_joint_that_is_not_identified_is_named(rng):
     assert fitted.values[5] == ARM.joint_compliance[5] and fitted.half_widths[5] == np.inf
     on_axis = dataclasses.replace(tests, reflector=np.zeros((20, 3)))
     fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(on_axis)))
-    assert fitted.exclusions[5].cause is Cause.ON_AXIS
+    assert "on its axis" in fitted.exclusions[5]
     fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests.take(np.zeros(8, int)))))
-    assert fitted.free.sum() <= 3 and [e.cause for e in fitted.exclusions.values()].count(Cause.ALIKE) == 3
+    assert fitted.free.sum() <= 3 and sum("in every test" in reason for reason in fitted.exclusions.values()) == 3
     tests.wrench[:] *= 0.01  # the effect of a joint is below the noise
     fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests, rng=rng)))
-    assert not fitted.free.all() and Cause.NOISE in [e.cause for e in fitted.exclusions.values()]
+    assert not fitted.free.all() and any("below the noise" in reason for reason in fitted.exclusions.values())
     assert np.all(fitted.values > 0.0)
 
 
@@ -116,7 +116,7 @@ def test_published_compliances_are_identified_from_hanging_loads(rng):
     moved = displacements(arm, mount, weights)
     moved[:, 3:] = np.nan
     fitted = fit_compliance(Problem(ARM, mount, dataclasses.replace(weights, displacement=moved)))
-    assert fitted.free.tolist() == [False, *[True] * 5] and fitted.exclusions == {0: Exclusion(Cause.NO_LOAD)}
+    assert fitted.free.tolist() == [False, *[True] * 5] and fitted.exclusions == {0: "no load turned it"}
     assert 1e6 * fitted.values[1:] == pytest.approx(table, rel=1e-6)
     assert 1e6 * fitted.values[0] == pytest.approx(0.26)  # stays as Table 1 has it
 
