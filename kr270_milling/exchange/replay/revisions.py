@@ -10,7 +10,7 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.inbox import ReceivedPass
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.passes import GraphRecord, PassSeries
@@ -115,7 +115,7 @@ class Revisions:
         last pass. place: of a reference that is taken as recorded instead.
         """
         target = self._targets.get(state.target)
-        if target is None or state.method not in METHODS:
+        if target is None or state.method not in methods():
             reason = f"the target trajectory {state.target} of the compensator is not in the recording"
             raise NotRecorded(reason if target is None else f"the method {state.method} is not known")
         numbers = [self._number(named, index) for named in state.learned]
