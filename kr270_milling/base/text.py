@@ -31,7 +31,9 @@ def read_lines(path) -> list[str]:
         raise InputError(path, "the file is UTF-16 text; save it as UTF-8 or ASCII", 1)
     null = data.find(b"\0")
     if null >= 0:
-        raise InputError(path, "holds a zero byte, so it is no text file", _line_at(data, null))
+        before = data[:null].replace(b"\r\n", b"\n")
+        line = before.count(b"\n") + before.count(b"\r") + 1
+        raise InputError(path, "holds a zero byte, so it is no text file", line)
     text = data.decode(encoding_of(data)).removeprefix("\ufeff")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
@@ -43,11 +45,6 @@ def encoding_of(data: bytes) -> str:
     except UnicodeDecodeError:
         return "latin-1"
     return "utf-8"
-
-
-def _line_at(data: bytes, offset: int) -> int:
-    before = data[:offset].replace(b"\r\n", b"\n")
-    return before.count(b"\n") + before.count(b"\r") + 1
 
 
 def unended(lines: list[str]) -> str:

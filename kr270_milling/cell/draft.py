@@ -177,7 +177,8 @@ def _common(path: Toolpath, stock: Box) -> dict:
 
 def _tool(path: Toolpath) -> dict:
     """Values of the keys of a tool."""
-    tool, speed = path.program.current, _speed(path)
+    tool, speeds = path.program.current, path.program.spindle_speeds
+    speed = abs(speeds[0]) * 30 / math.pi if speeds else 0.0  # [rpm]
     comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
     known = bool(tool and tool.diameter)
     teeth, source = _teeth(path)
@@ -217,12 +218,6 @@ def _diameter(path: Toolpath) -> float:
     """[mm], of the tool, or a usual one."""
     tool = path.program.current
     return 1e3 * tool.diameter if tool and tool.diameter else DIAMETER
-
-
-def _speed(path: Toolpath) -> float:
-    """[rpm], of the spindle; 0 where the program has no S."""
-    speeds = path.program.spindle_speeds
-    return abs(speeds[0]) * 30 / math.pi if speeds else 0.0
 
 
 def straight_text(robot: str) -> str:

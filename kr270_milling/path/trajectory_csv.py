@@ -11,7 +11,7 @@ import numpy as np
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.table import Table, read_table
+from kr270_milling.base.table import read_table
 from kr270_milling.base.units import seconds
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
@@ -54,8 +54,9 @@ def _in_mm(values: np.ndarray) -> Iterator[list[str]]:
 def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | None]:
     """Read what ``write_csv`` wrote: the trajectory and the joint angles [rad], (n, 6), or None."""
     table = read_table(path, KNOT + VELOCITY + JOINTS, KNOT, whole=True)
-    rows = table.numbers(table.names)
-    column = {name: _in_m(table, name) if "_mm" in name else rows[:, k] for k, name in enumerate(table.names)}
+    column = dict(zip(table.names, table.numbers(table.names).T, strict=True))
+    for name in (name for name in table.names if "_mm" in name):  # in m or m/s, without losing a bit
+        column[name] = np.array([float(Decimal(text).scaleb(-3)) for text in table.texts(name)])
     several = {part[0]: [name in column for name in part] for part in (VELOCITY, JOINTS)}
     if any(any(there) != all(there) for there in several.values()):
         raise InputError(path, f"the header must be {','.join(KNOT)}, then velocities and joint angles if any", 1)
@@ -73,8 +74,3 @@ def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | N
     except TrajectoryError as error:
         raise InputError(path, error.reason, None if error.index is None else table.lines[error.index]) from None
     return run, None if joints is None else np.radians(joints)
-
-
-def _in_m(table: Table, name: str) -> np.ndarray:
-    """A column in mm or mm/s as m or m/s, without losing a bit."""
-    return np.array([float(Decimal(text).scaleb(-3)) for text in table.texts(name)])

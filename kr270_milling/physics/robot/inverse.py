@@ -181,7 +181,8 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     """Postures (n, 6) along a path of poses (n,) on the branch nearest to the seed, (6,)."""
     first = _nearest(arm, mount, Pose(path.position[0], path.rotation[0]), seed)
     _check_shoulder(arm, mount, path)
-    row = _row_of(arm, first)
+    beta, radius = elbow_and_reach(arm, first)
+    row = (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)  # in BRANCHES, with A5 > 0
     unknown = np.full((len(path.position), 6), np.nan)  # no A4 where A5 = 0
     every, distance = branches(arm, mount, path, unknown)
     q = every[:, row]
@@ -191,12 +192,6 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     q[:, 3:] = _wrist_along(arm, mount, path, row, q[:, 3:], first)
     q[0] = first
     return np.unwrap(q, axis=0)
-
-
-def _row_of(arm: Arm, q: np.ndarray) -> int:
-    """Row in BRANCHES of the branch of a posture (6,), with A5 > 0."""
-    beta, radius = elbow_and_reach(arm, q)
-    return (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)
 
 
 def _wrist_along(arm: Arm, mount: Mount, path: Pose, row: int, wrist: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -294,19 +294,14 @@ def refuse_contradictions(parts, measured: np.ndarray, rows: np.ndarray, noise: 
             text = f"the errors {name} have the opposite sign: is the wall measured from its other side?"
             readings.append((text, np.where(side, -1.0, 1.0), part.lines[int(np.argmax(side))]))
         tried = np.ones(e.size), *(factors for _, factors, _ in readings)
-        square = np.array([_square(root, factors * e - f) for factors in tried])
+        left = [np.linalg.solve(root, factors * e - f) for factors in tried]  # in standard deviations
+        square = np.array([rest @ rest for rest in left])
         scale = np.array([0.0, *(np.sum(np.log(np.abs(factors))) for _, factors, _ in readings)])
         density = scale - 0.5 * (freedom + e.size) * np.log1p(square / freedom)
         better = [k for k in range(len(readings)) if density[k + 1] > density[0] + sure_enough]
         if better:
             text, _, line = readings[max(better, key=lambda k: (scale - 0.5 * square)[k + 1])]  # normal: without tails
             raise InputError(part.path, f"no robot of the cell leaves these errors; they fit if {text}", line)
-
-
-def _square(root: np.ndarray, rest: np.ndarray) -> float:
-    """Square of a deviation (k,) in its deviations; root: of the covariance, lower triangle."""
-    left = np.linalg.solve(root, rest)
-    return float(left @ left)
 
 
 def _sides(part: WallPlaces):

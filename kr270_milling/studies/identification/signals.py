@@ -130,11 +130,14 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(path, f"is no UFF file that pyuff reads ({error})") from None
     histories = [s for s in sets if s.get("func_type") == 1]
-    histories.sort(key=_is_force)  # the force is the last column
     if not histories:
         raise InputError(path, "holds no time history (data set 58, function type 1)")
-    forces, moves = [s for s in histories if _is_force(s)], [s for s in histories if not _is_force(s)]
-    axes = [_direction(s, i) for i, s in enumerate(histories)]
+    force_types = (9, 13)  # specific data types: reaction force, excitation force
+    forces = [s for s in histories if s.get("ordinate_spec_data_type") in force_types]
+    moves = [s for s in histories if s.get("ordinate_spec_data_type") not in force_types]
+    histories = [*moves, *forces]  # the force is the last column
+    turns = [abs(int(s["rsp_dir"])) for s in histories]
+    axes = [AXES[axis - 1] if 1 <= axis <= 6 else f"channel {i}" for i, axis in enumerate(turns)]
     names = (*axes[: len(moves)], *[FORCE] * len(forces))
     nodes = list(dict.fromkeys(int(s["rsp_node"]) for s in moves))
     times = [np.asarray(s["x"], float) for s in histories]
@@ -161,17 +164,6 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
     values = np.stack([np.real(s["data"][:length]) for s in histories], -1) * signs
     stated = {"quantity": kinds[0] if kinds else "", "drive": drive, "notes": notes}
     return times[0][:length], names, values, stated
-
-
-def _is_force(history: dict) -> bool:
-    forces = (9, 13)  # specific data types: reaction force, excitation force
-    return history.get("ordinate_spec_data_type") in forces
-
-
-def _direction(history: dict, number: int) -> str:
-    """The axis of a history of a UFF file."""
-    axis = abs(int(history["rsp_dir"]))
-    return AXES[axis - 1] if 1 <= axis <= 6 else f"channel {number}"
 
 
 def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
