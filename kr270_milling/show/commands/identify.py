@@ -203,7 +203,7 @@ def run_compare(args) -> Answer:
     series = {"force": (simulated.time, simulated.wrench[:, :3]), "pose": (simulated.time, simulated.actual)}
     feed = path_of(cell).target.sample_velocity(simulated.time_ns)
     compared = comparison.compare(measured, series, simulated.target, feed, 2 * np.pi / cell.tool.spindle_speed)
-    return _answer(args, comparison_outcome(compared, name, Path(args.cell).name))
+    return _answer(args, comparison_outcome(*compared, name, Path(args.cell).name))
 
 
 def _recorded_passes(args) -> list:

@@ -14,7 +14,6 @@ from kr270_milling.studies.identification.signals import resampled
 __all__ = [
     "ComparedChannel",
     "ComparedSeries",
-    "Comparison",
     "LinearFit",
     "best_lag",
     "compare",
@@ -88,22 +87,21 @@ class ComparedChannel:
     line: LinearFit  #: from the series smoothed over a revolution
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Channels on one clock, lags of the measured clocks, and the ringing of both deviations."""
+def compare(
+    measured: ComparedSeries, simulated: ComparedSeries, target, feed, revolution: float
+) -> tuple[list[ComparedChannel], dict[str, float], dict[str, tuple[float, float]]]:
+    """Return channels on one clock, lags of the measured clocks, and the ringing of both deviations.
 
-    channels: list[ComparedChannel]
-    lags: dict[str, float]  #: [s] of the measured clock behind the simulated one, "force" and "pose"
-    ringing: dict[str, tuple[float, float]]  #: frequency [Hz] and damping ratio, "measured" and "simulated"
+    The lags [s] are those of the measured clock behind the simulated one, of "force" and "pose"; the ringing is
+    frequency [Hz] and damping ratio, "measured" and "simulated".
 
-
-def compare(measured: ComparedSeries, simulated: ComparedSeries, target, feed, revolution: float) -> Comparison:
-    """target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
+    target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
 
     Raises InputError without a measured series, ModelError for one of another pass.
     """
     channels: list[ComparedChannel] = []
-    lags, ringing = {}, {}
+    lags: dict[str, float] = {}
+    ringing: dict[str, tuple[float, float]] = {}
     both = measured.keys() & simulated.keys()
     if "force" in both:
         time, ours = simulated["force"]
@@ -126,7 +124,7 @@ def compare(measured: ComparedSeries, simulated: ComparedSeries, target, feed, r
         ringing = {k: ringing_frequency(time, _smoothed(v[:, None], count)[:, 0]) for k, v in deviations.items()}
     if not channels:
         raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
-    return Comparison(channels, lags, ringing)
+    return channels, lags, ringing
 
 
 def _count(time: np.ndarray, revolution: float) -> int:
