@@ -193,22 +193,25 @@ def derived(default):
 
 
 R = typing.TypeVar("R", bound="Record")
+_SPECS: dict[type, tuple[Spec, ...]] = {}  # cache, one entry for each record class
 
 
-@functools.cache
 def specs(record: type[Record]) -> tuple[Spec, ...]:
     """Return the parameters of a record class in their order; ``kind`` of a nested record is its class."""
-    hints, result = typing.get_type_hints(record), []
-    for field in dataclasses.fields(record):
-        if "derived" in field.metadata:  # no parameter
-            continue
-        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        kind = typing.get_origin(hints[field.name]) or hints[field.name]
-        about = dict(field.metadata)
-        if callable(about.get("choices")):  # known once the packages of others are loaded
-            about["choices"] = about["choices"]()
-        result.append(Spec(field.name, kind, default, **about))
-    return tuple(result)
+    if record not in _SPECS:
+        hints = typing.get_type_hints(record)
+        result = []
+        for field in dataclasses.fields(record):
+            if "derived" in field.metadata:  # no parameter
+                continue
+            default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+            kind = typing.get_origin(hints[field.name]) or hints[field.name]
+            about = dict(field.metadata)
+            if callable(about.get("choices")):  # known once the packages of others are loaded
+                about["choices"] = about["choices"]()
+            result.append(Spec(field.name, kind, default, **about))
+        _SPECS[record] = tuple(result)
+    return _SPECS[record]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
