@@ -115,7 +115,7 @@ class CutModel:
         self.refuse_failure(cut_undo(self.state))
 
     def refuse_failure(self, undone: bool = True) -> None:
-        """Raise MillingError after a sweep that found no tile of the grid; undone: whether all could be taken back."""
+        """Raise MillingError where no tile of the grid is left; undone: whether all could be taken back."""
         if self.state.ints[FAILED]:
             raise MillingError(
                 f"the cut area fills more than {self.state.pool.size // TILE**2} tiles of the grid; a larger "
