@@ -24,6 +24,7 @@ from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance
 from kr270_milling.decide import decision as decisions
 from kr270_milling.decide import verdict as verdicts
+from kr270_milling.decide.stability import modes_of
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.method import Method
@@ -119,7 +120,7 @@ class Pass(Shown, jobs.ScoredPass):
         return [_scores_table([self])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """Return every series as a pandas frame, units in the column names; raises MissingExtra without pandas."""
+        """Return every series as a pandas frame, units in the column names; raises MillingError without pandas."""
         rows = series_rows(self.result, path_of(self.cell).target)
         return _pandas().DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
 
@@ -167,7 +168,7 @@ class Compensation(Shown):
         return [_scores_table([self.original, *named.values()], [self.original.name, *named])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """Return the series of both passes, their names in the column ``pass``; raises MissingExtra without pandas."""
+        """Return the series of both passes, their names in the column ``pass``; raises MillingError without pandas."""
         frames = {run.name: run.to_frame() for run in (self.original, self.compensated)}
         return _pandas().concat(frames, names=["pass"]).reset_index(level=0)
 
@@ -396,7 +397,8 @@ def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobe
     --------
     >>> stability(cell, range(6000, 10001, 500)).plot()
     """
-    return Lobes(tuple(lobes(cell, [float(speed) * np.pi / 30.0 for speed in speeds_rpm], arm)))
+    speeds = [float(speed) * np.pi / 30.0 for speed in speeds_rpm]
+    return Lobes(tuple(lobes(path_of(cell), cell.cutting, modes_of(cell, arm), speeds)))
 
 
 def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) -> pandas.DataFrame:
@@ -420,7 +422,7 @@ def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) ->
     ------
     ConfigError, ParameterError
         A key or a value that is not allowed.
-    MissingExtra
+    MillingError
         pandas is not installed.
 
     Examples
@@ -458,7 +460,7 @@ def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, to
     ------
     ParameterError
         No placement, or too many.
-    MissingExtra
+    MillingError
         pandas is not installed.
 
     Examples

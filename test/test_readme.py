@@ -14,7 +14,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.recordings.messages.topics import topic_table
 from kr270_milling.show.commands.options import COMMANDS, make_parser
 
@@ -65,7 +65,7 @@ def test_commands_cells_topics_and_methods_of_the_pages_are_those_of_the_package
     assert {str(p.relative_to(ROOT)) for p in ROOT.glob("config/*.[yx]*ml")} == named
     assert topic_table() in (ROOT / "kr270_milling" / "guide" / "nodes.md").read_text(encoding="utf-8")
     named = [re.findall(r"`(\w+)`", names)[0] for names, _ in rows("method | what it does")]
-    assert sorted(named) == sorted(name for name, method in METHODS.items() if method.recommended)
+    assert sorted(named) == sorted(name for name, method in methods().items() if method.recommended)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -15,15 +15,12 @@ An error has a separate class only where code catches it alone::
       ReachError, JointLimitError, SingularityError, UnstableLoadError, DeflectionError, EquilibriumError
                             postures and loads of the arm (physics.robot)
       PassError             an arm that the cut pushes away (physics.motion)
-      GridError, UndoError, SweepError
-                            limits of the compiled cut (physics.cutting)
       TrajectoryError, ToolpathError
                             numbers that are no path (path)
       OneFeedError          tests that do not identify a law (studies)
       RunError, AlreadyRunning, NameRefused
                             the graph of nodes (live)
-      UsageError, MissingExtra
-                            the command line and the installation
+      UsageError            the command line
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ _complete: set[str] = set()  # groups whose table was made
 def register(group: str, name: str, value: str) -> None:
     """Add a force law, method or reader without an installed package: ``value`` is ``module:object``.
 
-    group: force_laws, methods or readers. Call this before the first import of the models. Raises ConfigError.
+    group: force_laws, methods or readers. Call this before the first cell is read, for a force law before the
+    first import of the models. Raises ConfigError.
     """
     point = EntryPoint(name, value, f"kr270_milling.{group}")
     if group in _complete:

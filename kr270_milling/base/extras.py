@@ -6,15 +6,11 @@ import importlib.util
 
 from kr270_milling.base.errors import MillingError
 
-__all__ = ["MissingExtra", "require_extra"]
-
-
-class MissingExtra(MillingError):
-    """A package of an extra of ``pyproject.toml`` is not installed."""
+__all__ = ["require_extra"]
 
 
 def require_extra(what: str, extra: str, *modules: str, otherwise: str = "") -> None:
-    """Raise MissingExtra where one of the modules is not installed.
+    """Raise MillingError where one of the modules is not installed.
 
     what: the command, method or file that needs it; extra: its name, empty where pip installs the module by its name;
     otherwise: another remedy, as text.
@@ -22,4 +18,4 @@ def require_extra(what: str, extra: str, *modules: str, otherwise: str = "") -> 
     for name in modules:
         if importlib.util.find_spec(name) is None:
             source = f"'.[{extra}]'" if extra else name
-            raise MissingExtra(f"{what} needs {name}, which is not installed: pip install {source}{otherwise}")
+            raise MillingError(f"{what} needs {name}, which is not installed: pip install {source}{otherwise}")

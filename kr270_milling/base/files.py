@@ -16,7 +16,6 @@ from kr270_milling.base.errors import InputError
 __all__ = ["fresh_directory", "staged", "write_failure", "write_files"]
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
-CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 def write_failure(error: OSError, place) -> str:
@@ -25,7 +24,8 @@ def write_failure(error: OSError, place) -> str:
         there = next(folder for folder in Path(place).absolute().parents if folder.is_dir())
         size = shutil.disk_usage(there)
         return f"{error.strerror}: {size.free / 1e6:.1f} MB of {size.total / 1e9:.1f} GB are free"
-    return f"{error.strerror}{'; choose another folder with --out' * (error.errno in CLOSED)}"
+    closed = (errno.EACCES, errno.EPERM, errno.EROFS)
+    return f"{error.strerror}{'; choose another folder with --out' * (error.errno in closed)}"
 
 
 @contextlib.contextmanager

@@ -19,8 +19,6 @@ __all__ = [
 ]  # fmt: skip
 
 MOST_BYTES = 256 * 1024  # the YAML reader needs some seconds for a file of this size
-MOST_INCLUDES = 64  # names in all files together; merging a file of MOST_BYTES takes some milliseconds
-MOST_DEPTH = 8  # length of a chain of includes
 #: group -> key with the numbers of the controller's display, their name there, largest distance [mm]
 DISPLAYED = {"mount": ("tool_kuka", "TOOL_DATA", 5000.0), "workpiece": ("base_kuka", "BASE_DATA", 100000.0)}
 AXES = "XYZABC"
@@ -37,7 +35,7 @@ def read_tree(path) -> dict:
     """Return the ``/**: ros__parameters:`` dict of a parameter file, merged over the files of its ``includes``.
 
     Each file is read once, even if several files include it. Raises ConfigError, also for more than MOST_INCLUDES
-    names in all files together and for a chain of more than MOST_DEPTH includes.
+    names in all files together and for a chain of more than 8 includes.
     """
     return _merged(Path(path), (), {}, [])
 
@@ -52,8 +50,10 @@ def _merged(path: Path, above: tuple[Path, ...], trees: dict[Path, dict], named:
         return trees[place]
     includes, tree = _content(path)
     named += includes
-    if len(named) > MOST_INCLUDES or (includes and len(above) >= MOST_DEPTH):
-        most = f"at most {MOST_INCLUDES} names of files in all, {MOST_DEPTH} deep"
+    most_includes = 64  # names in all files together; merging a file of MOST_BYTES takes some milliseconds
+    most_depth = 8  # length of a chain of includes
+    if len(named) > most_includes or (includes and len(above) >= most_depth):
+        most = f"at most {most_includes} names of files in all, {most_depth} deep"
         raise ConfigError(path, "includes", len(includes), most)
     merged: dict = {}
     for name in includes:

@@ -174,7 +174,7 @@ def _readable(value):
 def parameter(default=dataclasses.MISSING, **about):
     """Return a dataclass field that a parameter file may set; ``default`` is in SI.
 
-    about: fields of its ``Spec``: text, unit, low, high, above, choices, size.
+    about: fields of its ``Spec``: text, unit, low, high, above, choices, or a function that returns them, and size.
     """
     if isinstance(default, (list, np.ndarray)):
         values = tuple(default)
@@ -206,7 +206,10 @@ def specs(record: type[Record]) -> tuple[Spec, ...]:
                 continue
             default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
             kind = typing.get_origin(hints[field.name]) or hints[field.name]
-            result.append(Spec(field.name, kind, default, **field.metadata))
+            about = dict(field.metadata)
+            if callable(about.get("choices")):  # known once the packages of others are loaded
+                about["choices"] = about["choices"]()
+            result.append(Spec(field.name, kind, default, **about))
         _SPECS[record] = tuple(result)
     return _SPECS[record]
 

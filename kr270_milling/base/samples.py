@@ -135,7 +135,7 @@ class LearnedRecording(NamedTuple):
 class CompensatorState(Sample):
     """State of the compensator, published before each reference trajectory (diagnostic_msgs/DiagnosticStatus)."""
 
-    name: str  #: of the node
+    name: str  #: name of the node
     method: str
     passes: int  #: completed passes
     finished: bool  #: the method will not improve the reference any more

@@ -15,7 +15,6 @@ from kr270_milling.base.text import read_lines, unended
 __all__ = ["Table", "read_table", "write_table"]
 
 SEPARATOR = re.compile(r'"?sep=(.)"?\s*', re.I)  #: the first line of a table that a spreadsheet wrote
-MARKED = re.compile(r"[0-9][.,]|[.,][0-9]")
 #: decimal sign -> a number with this sign, perhaps with the other one between groups of three digits
 NUMBERS = {
     sign: re.compile(rf"[+-]?(?:[1-9][0-9]{{0,2}}(?:\{group}[0-9]{{3}})+|[0-9]*)(?:\{sign}[0-9]+)?(?:[eE][+-]?[0-9]+)?")
@@ -30,7 +29,7 @@ class Table:
     path: str
     names: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    lines: tuple[int, ...]  #: of each row in the file
+    lines: tuple[int, ...]  #: line of each row in the file
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -130,8 +129,9 @@ def _with_points(rows: list[tuple[int, tuple[str, ...]]], semicolons: bool, path
     1.500 may be 1.5 or 1500: all numbers together show which. Semicolons separate what has decimal commas.
     """
     signs, doubtful = set(NUMBERS), []  # decimal signs that all numbers so far allow, and numbers that allow both
+    marked = re.compile(r"[0-9][.,]|[.,][0-9]")
     for number, row in rows:
-        for cell in filter(MARKED.search, row):
+        for cell in filter(marked.search, row):
             fits = {sign for sign, pattern in NUMBERS.items() if pattern.fullmatch(cell)} or signs
             if not signs & fits:
                 raise InputError(path, f"{cell[:20]!r} has another decimal sign than the rows above", number)

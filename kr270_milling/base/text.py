@@ -9,7 +9,6 @@ from kr270_milling.base.errors import InputError
 
 __all__ = ["encoding_of", "read_lines", "short", "unended"]
 
-BLOCK_NUMBER = re.compile(r"\AN[ \t]*[0-9]+", re.I)
 MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
 
@@ -32,7 +31,9 @@ def read_lines(path) -> list[str]:
         raise InputError(path, "the file is UTF-16 text; save it as UTF-8 or ASCII", 1)
     null = data.find(b"\0")
     if null >= 0:
-        raise InputError(path, "holds a zero byte, so it is no text file", _line_at(data, null))
+        before = data[:null].replace(b"\r\n", b"\n")
+        line = before.count(b"\n") + before.count(b"\r") + 1
+        raise InputError(path, "holds a zero byte, so it is no text file", line)
     text = data.decode(encoding_of(data)).removeprefix("\ufeff")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
@@ -46,18 +47,14 @@ def encoding_of(data: bytes) -> str:
     return "utf-8"
 
 
-def _line_at(data: bytes, offset: int) -> int:
-    before = data[:offset].replace(b"\r\n", b"\n")
-    return before.count(b"\n") + before.count(b"\r") + 1
-
-
 def unended(lines: list[str]) -> str:
     """Return the reason why a file without a final newline is refused; "" for a complete file.
 
     Such a file may be cut off in the middle of its last number, unless its last line repeats an earlier one.
     """
     reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
-    last, *earlier = (BLOCK_NUMBER.sub("", line.strip()).strip() for line in lines[::-1])
+    block_number = re.compile(r"\AN[ \t]*[0-9]+", re.I)
+    last, *earlier = (block_number.sub("", line.strip()).strip() for line in lines[::-1])
     longer = {line for line in earlier if line.startswith(last)} if last else {last}
     return "" if longer == {last} else reason
 

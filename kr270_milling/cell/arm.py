@@ -6,15 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.frames import Pose
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.mirror import mirror
+from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.cutting import Tool
 from kr270_milling.physics.motion.arm_model import Dynamics, modal_models
 from kr270_milling.physics.motion.dynamics import ModalModel
 from kr270_milling.physics.robot import Arm, Mount, inverse_along
 
-__all__ = ["PlacedArm"]
+__all__ = ["PlacedArm", "commanded_joints", "mirrored"]
 
 
 @dataclass(frozen=True)
@@ -53,3 +55,38 @@ class PlacedArm:
     def modes_at(self, joints: np.ndarray) -> list[ModalModel]:
         """Modes at postures (n, 6) [rad], in workpiece axes."""
         return modal_models(self.arm, self.mount, self.dynamics, self.place, joints, self.tool.lateral_compliance)
+
+
+def mirrored(arm: PlacedArm, relaxation: float, target: Trajectory, wrench: np.ndarray) -> Trajectory:
+    """Target points modified by (30)-(32) for wrenches (k, 6) at the knots, in workpiece axes.
+
+    Without the sag under the link weights: who commands the joints deals with that, see ``commanded_joints``.
+    """
+    turn = arm.place.rotation
+    in_base = np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
+    modified = arm.place.inverse() @ _mirror(arm, relaxation, target, in_base, True)[0]
+    return Trajectory(target.time_ns, modified.position, modified.quaternion, None, target.frame)
+
+
+def commanded_joints(arm: PlacedArm, settings: CompensationSettings, reference: Trajectory) -> np.ndarray:
+    """The inverse kinetostatic model: joint positions [rad], (k, 6), that bring the tool to the reference points.
+
+    The joint positions include the sag under the link weights where the controller does not compensate it.
+    """
+    if settings.sag_compensated:
+        return arm.joints(reference)
+    return _mirror(arm, settings.relaxation, reference, np.zeros((len(reference), 6)), False)[1]
+
+
+def _mirror(arm: PlacedArm, relaxation: float, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool):
+    tool = arm.place @ Pose(target.position, rotation_from_quaternion(target.quaternion))
+    return mirror(
+        arm.arm,
+        arm.mount,
+        tool,
+        wrench_in_base,
+        arm.posture,
+        tool_compliance=arm.tool.lateral_compliance,
+        relaxation=relaxation,
+        sag_compensated=sag_compensated,
+    )

@@ -81,13 +81,13 @@ class Cell(Record):
             raise ParameterError("cutting.detail", "teeth", f"engagement or auto: {reason}")
         if self.cutting.by_engagement and not self.path.file:
             raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")
-        given = math.isfinite(self.exchange.period)  # else the reader of the file chooses it
+        stated = math.isfinite(self.exchange.period)  # else the reader of the file chooses it
         if self.tool.spindle_speed > 0.0:
-            if given:
+            if stated:
                 self.exchange.clock(self.tool.spindle_speed)
         elif self.path.recorded or not self.path.file:
             raise ParameterError("tool.spindle_speed_rpm", 0.0, "above 0 where no program states it")
-        if not self.path.file and given:
+        if not self.path.file and stated:
             StraightCut(self.path, self.stock, self.tool, self.timing, self.exchange).check()
 
     def __repr__(self) -> str:

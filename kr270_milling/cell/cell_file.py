@@ -57,7 +57,7 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
     if "tools" not in tree:
         return (_one_cell(tree, assigned, path),)
     chosen = tree.get("path", {}).get("tool", "") if isinstance(tree.get("path"), dict) else ""
-    by_tool = {name: _cell_of_tool(name, one, assigned, path) for name, one in _tool_trees(tree, path).items()}
+    by_tool = {name: _cell_of_tool(name, own, assigned, path) for name, own in _tool_trees(tree, path).items()}
     order = _in_program_order(tuple(by_tool), next(iter(by_tool.values())).path.source, path)
     cells = [by_tool[name] for name in order]
     cut = [removal_of(cell) for cell in cells]
@@ -149,14 +149,14 @@ def _placed(cell: Cell, assigned: frozenset, path) -> Cell:
     place = {"xyz": derived.position, "abc": abc_from_rotation(derived.rotation)}
     moved = False
     for spec in (spec for spec in specs(Workpiece) if spec.name in place):
-        given = getattr(workpiece, spec.name)
+        stated = getattr(workpiece, spec.name)
         same_place = 1e-3  # [mm], [deg]
         if assigned & {f"workpiece.{spec.key}", "workpiece.base_kuka"}:
             moved = True
-        elif given.size and not np.allclose(given, place[spec.name], rtol=0.0, atol=same_place * spec.scale):
+        elif stated.size and not np.allclose(stated, place[spec.name], rtol=0.0, atol=same_place * spec.scale):
             value = tree_of(workpiece)[spec.key]
             raise ConfigError(path, f"workpiece.{spec.key}", value, "left out: at_start_joints places the workpiece")
-        if given.size:
+        if stated.size:
             del place[spec.name]
     return cell.replace(workpiece=workpiece.replace(at_start_joints=not moved, **place))
 

@@ -18,7 +18,6 @@ __all__ = ["draft_text", "stock_of", "straight_text", "tools_text"]
 #: YAML with places for str.format
 TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="utf-8")
 
-ALLOWANCE = 5e-3  #: [m], around the path of the cutter and below it
 ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
@@ -30,7 +29,7 @@ TOOL = """\
       teeth: {teeth}                     # {teeth_source}
       rotation: clockwise                # yours: counterclockwise, with M4, for a left-hand cutter
       {speed}                            # {speed_source}"""
-#: what the template holds for a slot along +x, of which no program says anything
+#: values of the template for a slot along +x, which has no program
 STRAIGHT_TOOL = {
     "diameter": DIAMETER, "diameter_source": "yours", "end": "", "teeth": TEETH, "teeth_source": "yours",
     "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours",
@@ -46,7 +45,6 @@ STRAIGHT = {
       length_mm: 40.0                    # yours
       feed_rate_m_per_min: 2.0           # yours""",
 }  # fmt: skip
-TOOLS = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
 
 
 @dataclass(frozen=True)
@@ -80,10 +78,11 @@ def _box_of(path: Toolpath, radius: float) -> Box:
     top = 0.0 if bottom < -1e-6 else float(level.max(initial=bottom)) + 1e-3
     inside = ends[ends[:, 2] < top + 1e-9]
     inside = inside if len(inside) else ends
-    margin = radius + ALLOWANCE
+    allowance = 5e-3  # [m], around the path of the cutter and below it
+    margin = radius + allowance
     low = np.floor((inside.min(axis=0)[:2] - margin) * 1e3 + ROUNDING) / 1e3
     high = np.ceil((inside.max(axis=0)[:2] + margin) * 1e3 - ROUNDING) / 1e3
-    base = math.floor((bottom - ALLOWANCE) * 1e3 + ROUNDING) / 1e3
+    base = math.floor((bottom - allowance) * 1e3 + ROUNDING) / 1e3
     return Box(np.array([*low, base]), np.array([*high, top]))
 
 
@@ -92,14 +91,14 @@ def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
     down = np.flatnonzero(path.rapid & ~path.drilling & (path.position[:, 2] < box.high[2] - 1e-6))
     places = 100_000  # of a path, at most
     distance, step = np.linspace(0.0, path.length, 2 + min(places, int(path.length / CLEARANCE)), retstep=True)
-    way, block = path.position_at(distance), path.block_at(distance)
-    way, block = way[~path.rapid[block]], block[~path.rapid[block]]
+    tip, block = path.position_at(distance), path.block_at(distance)
+    tip, block = tip[~path.rapid[block]], block[~path.rapid[block]]
     cut = box
     _, first = np.unique(np.round(path.position[down], 5), axis=0, return_index=True)
     for number in down[first[:1000]].tolist():
         *place, height = path.position[number].tolist()
-        cleared = ((block < number) & (way[:, 2] < height + 1e-6)) | path.drilling[block]
-        if (np.hypot(*(way[cleared, :2] - place).T) < max(CLEARANCE, step)).any():
+        cleared = ((block < number) & (tip[:, 2] < height + 1e-6)) | path.drilling[block]
+        if (np.hypot(*(tip[cleared, :2] - place).T) < max(CLEARANCE, step)).any():
             continue
         nearest = np.clip(place, cut.low[:2], cut.high[:2])
         if math.dist(nearest, place) < radius + CLEARANCE:
@@ -148,9 +147,10 @@ def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
         keys = TOOL.format(**_tool(path))
         indented = "\n".join(f"  {line}" for line in keys.splitlines())
         entries.append(f"      {path.program.tool}:  # {label}\n{indented}")
+    tools = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
     values = _common(file, paths[0], stock) | {
         "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
-        "tool": TOOLS + "\n".join(entries),
+        "tool": tools + "\n".join(entries),
         "path": f"      file: {_quoted(file)}",
         "name": _module_name(file),
         "name_note": "yours: of the robot programs; the name of the tool is added",
@@ -178,7 +178,8 @@ def _common(file: str, path: Toolpath, stock: Box) -> dict:
 
 def _tool(path: Toolpath) -> dict:
     """Values of the keys of a tool."""
-    tool, speed = path.program.current, _speed(path)
+    tool, speeds = path.program.current, path.program.spindle_speeds
+    speed = abs(speeds[0]) * 30 / math.pi if speeds else 0.0  # [rpm]
     comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
     known = bool(tool and tool.diameter)
     teeth, source = _teeth(path)
@@ -218,12 +219,6 @@ def _diameter(path: Toolpath) -> float:
     """[mm], of the tool, or a usual one."""
     tool = path.program.current
     return 1e3 * tool.diameter if tool and tool.diameter else DIAMETER
-
-
-def _speed(path: Toolpath) -> float:
-    """[rpm], of the spindle; 0 where the program has no S."""
-    speeds = path.program.spindle_speeds
-    return abs(speeds[0]) * 30 / math.pi if speeds else 0.0
 
 
 def straight_text(robot: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +13,7 @@ import numpy as np
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.cell.arm import commanded_joints, mirrored
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, low_frequency_of, modal_model_of, path_of
 from kr270_milling.cell.paths import CellPath
@@ -22,7 +23,6 @@ from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import method_of
-from kr270_milling.physics.compensation.mirror import Mirror, mirror
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
@@ -34,7 +34,6 @@ from kr270_milling.physics.motion.scores import Scores, score
 __all__ = [
     "ScoredPass",
     "arm_response",
-    "commanded_joints",
     "compensated",
     "compensator",
     "expected_deviations",
@@ -47,7 +46,6 @@ __all__ = [
     "simulate",
 ]
 
-LONG_PASS = 500_000  #: exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
 PLANNED = 16  #: simulated robots for which ``robust`` plans
 
 
@@ -59,7 +57,7 @@ class ScoredPass:
     reference: Trajectory
     result: PassResult
     scores: Scores
-    record: PassRecord | None = None  #: what a tracker reported of it; None: the pass as it was
+    record: PassRecord | None = None  #: report of a tracker on the pass; None: the pass itself
 
     def row(self) -> dict:
         """The keys that every command prints."""
@@ -82,9 +80,8 @@ def simulate(
     reference = target if reference is None else reference
     if plant is not None:
         result, number = plant.run(reference, progress), plant.passes - 1
-        record = pass_record(
-            cell, result.time_ns, _measured(cell, result), result.wrench, plant.cell.imperfections, number
-        )
+        series = result.time_ns, _measured(cell, result), result.wrench
+        record = pass_record(path_of(cell), cell.imperfections, *series, plant.cell.imperfections, number)
         return ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant.cell)), record)
     cut = cut_of(cell)
     result = run_pass(
@@ -108,7 +105,7 @@ def scored(
 ) -> Scores:
     """Return the scores against a target (default: the path of the cell).
 
-    low_frequency [Hz]: of the arm that ran, where that is another one.
+    low_frequency [Hz]: of the arm of the pass, where that is another arm.
     """
     feed = (target or path_of(cell).target).sample_velocity(result.time_ns)
     lowest = low_frequency_of(cell) if low_frequency is None else low_frequency
@@ -124,12 +121,12 @@ def scored(
     )
 
 
-def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
+def record_of(cell: Cell, run: ScoredPass | PassResult) -> PassRecord:
     """Return the record for the compensator: stamps and tool centres, as a node receives them on ``tool_pose``."""
-    if isinstance(ran, ScoredPass) and ran.record is not None:
-        return ran.record
-    result = ran.result if isinstance(ran, ScoredPass) else ran
-    return pass_record(cell, result.time_ns, _measured(cell, result), result.wrench)
+    if isinstance(run, ScoredPass) and run.record is not None:
+        return run.record
+    result = run.result if isinstance(run, ScoredPass) else run
+    return pass_record(path_of(cell), cell.imperfections, result.time_ns, _measured(cell, result), result.wrench)
 
 
 def _measured(cell: Cell, result: PassResult) -> np.ndarray:
@@ -141,7 +138,8 @@ def _measured(cell: Cell, result: PassResult) -> np.ndarray:
 
 
 def pass_record(
-    cell: Cell,
+    path: CellPath,
+    assumed: Imperfections,
     time_ns: np.ndarray,
     tool: np.ndarray,
     wrench: np.ndarray,
@@ -150,14 +148,14 @@ def pass_record(
 ) -> PassRecord:
     """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], received, recorded or simulated.
 
-    The noise of the positions is what the cell states in ``imperfections``. tracker: simulate tracker and force sensor
-    with this noise for the true tool centres and wrenches of the pass ``number``.
+    assumed: imperfections of the cell, which state the noise of the positions; tracker: those of a simulated tracker
+    and force sensor, whose noise is added to the true tool centres and wrenches of the pass ``number``.
     """
-    revolution = 2e9 * np.pi / cell.tool.spindle_speed
-    noise = (tracker or cell.imperfections).pose_noise
+    revolution = 2e9 * np.pi / path.tool.spindle_speed
+    noise = (tracker or assumed).pose_noise
     sensed = wrench if tracker is None else tracker.sensed(wrench, number)
     tool = tool if tracker is None else tracker.measured(tool, number)
-    return PassRecord(time_ns, tool, round(path_of(cell).full_engagement * 1e9), sensed, revolution, noise)
+    return PassRecord(time_ns, tool, round(path.full_engagement * 1e9), sensed, revolution, noise)
 
 
 def compensator(cell: Cell, target: Trajectory, method: str | Method | None = None) -> Compensator:
@@ -168,7 +166,7 @@ def compensator(cell: Cell, target: Trajectory, method: str | Method | None = No
 def models_of(cell: Cell) -> CellModels:
     """The models of arm and cut for a compensation method."""
     return CellModels(
-        mirror=lambda target, wrench: mirrored(cell, target, wrench),
+        mirror=functools.partial(mirrored, arm_of(cell), cell.compensation.relaxation),
         arm=lambda target: arm_response(cell, target),
         predict=lambda reference, factors: predicted(cell, reference, factors),
         cut=lambda path: cut_along(cell, path),
@@ -189,15 +187,15 @@ def robot_passes(
 
     def run(robot: Cell) -> tuple[ArmResponse, PassRecord] | None:
         try:
-            ran = Plant(model, robot, robot.imperfections.replace(repeatability=0.0)).run(reference)
+            result = Plant(model, robot, robot.imperfections.replace(repeatability=0.0)).run(reference)
         except MillingError:
             return None
-        if np.abs(ran.actual - ran.reference).max() >= DIVERGED:
+        if np.abs(result.actual - result.reference).max() >= DIVERGED:
             return None
-        return robot_response(robot, target), PassRecord(ran.time_ns, ran.actual)
+        return robot_response(robot, target), PassRecord(result.time_ns, result.actual)
 
     with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
-        return [ran for ran in pool.map(run, drawn) if ran is not None]
+        return [result for result in pool.map(run, drawn) if result is not None]
 
 
 def robot_response(robot: Cell, target: Trajectory) -> ArmResponse:
@@ -211,8 +209,8 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
     """The modes of the arm on each segment of the target, at one posture or along the path, as the pass has them."""
     models, posture = [modal_model_of(cell)], np.zeros(len(target) - 1, int)  # posture: number of a segment's model
     if cell.dynamics.follow_pose:
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])
-        place = np.rint(0.5 * (way[1:] + way[:-1]) / cell.dynamics.posture_spacing).astype(int)
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])
+        place = np.rint(0.5 * (length[1:] + length[:-1]) / cell.dynamics.posture_spacing).astype(int)
         _, first, posture = np.unique(place, return_index=True, return_inverse=True)
         middle = (target.time_ns[1:] + target.time_ns[:-1])[first] // 2
         models = arm_of(cell).modes_at(arm_of(cell).joints_along(target, middle))
@@ -225,7 +223,9 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
         tool=np.stack([model.tool for model in models if model.tool is not None])
         if cell.tool.lateral_compliance
         else None,
-        carry=np.stack([_carry(one, after) for one, after in zip(models, [*models[1:], models[-1]], strict=True)]),
+        carry=np.stack(
+            [_carry(before, after) for before, after in zip(models, [*models[1:], models[-1]], strict=True)]
+        ),
         moves=cell.dynamics.reference_inertia,
         posture=posture,
     )
@@ -252,7 +252,7 @@ def cut_along(cell: Cell, path: Trajectory) -> PassRecord:
     tool = path.sample(stamps)
     wrench, _, _ = cut_of(cell).along(tool, steps * path_of(cell).clock.micro_steps)
     wrench = np.where(path_of(cell).drilling_at(stamps)[:, None], 0.0, wrench)
-    return pass_record(cell, stamps, tool, wrench)
+    return pass_record(path_of(cell), cell.imperfections, stamps, tool, wrench)
 
 
 def predicted(cell: Cell, reference: Trajectory, factors: ArmFactors | None = None) -> PassRecord:
@@ -269,50 +269,16 @@ def predicted(cell: Cell, reference: Trajectory, factors: ArmFactors | None = No
     return record_of(cell, result)
 
 
-def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
-    """Target points modified by (30)-(32) for wrenches (k, 6) at the knots, in workpiece axes.
-
-    Without the sag under the link weights: who commands the joints deals with that, see ``commanded_joints``.
-    """
-    turn = cell.workpiece.pose.rotation
-    in_base = np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
-    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base, True).pose
-    return Trajectory(target.time_ns, modified.position, modified.quaternion, None, target.frame)
-
-
-def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
-    """The inverse kinetostatic model: joint positions [rad], (k, 6), that bring the tool to the reference points.
-
-    Where the controller does not compensate the sag under the link weights, they do.
-    """
-    if cell.compensation.sag_compensated:
-        return arm_of(cell).joints(reference)
-    return _mirror(cell, reference, np.zeros((len(reference), 6)), False).joints
-
-
 def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
     """The joint positions [deg], (6,), that a reference commands: at its start and end, the least and the largest."""
-    joints = np.degrees(commanded_joints(cell, reference))
+    joints = np.degrees(commanded_joints(arm_of(cell), cell.compensation, reference))
     return {"start": joints[0], "end": joints[-1], "min": joints.min(axis=0), "max": joints.max(axis=0)}
-
-
-def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
-    tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
-    return mirror(
-        cell.arm,
-        cell.mount,
-        tool,
-        wrench_in_base,
-        arm_of(cell).posture,
-        tool_compliance=cell.tool.lateral_compliance,
-        relaxation=cell.compensation.relaxation,
-        sag_compensated=sag_compensated,
-    )
 
 
 def long_pass(path: CellPath) -> bool:
     """Return whether the series of a pass along a path fill so much memory that few of them are stored."""
-    return path.clock.steps(path.target.duration_ns) > LONG_PASS
+    few_periods = 500_000  # exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
+    return path.clock.steps(path.target.duration_ns) > few_periods
 
 
 def compensated(
@@ -336,10 +302,10 @@ def compensated(
     def run(reference: Trajectory) -> PassRecord:
         for key in passes.keys() - {id(by.best)}:
             del passes[key]
-        ran = simulate(cell, reference, name, progress, plant)
+        scored_pass = simulate(cell, reference, name, progress, plant)
         if not large:
-            passes[id(reference)] = ran
-        return record_of(cell, ran)
+            passes[id(reference)] = scored_pass
+        return record_of(cell, scored_pass)
 
     reference = by.improve(record_of(cell, original), run)
     if reference is original.reference:

@@ -30,10 +30,7 @@ __all__ = [
 ]
 
 MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
-MOST_TOOTH_STEPS = 1e10  #: micro-steps of single teeth in one pass, some 0.1 us each
 MOST_VISITS = 1e13  #: nodes under the footprint, each time that it is swept as a whole, some ns each
-MOST_POSTURES = 100_000  #: at which the arm's modes are computed, some ms and 3 kB each
-UPRIGHT = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
 
 
 def check_duration(
@@ -53,9 +50,10 @@ def check_effort(exchange: Exchange, tool: Tool, stock: Stock, duration: float, 
     """Raise ParameterError for a pass of an implausible duration [s]; sinks: the result of ``sinking``."""
     turns = duration * tool.spindle_speed / (2.0 * math.pi)
     teeth = turns * 2.0 * math.pi / exchange.micro_step * tool.teeth * exchange.iterations
-    if not teeth <= MOST_TOOTH_STEPS:
+    most_tooth_steps = 1e10  # micro-steps of single teeth in one pass, some 0.1 us each
+    if not teeth <= most_tooth_steps:
         shown = math.degrees(exchange.micro_step)
-        allowed = f"larger: the pass would take {teeth:.3g} micro-steps of a tooth, more than {MOST_TOOTH_STEPS:g}"
+        allowed = f"larger: the pass would take {teeth:.3g} micro-steps of a tooth, more than {most_tooth_steps:g}"
         raise ParameterError("exchange.micro_step_deg", shown, allowed)
     seconds, depth = sinks
     times = min(seconds * tool.spindle_speed / (2.0 * math.pi), depth / max(stock.floor_tolerance, stock.level_step))
@@ -74,8 +72,9 @@ def sinking(time: np.ndarray, height: np.ndarray, top: float) -> tuple[float, fl
 
 def check_postures(count: int, spacing: float) -> None:
     """Raise ParameterError for implausibly many postures along a path; spacing [m]: distance between two postures."""
-    if count > MOST_POSTURES:
-        allowed = f"larger: the arm would be modelled at {count} postures, more than {MOST_POSTURES}"
+    most_postures = 100_000  # at which the arm's modes are computed, some ms and 3 kB each
+    if count > most_postures:
+        allowed = f"larger: the arm would be modelled at {count} postures, more than {most_postures}"
         raise ParameterError("dynamics.posture_spacing_mm", spacing * 1e3, allowed)
 
 
@@ -127,13 +126,14 @@ def _tilted(path: Toolpath) -> tuple[str, int] | None:
     """Return the reason and the block where the tool tilts: the cut supports one tool axis, z of the workpiece."""
     axis = rotation_from_quaternion(path.quaternion)[:, :, 2]
     tilt = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), -axis[:, 2])
-    over = ~path.rapid & (tilt > UPRIGHT)
+    upright = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
+    over = ~path.rapid & (tilt > upright)
     if not over.any():
         return None
     block = int(np.argmax(over))
     reason = (
         f"point {block + 1} of the path: the tool is tilted by {np.degrees(tilt[block]):.4g} deg, but the cut is "
-        f"that of a tool along z of the workpiece (within {np.degrees(UPRIGHT):g} deg)"
+        f"that of a tool along z of the workpiece (within {np.degrees(upright):g} deg)"
     )
     return reason, block
 
@@ -150,9 +150,9 @@ def _beside_stock(timed: TimedPath, tool: Tool, stock: Stock) -> tuple[str, int]
         if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < stock.max[2])):
             return None
         low, high = np.minimum(low, at.min(axis=0)), np.maximum(high, at.max(axis=0))
-    way, box = _extent(low, high), _extent(stock.min, stock.max)
+    path_box, box = _extent(low, high), _extent(stock.min, stock.max)
     hint = "check the datum and the unit (G20, G21)"
-    reason = f"the tool never reaches the stock: it goes through {way} mm, the stock fills {box} mm; {hint}"
+    reason = f"the tool never reaches the stock: it goes through {path_box} mm, the stock fills {box} mm; {hint}"
     return reason, int(np.flatnonzero(~timed.toolpath.rapid[1:])[0]) + 1
 
 

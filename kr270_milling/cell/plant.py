@@ -38,7 +38,6 @@ __all__ = [
     "robot_of",
 ]
 
-LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
@@ -59,20 +58,20 @@ class Plant:
     def run(self, reference: Trajectory, progress=None) -> PassResult:
         """Run a pass on a fresh workpiece.
 
-        The result is true, and not what a noisy tracker reports: its ``reference`` is the course of the motors, with
+        The result is true, and not what a noisy tracker reports: its ``reference`` is the motion of the motors, with
         repeatability; its deflections contain the backlash.
         """
         cell, number = self.cell, self.passes
         self.passes += 1
-        course = imperfect_course(cell, reference, number, self.target)
+        motion = imperfect_course(cell, reference, number, self.target)
         iterations = cell.exchange.iterations
         model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
         silent = path_of(cell).drilling_at
-        return run_pass(model, cut_of(cell), path_of(cell).clock, self.target, course, iterations, progress, silent)
+        return run_pass(model, cut_of(cell), path_of(cell).clock, self.target, motion, iterations, progress, silent)
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Trajectory | None = None) -> Trajectory:
-    """Return the course of the motors of a plant that follows ``reference`` in its pass ``number``.
+    """Return the motion of the motors of a plant that follows ``reference`` in its pass ``number``.
 
     target: the programmed trajectory; None: that of the cell.
     """
@@ -271,6 +270,7 @@ def coarser(cell: Cell) -> Cell:
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
     exchange = cell.exchange
-    if exchange.period <= LONG_PERIOD and exchange.micro_step <= LONG_STEP:
+    long_period, long_step = 0.3e-3, math.radians(1.0) + 1e-9  # [s], [rad] of the exchange; longer ones do not change
+    if exchange.period <= long_period and exchange.micro_step <= long_step:
         exchange = exchange.replace(period=2.0 * exchange.period, micro_step=2.0 * exchange.micro_step)
     return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=exchange)

@@ -58,10 +58,10 @@ class Workpiece(Record):
     )
 
     def check(self) -> None:
-        for key, given in (("xyz_mm", 1e3 * self.xyz), ("abc_deg", np.degrees(self.abc))):
-            if given.size != 3 and (given.size or not self.at_start_joints):
+        for key, value in (("xyz_mm", 1e3 * self.xyz), ("abc_deg", np.degrees(self.abc))):
+            if value.size != 3 and (value.size or not self.at_start_joints):
                 allowed = "three numbers (or, for a straight cut, give at_start_joints: true instead)"
-                raise ParameterError(key, given.tolist() or None, allowed)
+                raise ParameterError(key, value.tolist() or None, allowed)
         if self.fixtures.size % 6:
             raise ParameterError("fixtures_mm", (1e3 * self.fixtures).tolist(), "six numbers for each box")
 
@@ -112,7 +112,7 @@ class PathSection(Record):
         "slot", choices=("slot", "up", "down"), text="lobes over speed: sense of a cut that is no slot"
     )
 
-    content: Toolpath | TimedPath | None = derived(None)  #: of ``file``, once it is read
+    content: Toolpath | TimedPath | None = derived(None)  #: content of ``file``, once it is read
 
     @property
     def recorded(self) -> bool:
@@ -477,8 +477,8 @@ class Uncertainty(Record):
         The list may leave out the last ``axial`` coefficients.
         Raises ParameterError.
         """
-        given = self.force_coefficients
-        if given.size not in (0, count - axial, count):
+        stated = self.force_coefficients
+        if stated.size not in (0, count - axial, count):
             allowed = f"empty or one number for each of the {count} coefficients of the force law in use"
-            raise ParameterError("uncertainty.force_coefficients", given.tolist(), allowed)
-        return np.append(given, np.full(count - given.size, self.force_coefficient))
+            raise ParameterError("uncertainty.force_coefficients", stated.tolist(), allowed)
+        return np.append(stated, np.full(count - stated.size, self.force_coefficient))

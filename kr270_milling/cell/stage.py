@@ -15,8 +15,6 @@ from kr270_milling.physics.cutting import AL7075_T6, CutModel, Cutting, Engageme
 
 __all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
 
-ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: of no effect: the spindle does not turn
-
 
 @dataclass(frozen=True, eq=False)
 class Removal:
@@ -36,7 +34,7 @@ class Stage:
 
     tool: str  #: name in the program
     number: int  #: in the order of the program, from 1
-    count: int  #: of the tools
+    count: int  #: number of tools
     earlier: tuple[Removal, ...] = ()  #: in the order of the program
     later: tuple[Removal, ...] = ()
     same_tip: bool = False  #: the mount of an earlier tool has the same tip
@@ -71,14 +69,14 @@ def cleared(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutMod
 def swept(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel:
     """Return the stock after other tools, on the grid of ``stock``; actual: along their passes, else as programmed.
 
-    Raises GridError.
+    Raises MillingError.
     """
     cut = _still(removals[0], stock)
     for removal in removals:
         each = _still(removal, stock)
         each.continue_from(cut)
-        way = removal.actual if actual else removal.programmed
-        each.along(way, np.zeros(len(way), np.int64))  # the spindle does not turn: no force is computed
+        tip = removal.actual if actual else removal.programmed
+        each.along(tip, np.zeros(len(tip), np.int64))  # the spindle does not turn: no force is computed
         cut = each
     return cut
 
@@ -88,4 +86,5 @@ def _still(removal: Removal, stock: Stock) -> EngagementCut:
     tool = Tool(diameter=2.0 * removal.radius, teeth=1)
     if removal.cutter is not None and not removal.cutter.has_flat_end:
         tool = removal.cutter
-    return EngagementCut(tool, Cutting(**ANY_LAW), stock, math.radians(1.0))
+    law: dict[str, Any] = {"linear_edge": AL7075_T6}  # of no effect: the spindle does not turn
+    return EngagementCut(tool, Cutting(law="linear_edge", **law), stock, math.radians(1.0))

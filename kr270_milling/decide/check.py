@@ -74,7 +74,7 @@ class Checked:
 
     @computed("read_over")
     def _words(self) -> list[dict]:
-        return [{"word": word.word, "count": word.count} for word in self.program.read_over]
+        return [{"word": word, "count": count} for word, count in self.program.read_over]
 
     def count(self, severity: str) -> int:
         """Findings of that severity, like ones counted once."""

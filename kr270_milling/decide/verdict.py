@@ -28,7 +28,7 @@ from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.methods import LEARNED, METHODS
+from kr270_milling.physics.compensation.methods import LEARNED, methods
 from kr270_milling.physics.motion.dynamics import ArmModel
 from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
@@ -170,7 +170,7 @@ def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Tra
 def _references(cell: Cell, original: ScoredPass, without: str = "") -> dict[str, Trajectory]:
     """References of the recommended methods. A method that repeats takes passes of the plant itself: it is left out."""
     references = {}
-    for name, method in METHODS.items():
+    for name, method in methods().items():
         if name != without and not method.repeats and getattr(method, "recommended", True):
             with contextlib.suppress(MillingError):
                 references[name] = compensator(cell, path_of(cell).target, name).revise(record_of(cell, original))

@@ -9,9 +9,10 @@ import numpy as np
 
 from kr270_milling.base.errors import MessageError
 from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedRecording, PoseSample, WrenchSample
+from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import commanded_joints, compensator
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.jobs import compensator
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.inbox import PassInbox
 from kr270_milling.exchange.inputs import Output, WrenchFrames, checked_length, checked_pose, checked_wrench
 from kr270_milling.exchange.joint_program import joint_program
@@ -48,7 +49,7 @@ class CompensatorProtocol:
         self.inbox = PassInbox(0, cell.exchange.iterations)
         self._now = now
         self._announced = announced
-        self._frames = WrenchFrames(cell)
+        self._frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
         self._free_ns = 0  # stamp after the end of the last pass
         self._learned: tuple[LearnedRecording, ...] = ()  # the passes that the reference follows from
         self._first: tuple[LearnedRecording, ...] = ()  # the pass along the target
@@ -128,7 +129,8 @@ class CompensatorProtocol:
         reference = self.active.reference
         if self.under_way:
             raise MessageError("a pass is under way: the robot moves")
-        return joint_program(self.cell, reference, joints, stamp_ns)
+        placed, settings = arm_of(self.cell), self.cell.compensation
+        return joint_program(placed, settings, self.cell.joint_names, reference, joints, stamp_ns)
 
     def _revise(self) -> list[Output]:
         inbox, self.inbox = self.inbox, copy.copy(self.inbox)
@@ -140,7 +142,8 @@ class CompensatorProtocol:
         self.missing = received.missing
         revised = copy.copy(self.active)
         first = revised.reference is revised.target and not revised.errors
-        revised.revise(received.record(self.cell, self.plant, number))
+        tracker = None if self.plant is None else self.plant.imperfections
+        revised.revise(received.record(path_of(self.cell), self.cell.imperfections, tracker, number))
         learned = received.as_learned(self.recording)
         outputs = self._continue(revised, (*self._learned, learned))
         if first:
@@ -149,7 +152,8 @@ class CompensatorProtocol:
 
     def _continue(self, revised: Compensator, learned: tuple[LearnedRecording, ...]) -> list[Output]:
         """Return the outputs of a new state; an error comes before anything has changed."""
-        commanded_joints(self.cell, revised.reference)  # raises where no arm can run the reference
+        # raises where no arm can run the reference
+        commanded_joints(arm_of(self.cell), self.cell.compensation, revised.reference)
         self.compensator, self._learned = revised, learned
         start, problem = max(self._now(), self._free_ns), self.inbox.problem
         end, iterations = end_of(self.cell, revised.reference), self.cell.exchange.iterations

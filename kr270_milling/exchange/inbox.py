@@ -9,12 +9,13 @@ import numpy as np
 
 from kr270_milling.base.frames import TOOL, WORKPIECE
 from kr270_milling.base.samples import LearnedRecording, PoseSample, WrenchSample
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import pass_record
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.exchange.inputs import WrenchFrames, in_workpiece_axes
 from kr270_milling.exchange.start import BREAK_NS, StartSeeker, check_follows, is_far, lag
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.periods import Clock
 
 __all__ = ["PassInbox", "ReceivedPass", "interpolated"]
@@ -52,14 +53,14 @@ class ReceivedPass:
         """Return what the compensator publishes of a pass; recording: its file."""
         return LearnedRecording(recording, self.fingerprint, self.pose_ns.size, self.wrench_ns.size)
 
-    def record(self, cell: Cell, plant: Cell | None, number: int) -> PassRecord:
+    def record(self, path: CellPath, assumed: Imperfections, plant: Imperfections | None, number: int) -> PassRecord:
         """Return the record for a revision: wrenches interpolated to the stamps of the poses, 0 where none came.
 
-        plant: the simulated plant; the noise of its tracker in pass ``number`` is added to the poses.
+        assumed: imperfections of the cell; plant: those of the simulated plant; the noise of its tracker in pass
+        ``number`` is added to the poses.
         """
         wrench = interpolated(self.pose_ns, self.wrench_ns, self.wrench)
-        tracker = None if plant is None else plant.imperfections
-        return pass_record(cell, self.pose_ns, self.position, wrench, tracker, number)
+        return pass_record(path, assumed, self.pose_ns, self.position, wrench, plant, number)
 
 
 class PassInbox:

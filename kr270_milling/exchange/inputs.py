@@ -10,11 +10,12 @@ import numpy as np
 from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.frames import TOOL, TOOL0, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.sections import Workpiece
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.periods import Clock
+from kr270_milling.physics.robot.arm import Mount
 from kr270_milling.physics.robot.loads import GRAVITY
-from kr270_milling.physics.robot.sensor import moved_wrench
+from kr270_milling.physics.robot.sensor import ForceSensor, moved_wrench
 
 __all__ = [
     "ExchangeError",
@@ -81,11 +82,11 @@ class WrenchFrames:
     and origin of the frame. The readings of the sensor are tared.
     """
 
-    def __init__(self, cell: Cell):
-        flange = cell.mount.pose.inverse()
-        self._sensor = cell.sensor
+    def __init__(self, mount: Mount, workpiece: Workpiece, sensor: ForceSensor):
+        flange = mount.pose.inverse()
+        self._sensor = sensor
         self._on_tool = {"flange": flange, "tool0": flange @ TOOL0}  # pose in tcp
-        base = cell.workpiece.pose.rotation.T  # axes of the base in those of the workpiece
+        base = workpiece.pose.rotation.T  # axes of the base in those of the workpiece
         self._fixed = {"base": base, "base_link": base}
         self._gravity = base @ [0.0, 0.0, -GRAVITY]
         if self._sensor.frame:

@@ -15,9 +15,10 @@ from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointProgram
 from kr270_milling.base.units import SECOND
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.cell.arm import PlacedArm, commanded_joints
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.settings import CompensationSettings
+from kr270_milling.physics.robot.arm import Arm
 from kr270_milling.physics.robot.kinematics import forward, joint_motion
 
 __all__ = ["joint_program"]
@@ -29,44 +30,53 @@ SMOOTH = 1e-9  #: [m] by which a jump of velocity or acceleration at a knot may 
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15 / 8, 10 / math.sqrt(3)
 
 
-def joint_program(cell: Cell, reference: Trajectory, joints: np.ndarray, stamp_ns: int) -> JointProgram:
+def joint_program(
+    placed: PlacedArm,
+    settings: CompensationSettings,
+    names: tuple[str, ...],
+    reference: Trajectory,
+    joints: np.ndarray,
+    stamp_ns: int,
+) -> JointProgram:
     """Return what a joint controller runs for a reference; from its present position, at ``stamp_ns``.
 
-    joints: positions (6,) [rad] of the robot, which is at rest. The program moves all joints in proportion, below a
-    tenth of their limits, to the start; where the reference begins or ends in motion, the program gains the speed
-    before the start and loses it after the end, along the tangent. Every knot carries the velocity and acceleration
-    that the planned motion has there; a corner has none, and joins its neighbours by straight lines.
+    names: of the joints; joints: positions (6,) [rad] of the robot, which is at rest. The program moves all joints in
+    proportion, below a tenth of their limits, to the start; where the reference begins or ends in motion, the program
+    gains the speed before the start and loses it after the end, along the tangent. Every knot carries the velocity and
+    acceleration that the planned motion has there; a corner has none, and joins its neighbours by straight lines.
 
     Raises ModelError where a joint exceeds a limit, and the errors of ``commanded_joints``.
     """
-    position = commanded_joints(cell, reference)
-    velocity, acceleration = _rates(cell, reference, position)
-    gain, loss = _run_in(cell, velocity[0]), _run_in(cell, velocity[-1])
+    position = commanded_joints(placed, settings, reference)
+    velocity, acceleration = _rates(placed, reference, position, settings.sag_compensated)
+    gain, loss = (_run_in(placed.arm, rate) for rate in (velocity[0], velocity[-1]))
     ahead = [position[0] - 0.5 * gain * velocity[0]] if gain else []
     beyond = [position[-1] + 0.5 * loss * velocity[-1]] if loss else []
-    approach = _ns(_duration(cell, (*ahead, position[0])[0] - joints))
+    approach = _ns(_duration(placed.arm, (*ahead, position[0])[0] - joints))
     begin = approach + _ns(gain)
     arrival = [approach] * len(ahead), [begin + reference.duration_ns + _ns(loss)] * len(beyond)
     before, after = np.zeros((1 + len(ahead), 6)), np.zeros((len(beyond), 6))  # at rest
     program = JointProgram(
         stamp_ns,
         "base_link",
-        cell.joint_names,
+        names,
         np.concatenate([[0], arrival[0], begin + reference.time_ns, arrival[1]]),
         np.concatenate([[joints, *ahead], position, np.reshape(beyond, (-1, 6))]),
         np.concatenate([before, velocity, after]),
         np.concatenate([before, acceleration, after]),
     )
-    _check_limits(cell, program)
+    _check_limits(placed.arm, program)
     return program
 
 
-def _rates(cell: Cell, reference: Trajectory, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rates(
+    placed: PlacedArm, reference: Trajectory, joints: np.ndarray, sag_compensated: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Joint speeds and accelerations at the knots, (n, 6) each; NaN where the tip's motion has a jump.
 
     The planned orientation turns at a constant rate from knot to knot; a knot takes the mean of both rates.
     """
-    turn, times = cell.workpiece.pose.rotation, reference.time_ns
+    turn, times = placed.place.rotation, reference.time_ns
     orientation = Rotation.from_quat(reference.quaternion)
     left, right = (reference.locate(times, side) for side in ("left", "right"))
     steps = np.hstack([left[2], right[2]])  # [s], (n, 2)
@@ -79,42 +89,41 @@ def _rates(cell: Cell, reference: Trajectory, joints: np.ndarray) -> tuple[np.nd
     velocity = np.hstack([np.mean(speeds, axis=0) @ turn.T, np.mean(rates, axis=0) @ turn.T])
     change = (rates[1] - rates[0]) / steps.mean(axis=1)[:, None]
     acceleration = np.hstack([np.mean(bends, axis=0) @ turn.T, change @ turn.T])
-    if not cell.compensation.sag_compensated:
-        velocity += _sag_rate(cell, reference, joints)
-    speed, gain = joint_motion(cell.arm, cell.mount, joints, velocity, acceleration)
+    if not sag_compensated:
+        velocity += _sag_rate(placed, reference, joints)
+    speed, gain = joint_motion(placed.arm, placed.mount, joints, velocity, acceleration)
     speed[corner], gain[kink] = np.nan, np.nan
     return speed, gain
 
 
-def _sag_rate(cell: Cell, reference: Trajectory, joints: np.ndarray) -> np.ndarray:
+def _sag_rate(placed: PlacedArm, reference: Trajectory, joints: np.ndarray) -> np.ndarray:
     """Velocity (n, 6) that the joints command beyond the reference, against the sag; base axes."""
-    tool, place = forward(cell.arm, cell.mount, joints).tool, cell.workpiece.pose
+    tool, place = forward(placed.arm, placed.mount, joints).tool, placed.place
     turned = tool.rotation @ np.swapaxes(place.rotation @ rotation_from_quaternion(reference.quaternion), 1, 2)
     beyond = np.hstack([tool.position - place.apply(reference.position), Rotation.from_matrix(turned).as_rotvec()])
     return np.gradient(beyond, reference.time, axis=0)
 
 
-def _duration(cell: Cell, travel: np.ndarray) -> float:
+def _duration(arm: Arm, travel: np.ndarray) -> float:
     """Duration [s] of a quintic from rest to rest that travels (6,) [rad]."""
-    travel, arm = np.abs(travel), cell.arm
+    travel = np.abs(travel)
     by_speed = QUINTIC_SPEED * np.max(travel / (SHARE * arm.joint_speed_limit))
     by_acceleration = np.sqrt(QUINTIC_ACCELERATION * np.max(travel / (SHARE * arm.joint_acceleration_limit)))
     return max(LEAST, float(by_speed), float(by_acceleration))
 
 
-def _run_in(cell: Cell, velocity: np.ndarray) -> float:
+def _run_in(arm: Arm, velocity: np.ndarray) -> float:
     """Duration [s] in which the joints gain or lose a velocity (6,) [rad/s]; 0 at rest.
 
     The speed is v (3 u^2 - 2 u^3), its largest change 3/2 v in the duration.
     """
     if np.max(np.abs(velocity)) <= 1e-9:  # at rest
         return 0.0
-    return max(LEAST, 1.5 * float(np.max(np.abs(velocity) / (SHARE * cell.arm.joint_acceleration_limit))))
+    return max(LEAST, 1.5 * float(np.max(np.abs(velocity) / (SHARE * arm.joint_acceleration_limit))))
 
 
-def _check_limits(cell: Cell, program: JointProgram) -> None:
+def _check_limits(arm: Arm, program: JointProgram) -> None:
     """Raise ModelError for the first joint whose speed or position exceeds its limit."""
-    arm = cell.arm
     for name, first, rows, low, high, unit in (  # the robot may be beyond a limit: the first position is not checked
         ("speed", 0, program.velocity, -arm.joint_speed_limit, arm.joint_speed_limit, "deg/s"),
         ("position", 1, program.position[1:], arm.joint_lower, arm.joint_upper, "deg"),

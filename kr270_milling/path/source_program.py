@@ -7,18 +7,7 @@ from dataclasses import dataclass
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["ProgramError", "ProgramTool", "ReadOver", "Refusal", "SourceProgram"]
-
-MOST_KINDS = 8  #: kinds of refused words that one sentence lists; the error carries all of them
-MOST_LINES = 40  #: kinds that a terminal lists
-
-
-@dataclass(frozen=True)
-class ReadOver:
-    """A word without effect on the path, and how often the program contains it."""
-
-    word: str
-    count: int
+__all__ = ["ProgramError", "ProgramTool", "Refusal", "SourceProgram"]
 
 
 @dataclass(frozen=True)
@@ -94,13 +83,13 @@ class SourceProgram:
     external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts, of a KRL program
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
-    read_over: tuple[ReadOver, ...] = ()
+    read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
     refused: tuple[Refusal, ...] = ()
 
     @property
     def summary(self) -> str:
         """Return one line about the ignored words, "" if there are none."""
-        words = ", ".join(f"{r.count} {r.word}" for r in self.read_over)
+        words = ", ".join(f"{count} {word}" for word, count in self.read_over)
         return f"read over: {words}" if words else ""
 
     @property
@@ -118,11 +107,13 @@ class ProgramError(InputError):
         for refusal in program.refused:
             kinds.setdefault((refusal.reason, refusal.advice), []).append(refusal)
         texts = [(like[0].line, like[0].sentence + _lines_of(like[1:])) for like in kinds.values()]
-        more = len(texts) - MOST_LINES, len(texts) - MOST_KINDS
+        most_kinds = 8  # kinds of refused words that one sentence lists; the error carries all of them
+        most_lines = 40  # kinds that a terminal lists
+        more = len(texts) - most_lines, len(texts) - most_kinds
         #: one text for each kind, for a terminal
-        self.listing = tuple(f"{source}, line {line}: {text}" for line, text in texts[:MOST_LINES])
+        self.listing = tuple(f"{source}, line {line}: {text}" for line, text in texts[:most_lines])
         self.listing += (f"{source}: and {more[0]} other kinds of words",) * (more[0] > 0)
-        sentence = " | ".join([texts[0][1], *(f"line {line}: {text}" for line, text in texts[1:MOST_KINDS])])
+        sentence = " | ".join([texts[0][1], *(f"line {line}: {text}" for line, text in texts[1:most_kinds])])
         sentence += f" | and {more[1]} other kinds of words" * (more[1] > 0)
         super().__init__(source, sentence, program.refused[0].line)
 

@@ -11,7 +11,7 @@ import numpy as np
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.table import Table, read_table
+from kr270_milling.base.table import read_table
 from kr270_milling.base.units import seconds
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
@@ -19,7 +19,6 @@ __all__ = ["write_csv", "read_csv"]
 
 KNOT = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 VELOCITY = ("vx_mm_per_s", "vy_mm_per_s", "vz_mm_per_s")
-LATEST = 9e9  #: [s], what nanoseconds in 64 bits hold
 JOINTS = ("a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg")
 
 
@@ -55,12 +54,14 @@ def _in_mm(values: np.ndarray) -> Iterator[list[str]]:
 def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | None]:
     """Read what ``write_csv`` wrote: the trajectory and the joint angles [rad], (n, 6), or None."""
     table = read_table(path, KNOT + VELOCITY + JOINTS, KNOT, whole=True)
-    rows = table.numbers(table.names)
-    column = {name: _in_m(table, name) if "_mm" in name else rows[:, k] for k, name in enumerate(table.names)}
+    column = dict(zip(table.names, table.numbers(table.names).T, strict=True))
+    for name in (name for name in table.names if "_mm" in name):  # in m or m/s, without losing a bit
+        column[name] = np.array([float(Decimal(text).scaleb(-3)) for text in table.texts(name)])
     several = {part[0]: [name in column for name in part] for part in (VELOCITY, JOINTS)}
     if any(any(there) != all(there) for there in several.values()):
         raise InputError(path, f"the header must be {','.join(KNOT)}, then velocities and joint angles if any", 1)
-    table.refuse(np.abs(column["time_s"]) > LATEST, "a time is too large")
+    latest = 9e9  # [s], what nanoseconds in 64 bits hold
+    table.refuse(np.abs(column["time_s"]) > latest, "a time is too large")
 
     def columns(names) -> np.ndarray:
         return np.stack([column[name] for name in names], -1)
@@ -73,8 +74,3 @@ def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | N
     except TrajectoryError as error:
         raise InputError(path, error.reason, None if error.index is None else table.lines[error.index]) from None
     return run, None if joints is None else np.radians(joints)
-
-
-def _in_m(table: Table, name: str) -> np.ndarray:
-    """A column in mm or mm/s as m or m/s, without losing a bit."""
-    return np.array([float(Decimal(text).scaleb(-3)) for text in table.texts(name)])

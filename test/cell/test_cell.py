@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError, InputError, MillingError, ParameterError
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.jobs import commanded_joints, simulate
+from kr270_milling.cell.arm import commanded_joints
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, low_frequency_of, path_of
 from kr270_milling.cell.path import MOST_VISITS, check_effort, check_postures, sinking
 from kr270_milling.decide.programs.files import kuka_frames
@@ -95,11 +96,12 @@ def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
     spindle = Mount(mass=60.0)
     sagging = PAPER.replace(compensation=PAPER.compensation.replace(sag_compensated=False), mount=spindle)
     target = path_of(PAPER).target
-    joints = commanded_joints(sagging, target)
+    joints = commanded_joints(arm_of(sagging), sagging.compensation, target)
     tool = sagging.workpiece.pose.inverse() @ equilibrium(sagging.arm, spindle, joints, gravity=True).pose
     np.testing.assert_allclose(tool.position, target.position, atol=1e-9)
     plain = PAPER.replace(mount=spindle)
-    np.testing.assert_array_equal(commanded_joints(plain, target), arm_of(plain).joints(target))
+    rigid = arm_of(plain)
+    np.testing.assert_array_equal(commanded_joints(rigid, plain.compensation, target), rigid.joints(target))
 
 
 @pytest.mark.parametrize(("assignments", "key", "text"), [

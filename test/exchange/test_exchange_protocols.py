@@ -298,7 +298,10 @@ def test_learning_converges_with_a_robot_of_another_clock():
 def test_an_untared_sensor_in_its_own_frame_gives_the_wrench_at_the_tip(ran):
     """Its offset, its weight and its lever arm are gone; the mount is off the axis, and the tool is not upright."""
     cell = cell_with("path.length_mm=4", "mount.xyz_mm=[140, 30, -320]", "mount.abc_deg=[10, 80, 5]", *PLACED)
-    frames, tilted = WrenchFrames(cell), rotation_from_quaternion(np.array([0.9, 0.1, 0.2, 0.3]))
+    frames, tilted = (
+        WrenchFrames(cell.mount, cell.workpiece, cell.sensor),
+        rotation_from_quaternion(np.array([0.9, 0.1, 0.2, 0.3])),
+    )
     true, quaternions = ran.wrench[-200:], (DOWN, quaternion_from_rotation(tilted))
     before, after = (readings(cell, wrench, q) for wrench, q in zip((0 * true, true), quaternions, strict=True))
     offset = frames.offset([WrenchSample(i, "ft_sensor", row) for i, row in enumerate(before)], DOWN)

@@ -184,7 +184,7 @@ def test_a_feed_per_revolution_goes_with_the_spindle_and_tools_and_what_moves_no
     program = path.program
     assert program.title == "BRACKET" and program.tool == "T3"
     assert program.current.diameter == pytest.approx(0.012)
-    assert {r.word: r.count for r in program.read_over}["COOLNT"] == 2
+    assert dict(program.read_over)["COOLNT"] == 2
     np.testing.assert_allclose(path.position[2:] * 1e3, [[0, 0, 5], [9, 9, 5]])  # up first
 
 

@@ -15,7 +15,7 @@ from kr270_milling.studies.identification.compliance import fit_compliance
 from kr270_milling.studies.identification.cuts import CutMeasurements, engagement_angles
 from kr270_milling.studies.identification.forces import agreeing_cuts, fit_forces
 from kr270_milling.studies.identification.measurements import Measurements
-from kr270_milling.studies.identification.plan import Bench, candidates
+from kr270_milling.studies.identification.plan import candidates
 from kr270_milling.studies.identification.problem import Problem
 from kr270_milling.studies.identification.signals import Signals
 
@@ -52,7 +52,7 @@ def measured(tests: Measurements, arm=TRUE, rng=None, sigma: float = SIGMA, know
 def covered_compliances(seed: int, count: int, tests: int, robust: bool = False) -> np.ndarray:
     """Which intervals of ``count`` campaigns of random load tests cover the truth, (count, 6)."""
     rng, hits = np.random.default_rng(seed), []
-    choice = candidates(ARM, MOUNT, Bench(MOUNT.xyz), 500, 1)
+    choice = candidates(ARM, MOUNT, 500, 1, MOUNT.xyz)
     for _ in range(count):
         some = choice.tests.take(rng.choice(len(choice.tests), tests, replace=False))
         fitted = fit_compliance(Problem(ARM, MOUNT, measured(some, rng=rng, sigma=some.sigma[0])), robust)

@@ -9,8 +9,9 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2014, Cut, Cutting, Stock, Tool
+from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, FractionalLaw, Stock, Tool
 
+KLIMCHIK2014 = FractionalLaw(5e6, 18e-6, 0.1, 0.3)  # section 6
 PAPER_LAW = Cutting(fractional=KLIMCHIK2014)
 ALUMINIUM = Cutting(law="linear_edge", linear_edge=AL7075_T6)
 LAWS = {"fractional": PAPER_LAW, "linear_edge": ALUMINIUM}

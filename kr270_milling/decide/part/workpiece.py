@@ -22,7 +22,7 @@ def machined(cut: CutModel, positions: np.ndarray, clock: Clock) -> CutModel:
     """Move the tool tip through positions (n + 1, 3) [m] of a fresh workpiece, and return the workpiece.
 
     One exchange period lies between two positions, workpiece frame. Positions of the target leave the part of a rigid
-    arm. Raises GridError.
+    arm. Raises MillingError.
     """
     cut.along(positions, np.arange(len(positions)) * clock.micro_steps)
     return cut

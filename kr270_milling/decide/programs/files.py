@@ -19,8 +19,8 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import JOINT_NAMES, TOOL0, Pose, quaternion_from_rotation
 from kr270_milling.base.units import seconds
+from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.sections import Program
@@ -125,7 +125,7 @@ def write_programs(
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
     place = Path(directory)
-    joints = commanded_joints(cell, original), commanded_joints(cell, revised)
+    joints = tuple(commanded_joints(arm_of(cell), cell.compensation, run) for run in (original, revised))
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     suffix = cell.stage.suffix if cell.stage else ""
     program = cell.krl if released else cell.krl.replace(name=f"{NOT_RELEASED}{suffix}")

@@ -13,9 +13,10 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation
+from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import ScoredPass, commanded_joints, simulate
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.programs import krl
 from kr270_milling.decide.programs.files import as_commanded, notes_of, timed_by_cell
@@ -35,7 +36,7 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     """Write the program of a planned reference, read its points back, and join them as the controller does."""
     commanded = planned
     if not cell.compensation.sag_compensated:
-        commanded = as_commanded(cell, planned, commanded_joints(cell, planned))
+        commanded = as_commanded(cell, planned, commanded_joints(arm_of(cell), cell.compensation, planned))
     start = planned.position[0], 0, 0
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
     setup = krl.Setup(NOWHERE, NOWHERE, (start, start), 0.0, acceleration=law[0], jerk=law[1])

@@ -9,14 +9,14 @@ from types import MappingProxyType
 import numpy as np
 
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.arm import PlacedArm, commanded_joints
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.replay.attached import recorded_cells
 from kr270_milling.exchange.replay.recompute import pass_over, record_difference, robots_of, usable
 from kr270_milling.exchange.replay.revisions import Revisions
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
+from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.passes import read_graph
 
@@ -69,7 +69,7 @@ def compensate_recording(
             with usable(recording):
                 revision = Revisions(recording, cells, graph).revise(method)
             if revision is not None:
-                revised.append(_revised(cell, namespace, *revision))
+                revised.append(_revised(arm_of(cell), cell.compensation, namespace, *revision))
             if progress:
                 progress(number, len(namespaces))
         if not revised:
@@ -78,14 +78,19 @@ def compensate_recording(
 
 
 def _revised(
-    cell: Cell, namespace: str, compensator: Compensator, target: Trajectory, published: Trajectory | None
+    arm: PlacedArm,
+    settings: CompensationSettings,
+    namespace: str,
+    compensator: Compensator,
+    target: Trajectory,
+    published: Trajectory | None,
 ) -> Revised:
     shift = compensator.reference.position - target.sample(compensator.reference.time_ns)
     return Revised(
         namespace,
         compensator.method,
         compensator.reference,
-        commanded_joints(cell, compensator.reference),
+        commanded_joints(arm, settings, compensator.reference),
         compensator.errors[-1],
         float(np.linalg.norm(shift, axis=1).max()),
         None if published is None else record_difference(published, compensator.reference) is None,

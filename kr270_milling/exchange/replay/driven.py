@@ -55,7 +55,7 @@ def too_long(cell: Cell, reference: Trajectory) -> str:
 def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iterator[PassSeries]:
     """Yield the passes of a robot with another clock, in the order of the file, as the compensator receives them."""
     names = {topic: name for name, topic in graph.topics.items() if name in TOPICS}
-    frames = WrenchFrames(cell)
+    frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
     read: dict[str, Callable] = {  # as the compensator reads and checks them
         "reference_trajectory": trajectory_from_bytes,
         "tool_pose": lambda data: checked_pose(pose_from_bytes(data)),

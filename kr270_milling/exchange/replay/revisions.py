@@ -10,7 +10,8 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.inbox import ReceivedPass
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import methods
+from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.passes import GraphRecord, PassSeries
 
@@ -31,7 +32,7 @@ class Revisions:
     def __init__(self, recording: Recording, cells: tuple[Cell, Cell], graph: GraphRecord):
         self.graph = graph
         self.cell, plant = cells
-        self._plant = None if plant is self.cell else plant
+        self._plant = None if plant is self.cell else plant.imperfections
         self._file = f"{recording.path.parent.name}/{recording.path.name}"
         self._passes = [series for series in graph.passes if self._complete(series)]
         self._learned: dict[str, int] = {}  # stated fingerprint -> number of the pass in this file
@@ -97,6 +98,9 @@ class Revisions:
             raise NotRecorded(reason + "the recording has {} and {}".format(*there))
         return number
 
+    def _record(self, received: ReceivedPass, number: int) -> PassRecord:
+        return received.record(path_of(self.cell), self.cell.imperfections, self._plant, number)
+
     def _received(self, number: int, stated: LearnedRecording | None = None) -> ReceivedPass:
         """Return a pass as the compensator received it, with the wrenches that a state counts."""
         series = self._passes[number]
@@ -111,7 +115,7 @@ class Revisions:
         last pass. place: of a reference that is taken as recorded instead.
         """
         target = self._targets.get(state.target)
-        if target is None or state.method not in METHODS:
+        if target is None or state.method not in methods():
             reason = f"the target trajectory {state.target} of the compensator is not in the recording"
             raise NotRecorded(reason if target is None else f"the method {state.method} is not known")
         numbers = [self._number(named, index) for named in state.learned]
@@ -127,7 +131,7 @@ class Revisions:
             start = place if last is None else self._passes[last].number
             rebuilt.resume(self.graph.published[start or 0], state.finished)
         for number in known:
-            rebuilt.revise(self._received(number, self._state_of(number)).record(self.cell, self._plant, number))
+            rebuilt.revise(self._record(self._received(number, self._state_of(number)), number))
         return rebuilt
 
     def _state_of(self, number: int) -> LearnedRecording | None:
@@ -162,6 +166,6 @@ class Revisions:
                     raise NotRecorded(f"{rebuilt.method} needs the passes before this one, and no state names them")
                 rebuilt.resume(reference, state is not None and state.finished)
         last = self._received(number, following.learned[-1] if following and following.learned else None)
-        rebuilt.revise(last.record(self.cell, self._plant, number))
+        rebuilt.revise(self._record(last, number))
         published = self.graph.published[place + 1] if same and place + 1 < len(self.graph.published) else None
         return rebuilt, target, published

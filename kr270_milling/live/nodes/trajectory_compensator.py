@@ -24,7 +24,7 @@ from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, 
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
 from kr270_milling.live.ros.topics import RosTopic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.topics import COMPENSATOR
 from kr270_milling.recordings.messages.viewer import path_bytes
@@ -203,8 +203,8 @@ class TrajectoryCompensator(ReportingNode):
     def _on_parameters(self, changes) -> SetParametersResult:
         """Accept another method while the node runs; it starts from the pass along the target."""
         for change in changes:
-            if change.name == METHOD and change.value not in METHODS:
-                return SetParametersResult(successful=False, reason=f"{METHOD} must be one of {', '.join(METHODS)}")
+            if change.name == METHOD and change.value not in methods():
+                return SetParametersResult(successful=False, reason=f"{METHOD} must be one of {', '.join(methods())}")
             if change.name != METHOD or self.protocol.compensator is None:
                 continue
             if not self.used(METHOD, self._choose, change.value):

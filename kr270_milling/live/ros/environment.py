@@ -26,7 +26,7 @@ PARENT = "KR270_MILLING_PARENT"
 
 
 def require_ros(what: str = "a graph of nodes") -> None:
-    """Raise MissingExtra where rclpy is not installed."""
+    """Raise MillingError where rclpy is not installed."""
     require_extra(what, "ros", "rclpy", otherwise=", or source the setup file of an installed ROS 2")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from kr270_milling.base.errors import one_line
 from kr270_milling.base.text import short
 from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
-from kr270_milling.path.source_program import ProgramError, ProgramTool, ReadOver, Refusal, SourceProgram
+from kr270_milling.path.source_program import ProgramError, ProgramTool, Refusal, SourceProgram
 from kr270_milling.path.toolpath import MOST_BLOCKS, REACH, TOP, PathBuilder, Toolpath, cut_features
 
 __all__ = ["ProgramBuilder"]
@@ -208,7 +208,7 @@ class ProgramBuilder(PathBuilder):
             external=self.external,
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             operations=tuple(names[k] for k in cut_features(columns)),
-            read_over=tuple(ReadOver(word, count) for word, count in self.silent.most_common()),
+            read_over=tuple(self.silent.most_common()),
             refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import os
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ __all__ = [
     "read_toolpath",
     "read_toolpaths",
     "reader_of",
+    "readers",
 ]
 
 LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_per_s")
@@ -92,22 +94,32 @@ READERS: dict[str, PathReader] = {
     ".src": PathReader("kr270_milling.path.cam.krl.reader", "read_krl_program", ("tool", "feed")),
     ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
 }
-READERS |= {point.name.lower(): PathReader(point.module, point.attr) for point in registered("readers", READERS)}
+
+
+@functools.cache
+def _plugged() -> dict[str, PathReader]:
+    """Return the readers of other packages, each imported when a file of its kind is read; raises ConfigError."""
+    return {point.name.lower(): PathReader(point.module, point.attr) for point in registered("readers", READERS)}
+
+
+def readers() -> dict[str, PathReader]:
+    """Return READERS and the readers of other packages; raises ConfigError."""
+    return READERS | _plugged()
 
 
 def known_reader(path) -> PathReader | None:
     """Return the reader of a file by its name, None for an unknown kind; Creo numbers its versions: op010.ncl.1."""
-    suffixes = [suffix.lower() for suffix in Path(path).suffixes]
-    while len(suffixes) > 1 and suffixes[-1] not in READERS and suffixes[-1][1:].isdigit():
+    known, suffixes = readers(), [suffix.lower() for suffix in Path(path).suffixes]
+    while len(suffixes) > 1 and suffixes[-1] not in known and suffixes[-1][1:].isdigit():
         suffixes.pop()
-    return READERS.get(suffixes[-1]) if suffixes else None
+    return known.get(suffixes[-1]) if suffixes else None
 
 
 def reader_of(path) -> PathReader:
     """Return the reader of a file by its name; raise InputError for an unknown kind."""
     reader = known_reader(path)
     if reader is None:
-        raise InputError(path, f"is no tool path by its name; known are {', '.join(READERS)}")
+        raise InputError(path, f"is no tool path by its name; known are {', '.join(readers())}")
     return reader
 
 

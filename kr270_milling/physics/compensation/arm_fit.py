@@ -12,14 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from kr270_milling.base.column import column, computed
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
-__all__ = ["Evidence", "Identified", "fit_arm"]
+__all__ = ["Evidence", "fit_arm"]
 
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
-SCAN = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  #: factors on frequency and damping that are tried first
 KEPT = 4  #: latest corrected passes that are fitted
 MOST_FITTED = 8192  #: segments; of a longer path PIECES are fitted
 PIECES, PIECE = 4, 1024  #: pieces, evenly spread over the path, and segments of each
@@ -33,22 +31,6 @@ class Evidence:
     deviation: np.ndarray  #: [m], (m, parts, 3)
     wrench: np.ndarray | None  #: [N, N m], (m, parts, 6)
     on_path: np.ndarray | None = None  #: wrench on a tool on its path [N, N m], (m, parts, 6)
-
-
-@dataclass(frozen=True)
-class Identified:
-    """The fitted values; modes that the passes do not show are missing."""
-
-    gain: float = column("gain")  #: gain of the tool's response to the reference
-    compliance_factor: float = column("compliance_factor")  #: on the static compliance of the model
-    frequency_hz: tuple[float, ...] = column("")
-    damping_ratio: tuple[float, ...] = column("")
-    mode: tuple[int, ...] = column("")  #: numbers of these modes in the model, from 1
-
-    @computed("modes")
-    def _modes(self) -> list[dict]:
-        rows = zip(self.mode, self.frequency_hz, self.damping_ratio, strict=True)
-        return [{"mode": m, "frequency_hz": f, "damping_ratio": z} for m, f, z in rows]
 
 
 class _Problem:
@@ -123,8 +105,10 @@ def fit_arm(
     passes: tuple[Evidence, ...],
     weight: np.ndarray,
     noise: float,
-) -> tuple[ArmResponse, Identified | None]:
-    """Return the arm that explains the passes, the uncorrected pass first, and the fitted values.
+) -> tuple[ArmResponse, dict | None]:
+    """Return the arm that explains the passes, the uncorrected pass first, and the fitted values as written to JSON.
+
+    The gain is that of the response to the reference; modes that the passes do not show are missing.
 
     path: cubics of the programmed path, (m, 4, 3); approach: its velocity before [m/s], (3,); weight: (m, parts);
     noise: standard deviation of the deviation of a part [m]. Nothing is fitted before the first corrected pass where
@@ -138,18 +122,22 @@ def fit_arm(
     problem = _Problem(arm, segments, path, approach, passes, weight, noise)
     best = problem.start(1.0, 1.0)
     rest = problem.residuals(best)
+    scan = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  # factors on frequency and damping that are tried first
     if rest @ rest > rest.size:  # the model leaves more than the errors that are supposed
-        starts = [problem.start(frequency, damping) for frequency in SCAN[0] for damping in SCAN[1]]
+        starts = [problem.start(frequency, damping) for frequency in scan[0] for damping in scan[1]]
         best = min(starts, key=lambda numbers: float(np.sum(problem.residuals(numbers) ** 2)))
     numbers = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
     fitted, problem.arm = problem.arm_of(numbers), whole
-    return problem.arm_of(numbers), Identified(
-        fitted.gain,
-        fitted.softness,
-        tuple((fitted.frequency[0, problem.modes] / (2.0 * np.pi)).tolist()),
-        tuple(fitted.damping[0, problem.modes].tolist()),
-        tuple((problem.modes + 1).tolist()),
-    )
+    modes = [
+        {"mode": mode + 1, "frequency_hz": float(frequency), "damping_ratio": float(damping)}
+        for mode, frequency, damping in zip(
+            problem.modes.tolist(),
+            fitted.frequency[0, problem.modes] / (2.0 * np.pi),
+            fitted.damping[0, problem.modes],
+            strict=True,
+        )
+    ]
+    return problem.arm_of(numbers), {"gain": fitted.gain, "compliance_factor": fitted.softness, "modes": modes}
 
 
 def _pieces(arm: ArmResponse, segments: Segments, path, passes: tuple[Evidence, ...], weight):

@@ -10,7 +10,6 @@ from scipy.interpolate import make_lsq_spline
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.arm_fit import Identified
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.limiting import Bounds, Limited
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
@@ -20,8 +19,6 @@ from kr270_milling.physics.compensation.revision import PassRecord, corrected
 from kr270_milling.physics.compensation.settings import CompensationSettings
 
 __all__ = ["Compensator", "noise_floor", "remaining_error"]
-
-LEAST_STEP = 0.05e-6  #: [m]: an improvement of the largest error by less, or by less than 1 %, ends the learning
 
 
 def remaining_error(target: Trajectory, record: PassRecord) -> float:
@@ -115,7 +112,7 @@ class Compensator:
         return self.parameters.max_passes if self.repeats else None
 
     @property
-    def identified(self) -> Identified | None:
+    def identified(self) -> dict | None:
         """The arm as fitted to the passes."""
         return self.learner.identified if self.learner else None
 
@@ -177,7 +174,8 @@ class Compensator:
         first = len(self.errors) == 1
         if first or error < (best + floor if best < self.errors[0] else best):
             self._best = (min(error, best), self.reference, self.limited)
-        worth = first or best - error > max(0.01 * best, LEAST_STEP, floor)
+        least_step = 0.05e-6  # [m]: an improvement of the largest error by less, or by less than 1 %, ends the learning
+        worth = first or best - error > max(0.01 * best, least_step, floor)
         self._in_vain = 0 if worth else self._in_vain + 1
         return self.finished or self._in_vain > bool(floor) or len(self.errors) > self.parameters.max_passes
 

@@ -25,7 +25,7 @@ from scipy.ndimage import uniform_filter1d
 from kr270_milling.base.errors import ModelError
 from kr270_milling.path.controller_motion import block_ends, controller_motion
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.arm_fit import Evidence, Identified, fit_arm
+from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
@@ -42,13 +42,7 @@ FREE = 0.3  #: their weight in the fit of the arm: a tool without load separates
 ALONG = 0.1  #: weight of deviations along the feed, which change the time and not the part
 SMOOTHNESS = 1e-5  #: weight of the roughness without noise: prevents neighbouring knots from cancelling each other
 ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against loads; noise beyond it is smoothed
-#: weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise, gains
-#: less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
-CAREFUL = 1.0
-ROUNDS = 4  #: most passes of the simulated robots; the cut answers the correction, so the first one is not the last
 LONG = 600_000_000_000  #: [ns], assumed: the passes of a longer program take minutes each, so two must do
-WORTH = 0.98  #: of the mean square of their largest deviations: a pass that gains less is the last
-SETTLED = 1e-4  #: of the cost of the path as programmed: a step of the search that gains less is the last
 MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
 
 
@@ -77,7 +71,7 @@ class Learner:
         self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
-        self.identified: Identified | None = None
+        self.identified: dict | None = None
         self.passes: tuple[Evidence, ...] = ()
         #: deviation on the path without a correction [m], (m, parts, 3)
         self.expected = np.zeros((len(self.segments), self.segments.parts, 3))
@@ -103,19 +97,19 @@ class Learner:
             )
         return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
 
-    def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:
+    def with_pass(self, record: PassRecord, reference: Trajectory) -> Learner:
         """Return a learner that has also learned from a pass along ``reference``."""
         learner = copy.copy(self)
-        learner.learn(ran, reference)
+        learner.learn(record, reference)
         return learner
 
-    def learn(self, ran: PassRecord, reference: Trajectory) -> None:
+    def learn(self, record: PassRecord, reference: Trajectory) -> None:
         """Take a pass along ``reference`` into account."""
-        segments, time_ns = self.segments, ran.time_ns
-        deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
-        last = self._evidence(ran, self.cubic(reference), deviation)
-        self.scored = self._scored(ran)
-        self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
+        segments, time_ns = self.segments, record.time_ns
+        deviation = segments.middle(time_ns, record.position - self.target.sample(time_ns))
+        last = self._evidence(record, self.cubic(reference), deviation)
+        self.scored = self._scored(record)
+        self._noise = record.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
         weight = np.where(self.scored, 1.0, FREE)
         passes = (*self.passes, last)
         self.arm, self.identified = fit_arm(
@@ -134,34 +128,34 @@ class Learner:
         """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""
         if self._cut is None:
             raise ModelError("without a pass the wrench must come from the model's cut")
-        ran = self._cut(self.target)
-        self._ideal, self.scored = self._wrench(ran), self._scored(ran)
+        record = self._cut(self.target)
+        self._ideal, self.scored = self._wrench(record), self._scored(record)
         self.expected = self.arm.swing(self.segments, self.path, self.path[0, 1])
         if self._ideal is not None:
             self.expected = self.expected + self.arm.deflect(self.segments, self._ideal)
         return self
 
-    def _scored(self, ran: PassRecord) -> np.ndarray:
+    def _scored(self, record: PassRecord) -> np.ndarray:
         """(m, parts) bool: parts in which a sample is scored, and those before them."""
-        scored = self.segments.mean(ran.time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
+        scored = self.segments.mean(record.time_ns, record.scored[:, None].astype(float)).ravel() > 0.0
         scored[:-1] |= scored[1:]  # up to the edge of the first part
         return scored.reshape(len(self.segments), self.segments.parts)
 
-    def _evidence(self, ran: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
-        """Where nothing measured the wrench it is that of the first pass, and that of the model's own pass."""
-        wrench = self._wrench(ran)
+    def _evidence(self, record: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
+        """Return the evidence of a pass; an unknown wrench is that of the first pass, or of the model's pass."""
+        wrench = self._wrench(record)
         if wrench is None and self.passes:
             return dataclasses.replace(self.passes[0], cubic=cubic, deviation=deviation)
         if wrench is None and self._predict is not None:
             wrench = self._wrench(self._predict(self.target, None))
         return Evidence(cubic, deviation, wrench)
 
-    def _wrench(self, ran: PassRecord) -> np.ndarray | None:
+    def _wrench(self, record: PassRecord) -> np.ndarray | None:
         """In each part, (m, parts, 6); None where it is not known."""
-        if ran.wrench is None or not ran.wrench.any():
+        if record.wrench is None or not record.wrench.any():
             return None
-        middle = np.concatenate([ran.time_ns[:1], (ran.time_ns[1:] + ran.time_ns[:-1]) // 2])
-        return self.segments.mean(middle, ran.wrench)  # each is the mean of the period that ends at its stamp
+        middle = np.concatenate([record.time_ns[:1], (record.time_ns[1:] + record.time_ns[:-1]) // 2])
+        return self.segments.mean(middle, record.wrench)  # each is the mean of the period that ends at its stamp
 
     def _expected(self) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs on its path without a correction of the reference."""
@@ -170,13 +164,13 @@ class Learner:
         if last.on_path is not None:
             ideal = ideal + self.arm.deflect(segments, last.on_path)
         shares = np.zeros(len(self.passes))
-        for n, ran in enumerate(self.passes):
-            size = np.sqrt(np.mean(ran.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
+        for n, evidence in enumerate(self.passes):
+            size = np.sqrt(np.mean(evidence.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
             shares[n] = 1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24)
         shares /= shares.sum()
         rest = np.zeros_like(ideal)
-        for weight, ran in zip(shares, self.passes, strict=True):
-            rest += weight * (ran.deviation - self._modelled(ran))
+        for weight, evidence in zip(shares, self.passes, strict=True):
+            rest += weight * (evidence.deviation - self._modelled(evidence))
         noise = self._noise**2 * np.sum(shares**2)
         if noise:  # the mean over a knot's distance, of which a correction can make use
             width = segments.parts
@@ -206,11 +200,11 @@ class Learner:
         factor = max(0.0, np.sum(wrench[..., :3] * modelled[..., :3]) / np.sum(modelled[..., :3] ** 2))
         return wrench + factor * (self._ideal - modelled)
 
-    def _modelled(self, ran: Evidence) -> np.ndarray:
+    def _modelled(self, evidence: Evidence) -> np.ndarray:
         """Deviation [m], (m, parts, 3), that the arm explains: under the wrench, its inertia and the correction."""
         arm, segments = self.arm, self.segments
-        moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, ran.cubic)
-        return moved if ran.wrench is None else moved + arm.deflect(segments, ran.wrench)
+        moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, evidence.cubic)
+        return moved if evidence.wrench is None else moved + arm.deflect(segments, evidence.wrench)
 
     def correction(self) -> np.ndarray:
         """Values [m] at the knots, (k, 3), for the motion of a program: a C2 spline, or straight lines."""
@@ -231,14 +225,21 @@ class Learner:
         if self._robots is None:
             return offset
         segments, weight, smooth = self.segments, self._weight(), self.conditions.smooth
-        settled = SETTLED * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
+        settled_gain = 1e-4  # of the cost of the path as programmed: a step of the search that gains less is the last
+        settled = settled_gain * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
         lifted = Lifted(self.arm, segments, self.conditions)
         best, tried, bias = np.inf, offset, 0.0
-        for number in range(ROUNDS if self.target.duration_ns < LONG else 2):
+        # weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise,
+        # gains less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
+        careful = 1.0
+        # most passes of the simulated robots; the cut answers the correction, so the first one is not the last
+        rounds = 4
+        worth = 0.98  # of the mean square of their largest deviations: a pass that gains less is the last
+        for number in range(rounds if self.target.duration_ns < LONG else 2):
             reference, _ = corrected(self.target, tried, smooth)
             passes = [
-                (arm, segments.middle(ran.time_ns, ran.position - self.target.sample(ran.time_ns)))
-                for arm, ran in self._robots(self.target, reference)
+                (arm, segments.middle(record.time_ns, record.position - self.target.sample(record.time_ns)))
+                for arm, record in self._robots(self.target, reference)
             ]
             if number == 0:  # the pass of the model beyond what ``inverse`` expects
                 bias = passes[0][1] - self._with(reference)
@@ -246,11 +247,11 @@ class Learner:
             if not drawn:
                 break
             size = float(np.mean([self._largest(deviation, weight) for _, deviation in drawn]))
-            if size > WORTH * best or len(drawn) < len(self.ensemble):
+            if size > worth * best or len(drawn) < len(self.ensemble):
                 break
             best, offset = size, tried
             self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
-            tried = offset + lifted.least_mean_square(drawn, weight, CAREFUL, settled).knots(segments)
+            tried = offset + lifted.least_mean_square(drawn, weight, careful, settled).knots(segments)
             if np.array_equal(tried, offset):
                 break
         return offset

@@ -27,7 +27,6 @@ from kr270_milling.physics.compensation.response import ArmResponse, Segments
 __all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitions", "units"]
 
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
-STEPS = 30  #: most conjugate gradients
 TINY = 1e-12  #: share of the trace: keeps numbers that no sample shows from making a matrix singular
 
 
@@ -150,7 +149,8 @@ class Lifted:
         mean = np.mean([deviation for _, deviation in plants], axis=0)
         cubic, zero = np.zeros((len(segments), 4, 3)), np.zeros_like(mean)
         rest, direction, before = slope(cubic, 1.0), cubic, np.inf
-        for _ in range(STEPS):
+        steps = 30  # most conjugate gradients
+        for _ in range(steps):
             better = self.least_squares(zero, weight, smoothness, rest).cubic
             gain = -float(np.sum(rest * better))
             if not gain > settled:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 from kr270_milling.base.errors import ModelError, ParameterError, nearest
 from kr270_milling.base.extensions import load_as, refused, registered
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 
-__all__ = ["BEST", "LEARNED", "METHODS", "method_of"]
+__all__ = ["BEST", "LEARNED", "METHODS", "method_of", "methods"]
 
 
 @dataclass(frozen=True)
@@ -26,14 +27,10 @@ class SampledMethod:
         return Correction(sampled_correction(task.target, task.reference, task.ran), self.smooth)
 
 
-@dataclass(frozen=True)
 class MirrorMethod:
     """The static mirror (30)-(32) under the mean wrench of the last pass; straight lines where the target has them."""
 
-    name: str
-    smooth: bool = True
-    repeats: bool = False
-    recommended: bool = False
+    name, smooth, repeats, recommended = "mirror", True, False, False
 
     def revise(self, task: RevisionTask) -> Correction:
         if task.models.mirror is None:
@@ -66,14 +63,14 @@ class ResponseMethod:
 BEST = "best"  #: in place of a method: a comparison chooses the method
 LEARNED = ResponseMethod("learned", repeats=True)
 
-#: every method by its name, in the order in which the commands list them
+#: every method of this package by its name, in the order in which the commands list them
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         SampledMethod("linear", smooth=False, recommended=False),
         SampledMethod("spline", smooth=True),
         LEARNED,
-        MirrorMethod("mirror"),
+        MirrorMethod(),
         ResponseMethod("inverse"),
         ResponseMethod("robust", robust=True),
     )
@@ -84,17 +81,27 @@ def _is_method(kind) -> bool:
     return isinstance(kind, type) and hasattr(kind, "revise")
 
 
-for point in registered("methods", METHODS):
-    registered_method = load_as(point, _is_method, "class with the function revise")()
-    if registered_method.name != point.name:
-        raise refused(point, f"the method is named {registered_method.name}; give both the same name")
-    METHODS[point.name] = registered_method
+@functools.cache
+def _plugged() -> dict[str, Method]:
+    """Return the methods of other packages; raises ConfigError."""
+    loaded = {}
+    for point in registered("methods", METHODS):
+        loaded[point.name] = method = load_as(point, _is_method, "class with the function revise")()
+        if method.name != point.name:
+            raise refused(point, f"the method is named {method.name}; give both the same name")
+    return loaded
+
+
+def methods() -> dict[str, Method]:
+    """Return METHODS and the methods of other packages, which are loaded at the first call; raises ConfigError."""
+    return METHODS | _plugged()
 
 
 def method_of(method: str | Method) -> Method:
     """Return a method by its name; a method object stays. Raises ParameterError for an unknown name."""
     if not isinstance(method, str):
         return method
-    if method not in METHODS:
-        raise ParameterError("method", method, f"one of {', '.join(METHODS)}{nearest(method, METHODS)}")
-    return METHODS[method]
+    known = methods()
+    if method not in known:
+        raise ParameterError("method", method, f"one of {', '.join(known)}{nearest(method, known)}")
+    return known[method]

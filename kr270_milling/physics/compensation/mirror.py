@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -11,18 +9,9 @@ from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot import Arm, Mount, equilibrium, inverse_near
 
-__all__ = ["Mirror", "loaded_pose", "mirror"]
+__all__ = ["loaded_pose", "mirror"]
 
 LEVER = 0.1  # [m]; weighs a rotation against a displacement in the convergence measure: about a tool's length
-
-
-@dataclass(frozen=True, eq=False)
-class Mirror:
-    """Modified target points t_0^(F) of (31) and how the iteration went."""
-
-    pose: Pose  #: tcp in base_link, (n, 3), (n, 3, 3)
-    joints: np.ndarray  #: inverse kinetostatic model: joint positions that command it [rad], (n, 6)
-    history: tuple[float, ...]  #: largest remaining error [m] before each iteration of (32)
 
 
 def loaded_pose(arm: Arm, mount: Mount, joints, wrench, sag_compensated: bool, tool_compliance: float = 0.0) -> Pose:
@@ -56,8 +45,11 @@ def mirror(
     sag_compensated: bool = True,
     tolerance: float = 1e-9,
     max_iterations: int = 60,
-) -> Mirror:
+) -> tuple[Pose, np.ndarray, list[float]]:
     """Solve (31) by the iteration (32) for target poses (n,) in base_link under wrenches (n, 6) [N, N m], base axes.
+
+    Returns the modified target points t_0^(F), the joint positions (n, 6) [rad] that command them, the inverse
+    kinetostatic model, and the largest remaining error [m] before each iteration.
 
     seed: a posture [rad], (6,), of the branch that the first target is on. tolerance [m]; a rotation error counts
     with a lever of 0.1 m. Raises ModelError, and the errors of the inverse kinematics and of the equilibrium.
@@ -72,7 +64,7 @@ def mirror(
         vector = turn.as_rotvec()
         history.append(float(np.max(np.linalg.norm(shift, axis=-1) + LEVER * np.linalg.norm(vector, axis=-1))))
         if history[-1] <= tolerance:
-            return Mirror(modified, joints, tuple(history))
+            return modified, joints, history
         step = Rotation.from_rotvec(relaxation * vector).as_matrix()
         modified = Pose(modified.position + relaxation * shift, step @ modified.rotation)  # (32)
     raise ModelError(

@@ -30,9 +30,6 @@ from kr270_milling.physics.motion.dynamics import ArmFactors
 
 __all__ = ["ArmResponse", "Lag", "Segments", "cubic_coefficients"]
 
-MOST_DAMPING = 0.95
-LEAST_DAMPING = 1e-4
-LONGEST = 3e-3  #: [s], of a part: a tenth of the period of a mode at 33 Hz
 FEWEST, MOST = 4, 16  #: parts in a segment
 BLOCK = 4096  #: segments that are computed at once, some 12 kB each
 
@@ -42,12 +39,13 @@ class Segments:
     """The m segments between m + 1 knots. Values of a part are those at its middle."""
 
     time_ns: np.ndarray  #: knots [ns], (m + 1,)
-    parts: int  #: of each segment
+    parts: int  #: number of parts of a segment
 
     @classmethod
     def of(cls, time_ns: np.ndarray) -> Segments:
         typical = float(np.median(np.diff(time_ns))) * 1e-9
-        return cls(time_ns, int(np.clip(np.ceil(typical / LONGEST - 1e-9), FEWEST, MOST)))
+        longest = 3e-3  # [s], of a part: a tenth of the period of a mode at 33 Hz
+        return cls(time_ns, int(np.clip(np.ceil(typical / longest - 1e-9), FEWEST, MOST)))
 
     def __len__(self) -> int:
         return self.time_ns.size - 1
@@ -150,16 +148,16 @@ class Lag:
         return cls(c**-0.5, 0.5 * b * c**-0.5) if c else None
 
     def _matrices(self, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of segments (m,) [s]: (y, y') at the end from those at the start (m, 2, 2) and from a cubic (m, 2, 4);
-        the cubic from (y, y') at both ends, (m, 4, 4)."""
+        """Matrices of segments (m,) [s]: (y, y') at the end from those at the start, (m, 2, 2), and from a cubic,
+        (m, 2, 4); the cubic from (y, y') at both ends, (m, 4, 4)."""
         w, z, t = self.frequency, self.damping, duration
         solved = np.eye(4)  # p from c, v, a, j
         for row in (2, 1, 0):
             solved[row] -= 2.0 * z / w * solved[row + 1] + (solved[row + 2] / w**2 if row < 2 else 0.0)
         free = np.stack(_free(w, z, t), axis=-1).reshape(-1, 2, 2)
-        one, zero = np.ones_like(t), np.zeros_like(t)
-        ahead = np.stack([one, t, t**2 / 2.0, t**3 / 6.0, zero, one, t, t**2 / 2.0], axis=-1).reshape(-1, 2, 4)
-        hermite = [one, zero, zero, zero, zero, one, zero, zero, -6.0 / t**2, -4.0 / t, 6.0 / t**2, -2.0 / t]
+        unity, zero = np.ones_like(t), np.zeros_like(t)
+        ahead = np.stack([unity, t, t**2 / 2.0, t**3 / 6.0, zero, unity, t, t**2 / 2.0], axis=-1).reshape(-1, 2, 4)
+        hermite = [unity, zero, zero, zero, zero, unity, zero, zero, -6.0 / t**2, -4.0 / t, 6.0 / t**2, -2.0 / t]
         hermite += [12.0 / t**3, 6.0 / t**2, -12.0 / t**3, 6.0 / t**2]
         driven = (ahead - np.concatenate([free, np.zeros_like(free)], axis=-1)) @ solved
         return free, driven, np.stack(hermite, axis=-1).reshape(-1, 4, 4)
@@ -205,11 +203,11 @@ class ArmResponse:
     push: np.ndarray  #: wrench -> modal force, (n, r, 6)
     carry: np.ndarray  #: u at the end of the last segment of a posture -> u of the next posture, (n, r, r)
     moves: bool = True  #: the reference moves the motors' side of the springs; false: eq. (1) as printed
-    gain: float = 1.0  #: of the response to the reference: what the process takes back or adds
+    gain: float = 1.0  #: gain of the response to the reference, as far as the process changes it
     tool: np.ndarray | None = None  #: compliance of the tool tip against the spindle [m/N], (n, 3, 3); None: rigid
     softness: float = 1.0  #: factor of the displacement under the wrench
     posture: np.ndarray | None = None  #: number of the posture of each segment, (m,); None: each has its own
-    lag: Lag | None = None  #: of the motors behind a correction; None: they follow at once
+    lag: Lag | None = None  #: lag of the motors behind a correction; None: they follow at once
 
     @classmethod
     def rigid(cls, segments: int) -> ArmResponse:
@@ -240,10 +238,12 @@ class ArmResponse:
         The static displacement under a wrench, push / omega^2, is that of ``softness`` alone.
         """
         factor = np.broadcast_to(frequency, (self.order,))
+        most_damping = 0.95
+        least_damping = 1e-4
         return dataclasses.replace(
             self,
             frequency=self.frequency * factor,
-            damping=np.clip(self.damping * damping, LEAST_DAMPING, MOST_DAMPING),
+            damping=np.clip(self.damping * damping, least_damping, most_damping),
             push=self.push * factor[:, None] ** 2,
             gain=self.gain * gain,
             softness=self.softness * softness,

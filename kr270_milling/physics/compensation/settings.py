@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kr270_milling.base.record import Record, parameter
-from kr270_milling.physics.compensation.methods import BEST, METHODS
+from kr270_milling.physics.compensation.methods import BEST, methods
 
 __all__ = ["CompensationSettings"]
 
@@ -17,7 +17,7 @@ class CompensationSettings(Record):
     method: str = parameter(
         text="method that revises the reference trajectory; best: compensate compares the methods, while a compensator "
         "that runs takes inverse, or learned with a tracker",
-        choices=(BEST, *METHODS),
+        choices=lambda: (BEST, *methods()),
     )
     tracker: bool = parameter(
         False, text="a tracker measures the tool on the real machine, so that learned can learn from its passes"

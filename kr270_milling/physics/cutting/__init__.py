@@ -1,9 +1,9 @@
 """The cut: tool, force laws, workpiece grid, sweep of the teeth [Klimchik2014, section 4]."""
 
-from kr270_milling.physics.cutting.cut import Cut, CutModel, EngagementCut, SweepError, UndoError
+from kr270_milling.physics.cutting.cut import Cut, CutModel, EngagementCut
 from kr270_milling.physics.cutting.force_law import ForceLaw
-from kr270_milling.physics.cutting.fractional import KLIMCHIK2014, FractionalLaw, fractional
-from kr270_milling.physics.cutting.grid import GridError, Stock
+from kr270_milling.physics.cutting.fractional import FractionalLaw, fractional
+from kr270_milling.physics.cutting.grid import Stock
 from kr270_milling.physics.cutting.laws import LAWS, Cutting
 from kr270_milling.physics.cutting.linear_edge import AL7075_T6, LinearEdgeLaw, linear_edge
 from kr270_milling.physics.cutting.state import Params, State, make_params, make_state
@@ -12,7 +12,6 @@ from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = [
     "AL7075_T6",
-    "KLIMCHIK2014",
     "LAWS",
     "NO_FORCES",
     "Cut",
@@ -21,14 +20,11 @@ __all__ = [
     "EngagementCut",
     "ForceLaw",
     "FractionalLaw",
-    "GridError",
     "LinearEdgeLaw",
     "Params",
     "State",
     "Stock",
-    "SweepError",
     "Tool",
-    "UndoError",
     "fractional",
     "linear_edge",
     "make_params",

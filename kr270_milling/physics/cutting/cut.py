@@ -15,15 +15,9 @@ from kr270_milling.physics.cutting.engagement import (
     make_engagement_params,
     make_engagement_state,
 )
-from kr270_milling.physics.cutting.grid import TILE, GridError, Stock, levels_in_window
+from kr270_milling.physics.cutting.grid import TILE, Stock, levels_in_window
 from kr270_milling.physics.cutting.lanes import LANES
 from kr270_milling.physics.cutting.laws import Cutting
-from kr270_milling.physics.cutting.revolution import (
-    RevolutionParams,
-    RevolutionState,
-    make_revolution_params,
-    make_revolution_state,
-)
 from kr270_milling.physics.cutting.state import (
     FAILED,
     LEVEL_SUM,
@@ -39,26 +33,7 @@ from kr270_milling.physics.cutting.state import (
 from kr270_milling.physics.cutting.sweep import NO_FORCES
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Cut", "CutModel", "EngagementCut", "SweepError", "UndoError"]
-
-
-class UndoError(MillingError):
-    """The last sweep cannot be taken back."""
-
-    def __init__(self, size: int):
-        self.size = size
-        super().__init__(f"the last sweep cleared more nodes than the {size} that can be taken back")
-
-
-class SweepError(MillingError):
-    """A sweep that makes no sense."""
-
-    def __init__(self, pose_from, pose_to, first: int, n: int):
-        self.pose_from, self.pose_to, self.first, self.n = pose_from, pose_to, first, n
-        super().__init__(
-            f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of "
-            "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
-        )
+__all__ = ["Cut", "CutModel", "EngagementCut"]
 
 
 class CutModel:
@@ -67,8 +42,8 @@ class CutModel:
     tool, cutting, stock: records of the parameter file; the grid of ``stock`` is that of the model.
     """
 
-    params: Params | EngagementParams | RevolutionParams
-    state: State | EngagementState | RevolutionState
+    params: Params | EngagementParams
+    state: State | EngagementState
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
         self.tool, self.cutting, self.stock = tool, cutting, stock
@@ -78,17 +53,19 @@ class CutModel:
         """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
 
         first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
-        Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises SweepError, GridError.
+        Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises MillingError.
         """
         start, end = np.array(pose_from, float), np.array(pose_to, float)
         sound = start.shape == end.shape == (3,) and all(map(math.isfinite, start.tolist() + end.tolist()))
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
-            raise SweepError(pose_from, pose_to, first, n)
+            raise MillingError(
+                f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of "
+                "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
+            )
         self._make_room(n, math.dist(start.tolist(), end.tolist()))
         wrench = np.empty(6)
         self.torque = cut_step(self.state, self.params, start, end, int(first), int(n), forces, wrench)
-        if self.state.ints[FAILED]:
-            raise GridError(self.state.pool.size // TILE**2)
+        self.refuse_failure()
         return wrench
 
     def along(
@@ -99,18 +76,17 @@ class CutModel:
         predicted: whether the positions are those that the robot predicted, as in ``sweep``.
 
         Returns the mean wrench (n, 6) [N, N m], the mean spindle torque (n,) [N m] and the volume removed (n,) [m^3] on
-        the way to each position; 0 for the first. Raises GridError.
+        the way to each position; 0 for the first. Raises MillingError.
         """
         positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
         cut_poses(self.state, params, positions, steps, NO_FORCES, wrench, torque, volume)
-        if self.state.ints[FAILED]:
-            raise GridError(self.state.pool.size // TILE**2)
+        self.refuse_failure()
         return wrench, torque, volume
 
     @property
-    def final_params(self) -> Params | EngagementParams | RevolutionParams:
+    def final_params(self) -> Params | EngagementParams:
         """Parameters for positions that no correction changes."""
         return self.params
 
@@ -130,14 +106,23 @@ class CutModel:
         self.state.pool[used : most // self.state.pool.itemsize].fill(0)
 
     @property
-    def state_of_pass(self) -> State | EngagementState | RevolutionState:
+    def state_of_pass(self) -> State | EngagementState:
         """The state for a pass in which no step is taken back."""
         return self.state
 
     def restore(self) -> None:
-        """Take the last sweep back, once. Raises UndoError."""
-        if not cut_undo(self.state):
-            raise UndoError(self.undo_size)
+        """Take the last sweep back, once. Raises MillingError."""
+        self.refuse_failure(cut_undo(self.state))
+
+    def refuse_failure(self, undone: bool = True) -> None:
+        """Raise MillingError where no tile of the grid is left; undone: whether all could be taken back."""
+        if self.state.ints[FAILED]:
+            raise MillingError(
+                f"the cut area fills more than {self.state.pool.size // TILE**2} tiles of the grid; a larger "
+                "stock.grid_step_um would fit"
+            )
+        if not undone:
+            raise MillingError(f"the last sweep cleared more nodes than the {self.undo_size} that can be taken back")
 
     @property
     def undo_size(self) -> int:
@@ -225,19 +210,15 @@ class EngagementCut(CutModel):
     gets predicted poses. ``along`` gets final poses. A tool whose end is not flat takes the part of ``revolution``.
     """
 
-    params: EngagementParams | RevolutionParams
-    state: EngagementState | RevolutionState
+    params: EngagementParams
+    state: EngagementState
 
     def __init__(
         self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
     ):
         super().__init__(tool, cutting, stock)
-        if tool.has_flat_end:
-            self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
-            self.state = make_engagement_state(self.params.reach, self.params.widths.size, stock)
-        else:
-            self.params = make_revolution_params(tool, cutting, stock, micro_step, bins, give)
-            self.state = make_revolution_state(self.params, stock)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
+        self.state = make_engagement_state(self.params, stock)
 
     def continue_from(self, before: CutModel) -> None:
         super().continue_from(before)
@@ -246,11 +227,11 @@ class EngagementCut(CutModel):
             self.state.rest[:used] = self.state.pool[:used]
 
     @property
-    def final_params(self) -> EngagementParams | RevolutionParams:
+    def final_params(self) -> EngagementParams:
         return self.params._replace(give=0.0)
 
     @property
-    def state_of_pass(self) -> EngagementState | RevolutionState:
+    def state_of_pass(self) -> EngagementState:
         """Without an undo log, whose writing takes time."""
         nodes = np.empty(0, np.uint16)
         return self.state._replace(log_place=np.empty(0, np.int64), log_level=nodes, log_rest=nodes)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from numba import njit, types
 from numba.extending import overload
 
-from kr270_milling.physics.cutting.engagement import EngagementState, engage, undo_engagement
-from kr270_milling.physics.cutting.revolution import RevolutionState, undo_revolution
+from kr270_milling.physics.cutting.engagement import EngagementState, engage, has_profile, undo_engagement
+from kr270_milling.physics.cutting.revolution import undo_revolution
 from kr270_milling.physics.cutting.state import LEVEL_SUM, State
 from kr270_milling.physics.cutting.sweep import sweep, undo
 
@@ -33,7 +33,7 @@ def _step_of(s, p, pose_from, pose_to, first, n, forces, wrench):
         return lambda s, p, pose_from, pose_to, first, n, forces, wrench: sweep(
             s, p, pose_from, pose_to, first, n, forces, wrench
         )
-    if _is(s, EngagementState) or _is(s, RevolutionState):
+    if _is(s, EngagementState):
         return lambda s, p, pose_from, pose_to, first, n, forces, wrench: engage(s, p, pose_from, pose_to, n, wrench)
     return None
 
@@ -42,10 +42,10 @@ def _step_of(s, p, pose_from, pose_to, first, n, forces, wrench):
 def _undo_of(s):
     if _is(s, State):
         return lambda s: undo(s)
+    if _is(s, EngagementState) and has_profile(s):
+        return lambda s: undo_revolution(s)
     if _is(s, EngagementState):
         return lambda s: undo_engagement(s)
-    if _is(s, RevolutionState):
-        return lambda s: undo_revolution(s)
     return None
 
 

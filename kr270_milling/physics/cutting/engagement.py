@@ -50,7 +50,8 @@ from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.load import end_force
-from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES
+from kr270_milling.physics.cutting.profile import RUN, EdgeBins, Profile, profile_of
+from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES, common_params
 from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = [
@@ -58,6 +59,7 @@ __all__ = [
     "EngagementState",
     "cut_part",
     "engage",
+    "has_profile",
     "make_engagement_params",
     "make_engagement_state",
     "outside",
@@ -75,8 +77,6 @@ FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # share of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 16  # nodes, a power of two
-NEAREST = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
-NEAR = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
 # Places in EngagementState.ints
@@ -123,6 +123,7 @@ class EngagementParams(NamedTuple):
     cosines: np.ndarray  # (ahead,): C_k
     directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
+    profile: Profile | None  # None: a flat end, which is compiled without ``revolution``
 
 
 class EngagementState(NamedTuple):
@@ -146,6 +147,7 @@ class EngagementState(NamedTuple):
     spans: np.ndarray  # int32, (6, columns): scratch: first and last nodes of each column in ``_clear``
     ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
     sunk: np.ndarray  # (sectors, 3): removed below the former footprint: levels, nodes, and nodes times R / r
+    edge: EdgeBins | None  # None: a flat end
 
 
 def make_engagement_params(
@@ -155,31 +157,18 @@ def make_engagement_params(
 
     bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give: as in the record.
     """
-    nx, ny = stock.nodes
-    radius = float(tool.radii.max())
+    widest = float(tool.radii.max())
+    profile, radius, flat = (None, widest, widest) if tool.has_flat_end else profile_of(tool, stock)
     return EngagementParams(
+        **common_params(tool, cutting, stock, micro_step),
         radius=radius,
-        end_radius=radius,
+        end_radius=flat,
         teeth=tool.teeth,
-        sense=tool.sense,
-        micro_step=micro_step,
         lag=math.pi / tool.teeth,
-        twist=math.tan(tool.helix) / radius,
-        spacing=stock.grid_step,
-        origin_x=float(stock.min[0]) + 0.5 * stock.grid_step,
-        origin_y=float(stock.min[1]) + 0.5 * stock.grid_step,
-        nx=nx,
-        ny=ny,
-        top=float(stock.max[2]),
-        thickness=stock.thickness,
-        level_step=stock.level_step,
-        law=cutting.active.address(),
-        coefficients=cutting.active.arguments,
-        end_share=cutting.end_share,
-        edge_radius=tool.edge_radius,
+        twist=math.tan(tool.helix) / widest,
         give=give,
-        moments=cutting.moments,
-        **tables(radius, stock.grid_step, bins),
+        profile=profile,
+        **tables(widest, stock.grid_step, bins),
     )
 
 
@@ -192,7 +181,8 @@ def tables(radius: float, spacing: float, bins: int) -> dict:
     angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
     sectors = np.clip(np.floor((angle + np.pi) * SECTORS / (2.0 * np.pi)), 0, SECTORS - 1)
     along = np.arange(-reach - BLOCK // 2, reach + BLOCK // 2 + 1)  # half a block beyond both ends
-    far = np.maximum(np.hypot(offset[:, None], along), NEAREST) * spacing / radius
+    nearest = 0.2837  # [nodes]: 1 / the mean of 1 / r over the cell at the axis, 4 ln(1 + sqrt(2))
+    far = np.maximum(np.hypot(offset[:, None], along), nearest) * spacing / radius
     window = np.pad(np.ones(BLOCK - 1), 1, constant_values=0.5) / BLOCK  # half of the axis to either side
     inverse = np.stack([np.convolve(row, window, "valid") for row in 1.0 / far])
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
@@ -217,11 +207,14 @@ def tables(radius: float, spacing: float, bins: int) -> dict:
     }
 
 
-def make_engagement_state(reach: int, bins: int, stock: Stock) -> EngagementState:
-    """Return an untouched stock; reach: of the tool, in nodes."""
-    tiles = tile_count(stock)
+def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
+    """Return an untouched stock."""
+    tiles, bins, edge = tile_count(stock), p.widths.size, None
     nodes = min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + BLOCK  # of which a last block may look beyond its tile
-    footprint = (2 * reach + 3) ** 2
+    footprint = (2 * p.reach + 3) ** 2
+    if p.profile is not None:
+        lost = np.zeros((p.profile.length.size, 2 * bins))
+        edge = EdgeBins(np.zeros(nodes // RUN + 1, np.uint16), lost, np.zeros(2 * bins))
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
     return EngagementState(
@@ -240,9 +233,10 @@ def make_engagement_state(reach: int, bins: int, stock: Stock) -> EngagementStat
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
         floors=np.zeros((FLOORS, 3)),
-        spans=np.zeros((6, 2 * reach + 3), np.int32),
+        spans=np.zeros((6, 2 * p.reach + 3), np.int32),
         ahead=np.zeros((bins, 2)),
         sunk=np.zeros((SECTORS, 3)),
+        edge=edge,
     )
 
 
@@ -312,10 +306,11 @@ def engage(s, p, pose_from, pose_to, n, wrench):
 
 @inlined
 def _floor_near(s, p, tip):
-    """Deepest known level of a footprint NEAR the tip; -1: none is known."""
+    """Deepest known level of a footprint near the tip; -1: none is known."""
+    near = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
     for k in range(s.ints[FLOORS_KNOWN]):
         u, v = s.floors[k, 0] - tip[0], s.floors[k, 1] - tip[1]
-        if u * u + v * v < (NEAR * p.radius) ** 2:
+        if u * u + v * v < (near * p.radius) ** 2:
             return np.int64(s.floors[k, 2])
     return np.int64(-1)
 
@@ -342,9 +337,14 @@ def cut_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     raise NotImplementedError
 
 
+def has_profile(s) -> bool:
+    """Return whether a state, its type in compiled code, is that of a tool with a profile."""
+    return s.types[s.fields.index("edge")] != types.none
+
+
 @overload(cut_part, inline="always")
 def _cut_part_of(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    if isinstance(s, types.NamedTuple) and s.instance_class is EngagementState:
+    if not has_profile(s):
         return lambda s, p, x0, y0, z0, x1, y1, z1, passes, wrench: _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
     return None
 

@@ -16,7 +16,6 @@ from kr270_milling.physics.cutting.lanes import LANES, lower_lanes
 from kr270_milling.physics.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
 
 SLACK = 1e-9
-MOST_SUMMED = 65_520  # nodes, of up to 65535 levels each; whole LANES
 COLUMNS = np.arange(float(BLOCK))
 
 
@@ -31,8 +30,9 @@ def tally_log(ints, old, tally, level):
     for n in range(LANES):
         old[end + np.uint64(n)] = np.uint16(LEVELS)
     deepest = np.uint16(level)
-    for first in range(np.uint64(0), whole, np.uint64(MOST_SUMMED)):  # so many at a time that their sum fits 32 bits
-        stop = min(whole, first + np.uint64(MOST_SUMMED))
+    most_summed = 65_520  # nodes, of up to 65535 levels each; whole LANES
+    for first in range(np.uint64(0), whole, np.uint64(most_summed)):  # so many at a time that their sum fits 32 bits
+        stop = min(whole, first + np.uint64(most_summed))
         count, new, most, deficit = np.uint16(0), np.uint16(0), np.uint16(0), np.uint32(0)
         for n in range(first, stop):  # each sum is cut to its width at once, since more lanes then fit a register
             left = np.uint16(deepest - min(old[begin + n], deepest))

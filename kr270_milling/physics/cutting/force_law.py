@@ -193,16 +193,16 @@ def _call_law(typing_context, address, h, arguments):
     def codegen(context, builder, signature, values):
         address, h, arguments = values
         array = context.make_array(signature.args[2])(context, builder, arguments)
-        data, given = array.data, array.nitems
+        data, size = array.data, array.nitems
         number, forces = context.get_value_type(types.float64), context.get_value_type(FORCES)
         result = cgutils.alloca_once(builder, forces)
         unknown, end = (builder.append_basic_block(name) for name in ("unknown", "end"))
-        cases = builder.switch(given, unknown)
+        cases = builder.switch(size, unknown)
         for count in range(1, MOST + 1):
             block = builder.append_basic_block(f"arguments_{count}")
-            cases.add_case(given.type(count), block)
+            cases.add_case(size.type(count), block)
             with builder.goto_block(block):
-                places = (builder.gep(data, [given.type(k)]) for k in range(count))
+                places = (builder.gep(data, [size.type(k)]) for k in range(count))
                 target = builder.inttoptr(address, ir.FunctionType(forces, [number] * (1 + count)).as_pointer())
                 builder.store(builder.call(target, [h, *map(builder.load, places)]), result)
                 builder.branch(end)

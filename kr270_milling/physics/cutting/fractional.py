@@ -11,7 +11,7 @@ from numba import njit
 from kr270_milling.base.record import parameter
 from kr270_milling.physics.cutting.force_law import ChartLine, ForceLaw
 
-__all__ = ["KLIMCHIK2014", "FractionalLaw", "fractional"]
+__all__ = ["FractionalLaw", "fractional"]
 
 #: The paper's k_0 is read as the slope for one millimetre of depth: F_t = k_0 h_s psi(h / h_s) a_p / (1 mm).
 READING_DEPTH = 1e-3  # [m]
@@ -77,6 +77,3 @@ class FractionalLaw(ForceLaw):
                 "the arm by millimetres. F_t = k_0 h_s ψ(h/h_s) a_p / (1 mm) is the reading of ordinary size.",
             )
         ]
-
-
-KLIMCHIK2014 = FractionalLaw(5e6, 18e-6, 0.1, 0.3)  #: [Klimchik2014], section 6

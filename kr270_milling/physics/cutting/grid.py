@@ -11,25 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter, stated
 
-__all__ = ["RESOLVED_NODES", "Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
+__all__ = ["RESOLVED_NODES", "Stock", "TILE", "tile_count", "levels_in_window"]
 
 TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
 LEVELS = 65535
-RESOLVED_NODES = 10.0  #: that a tooth meets in a micro-step: a slot then has 97 % of its force
+RESOLVED_NODES = 10.0  #: nodes that a tooth meets in a micro-step, with which a slot has 97 % of its force
 MAX_TILES = 32768  # of 128 KiB each; a node's place in the pool then fits an int32
-
-
-class GridError(MillingError):
-    """The tool has been to more tiles than there may be."""
-
-    def __init__(self, tiles: int):
-        self.tiles = tiles
-        super().__init__(
-            f"the cut area fills more than {tiles} tiles of the grid; a larger stock.grid_step_um would fit"
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,6 @@ from kr270_milling.physics.cutting.force_law import call_law
 
 __all__ = ["end_force", "load"]
 
-SHORT = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its square
-
 
 @inlined
 def load(s, p, i, step, turn, h, height):
@@ -22,7 +20,8 @@ def load(s, p, i, step, turn, h, height):
     tangential, radial, axial = call_law(p.law, h, p.coefficients)
     f_t, f_r, f_a = tangential * height, radial * height, axial * height
     length = height * p.lag / p.radii[i]
-    if length < SHORT:
+    short = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its square
+    if length < short:
         _add(s, p, i, turn, step, f_t, f_r, f_a, 1.0, 0.5 * height)
         return
     for later in range(int(length) + 2):

@@ -12,28 +12,44 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kr270_milling.physics.cutting.grid import Stock
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Pieces", "outline", "pieces"]
+__all__ = ["ENTRIES", "LEVEL", "RUN", "EdgeBins", "Profile", "outline", "profile_of"]
 
+ENTRIES = 4096  # of the profile from the axis to the radius
+LEVEL = 1e-6  # cos(kappa) of a flat end is 1 to this
+RUN = 16  # nodes of a row whose highest one is known
 ARC = math.radians(0.25)  # between two points of an arc: a chord stays within 2.4e-6 of its radius
-TURN = math.radians(3.0)  # of the edge within a piece
-WIDTH = 0.05  # of a piece across the axis, as a share of the radius: the tip of a ball meets several in a shallow cut
 
 
-class Pieces(NamedTuple):
-    """Pieces of the edge from the tip upwards; above the last one the tool is a cylinder. Means are over the piece."""
+class Profile(NamedTuple):
+    """Edge of a cutter of revolution in n pieces from the tip upwards, and its cylinder as the last piece.
 
-    radius: np.ndarray  # edges of the pieces [m], (n + 1,)
-    height: np.ndarray  # edges of the pieces [m], (n + 1,)
-    length: np.ndarray  # of the edge [m], (n,)
-    bend: np.ndarray  # half of its turn [rad], (n,)
-    lever: np.ndarray  # mean r [m], (n,)
-    middle: np.ndarray  # mean height [m], (n,)
-    sine: np.ndarray  # mean sin(kappa), (n,)
-    cosine: np.ndarray  # mean cos(kappa), (n,)
-    sine_area: np.ndarray  # mean r sin(kappa) [m], (n,)
-    cosine_area: np.ndarray  # mean r cos(kappa) [m], (n,)
+    Means are over the piece.
+    """
+
+    height: np.ndarray  # float32, (ENTRIES + 2,): of the profile by the distance from the axis [levels]
+    # float32, same shape: r / (d height / d r) [nodes^2 / level]; a ramp cuts deepest lead slope ahead
+    lead: np.ndarray
+    piece: np.ndarray  # int16, same shape: piece of the edge by the distance from the axis
+    edges: np.ndarray  # (n + 1,): heights of the edges of the pieces [levels]
+    length: np.ndarray  # (n + 1,), as all that follow: of the edge [m]
+    bend: np.ndarray  # half of its turn [rad]
+    lever: np.ndarray  # mean r [m]
+    middle: np.ndarray  # mean height [m]
+    sine: np.ndarray  # mean sin(kappa)
+    cosine: np.ndarray  # mean cos(kappa)
+    sine_area: np.ndarray  # mean r sin(kappa) [m]
+    cosine_area: np.ndarray  # mean r cos(kappa) [m]
+
+
+class EdgeBins(NamedTuple):
+    """Part of the state of a cut by a tool with a profile."""
+
+    highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
+    lost: np.ndarray  # (n + 1, bins): levels removed in the present step, by piece and angle
+    raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
 
 
 def outline(tool: Tool) -> np.ndarray:
@@ -69,12 +85,19 @@ def _cone(tool: Tool, radius: float) -> np.ndarray:
     return np.vstack([start, [radius, start[-1, 1] + (radius - start[-1, 0]) / math.tan(tool.taper)]])
 
 
-def pieces(points: np.ndarray, radius: float) -> Pieces:
-    """Divide the edge of an outline (n, 2) [m]: a piece turns by at most TURN and is at most WIDTH wide and 4 high."""
-    fine = [points[:1]]
+def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
+    """Return the profile of a tool on the map of a stock, its radius and the radius of its flat end [m].
+
+    A piece turns by at most ``turn`` and is at most ``width`` wide and 4 high.
+    """
+    points = outline(tool)
+    radius, fine = float(points[-1, 0]), [points[:1]]
+    turn = math.radians(3.0)  # of the edge within a piece
+    # of a piece across the axis, as a share of the radius: the tip of a ball meets several in a shallow cut
+    width = 0.05
     for before, after in zip(points, points[1:], strict=False):
         wide, high = np.abs(after - before) / radius
-        count = max(1, math.ceil(wide / WIDTH - 1e-9), math.ceil(high / (4.0 * WIDTH) - 1e-9))
+        count = max(1, math.ceil(wide / width - 1e-9), math.ceil(high / (4.0 * width) - 1e-9))
         fine.append(before + np.arange(1, count + 1)[:, None] / count * (after - before))
     fine_points = np.vstack(fine)
     step = np.diff(fine_points, axis=0)
@@ -82,7 +105,7 @@ def pieces(points: np.ndarray, radius: float) -> Pieces:
     first = [0]
     for k in range(1, len(step)):
         size = (fine_points[k + 1] - fine_points[first[-1]]) / radius
-        if abs(kappa[k] - kappa[first[-1]]) > TURN or size[0] > 1.001 * WIDTH or size[1] > 4.004 * WIDTH:
+        if abs(kappa[k] - kappa[first[-1]]) > turn or size[0] > 1.001 * width or size[1] > 4.004 * width:
             first.append(k)
     length, middle = np.hypot(*step.T), 0.5 * (fine_points[1:] + fine_points[:-1])
     total = np.add.reduceat(length, first)
@@ -93,5 +116,20 @@ def pieces(points: np.ndarray, radius: float) -> Pieces:
         return np.add.reduceat(values * length, first) / total
 
     sine, cosine, lever = np.sin(kappa), np.cos(kappa), middle[:, 0]
-    means = (lever, middle[:, 1], sine, cosine, lever * sine, lever * cosine)
-    return Pieces(edges[:, 0], edges[:, 1], total, bend, *map(mean, means))
+    means = [*map(mean, (lever, middle[:, 1], sine, cosine, lever * sine, lever * cosine))]
+    flat = means[3] > 1.0 - LEVEL
+    cylinder = (1.0, 0.0, radius, 0.0, 1.0, 0.0, radius, 0.0)  # length, bend, then the means
+    distance = np.minimum(np.arange(ENTRIES + 2) / ENTRIES, 1.0) * radius
+    height = np.interp(distance, *points.T)
+    lead = np.minimum(distance, radius) / np.maximum(np.gradient(height, distance[1]), 1e-9)
+    lead[0] = lead[1]
+    piece = np.clip(np.searchsorted(edges[:, 0], distance, side="right") - 1, 0, total.size - 1)
+    piece[ENTRIES:] = total.size
+    profile = Profile(
+        (height / stock.level_step).astype(np.float32),
+        np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
+        piece.astype(np.int16),
+        edges[:, 1] / stock.level_step,
+        *(np.append(values, last) for values, last in zip((total, bend, *means), cylinder, strict=True)),
+    )
+    return profile, radius, float(edges[1:, 0][flat].max(initial=0.0))

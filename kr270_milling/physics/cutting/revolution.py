@@ -21,160 +21,39 @@ a flat end that sank by a level of the map at once. Its chip is then thicker, an
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numba.extending import overload
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.engagement import (
     BEYOND,
-    BINS,
     CONTACT,
     FLOOR_LEVEL,
     FLOOR_NEAR,
     RIM,
     SINES,
     cut_part,
-    make_engagement_params,
-    make_engagement_state,
+    has_profile,
     outside,
     remember,
     take_tile,
     undo_engagement,
 )
 from kr270_milling.physics.cutting.force_law import call_law
-from kr270_milling.physics.cutting.grid import LEVELS, Stock
-from kr270_milling.physics.cutting.laws import Cutting
+from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.load import end_force
-from kr270_milling.physics.cutting.profile import outline, pieces
+from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
-from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["RevolutionParams", "RevolutionState", "make_revolution_params", "make_revolution_state", "undo_revolution"]
+__all__ = ["undo_revolution"]
 
-ENTRIES = 4096  # of the profile from the axis to the radius
-RUN = 16  # nodes of a row whose highest one is known
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
-LEVEL = 1e-6  # cos(kappa) of a flat end is 1 to this
-LOG_LOST = 1 << 62
-
-
-class RevolutionParams(NamedTuple):
-    """Fields of ``EngagementParams``, and the profile; lengths in metres."""
-
-    radius: float
-    end_radius: float
-    teeth: int
-    sense: float
-    micro_step: float
-    lag: float
-    twist: float
-    spacing: float
-    origin_x: float
-    origin_y: float
-    nx: int
-    ny: int
-    top: float
-    thickness: float
-    level_step: float
-    law: int
-    coefficients: np.ndarray
-    end_share: float
-    edge_radius: float
-    give: float
-    moments: bool
-    front: np.ndarray
-    reach: int
-    widths: np.ndarray
-    cosines: np.ndarray
-    directions: np.ndarray
-    height: np.ndarray  # float32, (ENTRIES + 2,): of the profile by the distance from the axis [levels]
-    lead: (
-        np.ndarray
-    )  # float32, same shape: r / (d height / d r) [nodes^2 / level]; a ramp cuts deepest lead slope ahead
-    piece: np.ndarray  # int16, same shape: piece of the edge by the distance from the axis
-    edges: np.ndarray  # (n + 1,): heights of the edges of the pieces [levels]
-    length: np.ndarray  # (n + 1,), the last one of the cylinder, as all that follow
-    bend: np.ndarray
-    lever: np.ndarray
-    middle: np.ndarray
-    sine: np.ndarray
-    cosine: np.ndarray
-    sine_area: np.ndarray
-    cosine_area: np.ndarray
-
-
-class RevolutionState(NamedTuple):
-    """Fields of ``EngagementState`` that this part shares with it, and its own bins."""
-
-    pool: np.ndarray
-    rest: np.ndarray
-    table: np.ndarray
-    ints: np.ndarray
-    floats: np.ndarray
-    last: np.ndarray
-    saved_ints: np.ndarray
-    saved_floats: np.ndarray
-    saved_last: np.ndarray
-    load: np.ndarray
-    saved_load: np.ndarray
-    log_place: np.ndarray
-    log_level: np.ndarray
-    log_rest: np.ndarray
-    floors: np.ndarray
-    highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
-    lost: np.ndarray  # (n + 1, bins): levels removed in the present step, by piece and angle
-    raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
-
-
-def make_revolution_params(
-    tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
-) -> RevolutionParams:
-    """Arguments: as of ``make_engagement_params``."""
-    points = outline(tool)
-    radius = float(points[-1, 0])
-    parts = pieces(points, radius)
-    flat = parts.cosine > 1.0 - LEVEL
-    base = make_engagement_params(tool, cutting, stock, micro_step, bins, give)._asdict()
-    base |= {"radius": radius, "end_radius": float(parts.radius[1:][flat].max(initial=0.0))}
-    distance = np.minimum(np.arange(ENTRIES + 2) / ENTRIES, 1.0) * radius
-    height = np.interp(distance, *points.T)
-    slope = np.gradient(np.interp(distance, *points.T), distance[1])
-    lead = np.minimum(distance, radius) / np.maximum(slope, 1e-9)
-    lead[0] = lead[1]
-    cylinder = {"length": 1.0, "lever": radius, "middle": 0.0, "sine": 1.0, "cosine": 0.0, "sine_area": radius}
-    means: dict[str, Any] = {
-        name: np.append(getattr(parts, name), cylinder.get(name, 0.0))
-        for name in ("length", "bend", "lever", "middle", "sine", "cosine", "sine_area", "cosine_area")
-    }
-    piece = np.clip(np.searchsorted(parts.radius, distance, side="right") - 1, 0, parts.length.size - 1)
-    piece[ENTRIES:] = parts.length.size
-    return RevolutionParams(
-        **{name: base[name] for name in RevolutionParams._fields if name in base},
-        height=(height / stock.level_step).astype(np.float32),
-        lead=np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
-        piece=piece.astype(np.int16),
-        edges=parts.height / stock.level_step,
-        **means,
-    )
-
-
-def make_revolution_state(params: RevolutionParams, stock: Stock) -> RevolutionState:
-    """Return an untouched stock."""
-    base = make_engagement_state(params.reach, params.widths.size, stock)
-    return RevolutionState(
-        **{name: getattr(base, name) for name in RevolutionState._fields if hasattr(base, name)},
-        highest=np.zeros(base.pool.size // RUN + 1, np.uint16),
-        lost=np.zeros((params.length.size, 2 * params.widths.size)),
-        raised=np.zeros(2 * params.widths.size),
-    )
 
 
 @overload(cut_part, inline="always")
 def _cut_part_of(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    if isinstance(s, types.NamedTuple) and s.instance_class is RevolutionState:
+    if has_profile(s):
         return lambda s, p, x0, y0, z0, x1, y1, z1, passes, wrench: _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
     return None
 
@@ -186,11 +65,11 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
         remember(s, x1, y1, 0)
         return 0.0, 0.0, 0.0
-    for b in range(s.lost.shape[0]):
-        for k in range(s.lost.shape[1]):
-            s.lost[b, k] = 0.0
-    for k in range(s.raised.size):
-        s.raised[k] = 0.0
+    for b in range(s.edge.lost.shape[0]):
+        for k in range(s.edge.lost.shape[1]):
+            s.edge.lost[b, k] = 0.0
+    for k in range(s.edge.raised.size):
+        s.edge.raised[k] = 0.0
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
@@ -234,7 +113,7 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
             nearest = math.sqrt(beside * beside + beyond * beyond) - 0.5 * (RUN - 1)
             if nearest > r + RIM:
                 continue
-            goal = most - p.height[min(int(max(nearest, 0.0) * entry), ENTRIES)]
+            goal = most - p.profile.height[min(int(max(nearest, 0.0) * entry), ENTRIES)]
             slot = s.table[i >> 8, j >> 8]
             if goal < 0.5:
                 continue
@@ -244,13 +123,13 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
                     return
             place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
             run = np.uint64((place + j) // RUN)
-            if goal < s.highest[run] + 0.5:
+            if goal < s.edge.highest[run] + 0.5:
                 continue
             _run(s, p, i, j, end, place, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry)
             least = np.uint16(LEVELS)
             for n in range(RUN):
                 least = min(least, s.pool[run * np.uint64(RUN) + np.uint64(n)])
-            s.highest[run] = least
+            s.edge.highest[run] = least
 
 
 @inlined
@@ -258,10 +137,11 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     """Lower the nodes (i, low..high) of one run, and add what they lose to their bins."""
     logged, total, new = s.ints[LOGGED], 0, 0
     room = logged + high - low < s.log_place.size
+    log_lost = 1 << 62
     if not room:
-        logged = LOG_LOST
-    outer = (r - RIM) * (r - RIM)
-    last_piece, bins = p.edges.size - 1, p.widths.size
+        logged = log_lost
+    shape, edges, outer = p.profile, s.edge, (r - RIM) * (r - RIM)
+    last_piece, bins = shape.edges.size - 1, p.widths.size
     for j in range(low, high + 1):
         v = j - v0
         along, beside = a * ahead_x + v * ahead_y, v * ahead_x - a * ahead_y
@@ -270,11 +150,11 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         share = 1.0
         if slope != 0.0 and along < m + r:
             guess = min(np.int64(abs(beside) * entry), ENTRIES)
-            lead = slope * p.lead[guess]
+            lead = slope * shape.lead[guess]
             if lead > 0.5 * r:  # over a flat end that rises
                 near = along - min(max(along, 0.0), m)
                 k = min(np.int64(math.sqrt(near * near + beside * beside) * entry), ENTRIES)
-                if max(below, below + sinks) - p.height[k] < s.rest[np.uint64(base + j)] + 0.5:
+                if max(below, below + sinks) - shape.height[k] < s.rest[np.uint64(base + j)] + 0.5:
                     continue
                 lead = _lead(p, slope, beside, r, entry)
             share = min(max((along - lead) * inverse, 0.0), 1.0)
@@ -297,7 +177,8 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
             part = min(part, 1.0)
         k = min(k, ENTRIES)
         within = min(math.sqrt(square) * entry - k, 1.0)
-        goal = min(below + share * sinks - (p.height[k] + within * (p.height[k + 1] - p.height[k])), float(LEVELS))
+        tip = below + share * sinks
+        goal = min(tip - (shape.height[k] + within * (shape.height[k + 1] - shape.height[k])), float(LEVELS))
         place = np.uint64(base + j)
         before, rest = np.int64(s.pool[place]), np.int64(s.rest[place])
         after = np.int64(goal + 0.5) if part >= 1.0 else rest + np.int64(part * (goal - rest) + 0.5)
@@ -318,25 +199,25 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         reach = math.sqrt(away * away + beside * beside) + 1e-9
         far = math.sqrt(along * along + beside * beside)
         angle = np.int64(p.front[np.int64(BEYOND + 0.5 * SINES * (1.0 + beside / reach))])
-        top = p.piece[min(np.int64(far * entry), ENTRIES)] if far < r - RIM else np.int16(last_piece)
+        top = shape.piece[min(np.int64(far * entry), ENTRIES)] if far < r - RIM else np.int16(last_piece)
         if away < 0.0:
             angle, top = angle + bins, min(top, last_piece - 1)
         if inverse == 0.0:
             top = min(top, last_piece - 1)
         level = below + 0.5 * share * sinks
         z, end, each = level - goal, level - rest, lost / (goal - rest)
-        b = np.int64(min(p.piece[k], top))
+        b = np.int64(min(shape.piece[k], top))
         while b < top:
-            edge = p.edges[b + 1]
+            edge = shape.edges[b + 1]
             if edge > z:
                 if edge >= end:
                     break
-                s.lost[b, angle] += each * (edge - z)
+                edges.lost[b, angle] += each * (edge - z)
                 z = edge
             b += 1
-        s.lost[b, angle] += each * (end - z)
+        edges.lost[b, angle] += each * (end - z)
         if b == last_piece:
-            s.raised[angle] += each * (end - z) * 0.5 * (end + z)
+            edges.raised[angle] += each * (end - z) * 0.5 * (end + z)
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
     s.floats[LEVEL_SUM] += total * p.level_step
@@ -349,7 +230,7 @@ def _lead(p, slope, beside, r, entry):
     for _ in range(8):
         middle = 0.5 * (low + high)
         k = min(np.int64(math.sqrt(middle * middle + beside * beside) * entry), ENTRIES)
-        if middle < slope * p.lead[k]:
+        if middle < slope * p.profile.lead[k]:
             low = middle
         else:
             high = middle
@@ -359,8 +240,8 @@ def _lead(p, slope, beside, r, entry):
 @inlined
 def _load(s, p, m, dz, ahead_x, ahead_y, passes, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end."""
-    cell = p.spacing * p.spacing * p.level_step
-    teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, p.length.size - 1
+    shape, cell = p.profile, p.spacing * p.spacing * p.level_step
+    teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
     for k in range(2 * bins):
         q, ahead = (k, 1.0) if k < bins else (k - bins, -1.0)
@@ -368,46 +249,47 @@ def _load(s, p, m, dz, ahead_x, ahead_y, passes, wrench):
         forward, left = ahead * m * p.cosines[q] / width, 0.0
         for n in range(last + 1):
             b = n if k < bins else last - n
-            volume = s.lost[b, k] + left
+            volume = s.edge.lost[b, k] + left
             if volume <= 0.0:
                 continue
-            normal = forward * p.sine[b] - dz * p.cosine[b]
-            area = forward * p.sine_area[b] - dz * p.cosine_area[b]
-            spread = 0.5 * width * abs(m * d) * p.sine[b] + p.bend[b] * abs(forward * p.cosine[b] + dz * p.sine[b])
-            room, crossed = width * p.length[b], (forward > 0.0) != (dz <= 0.0) and normal < spread
+            normal = forward * shape.sine[b] - dz * shape.cosine[b]
+            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b]
+            tilt = shape.bend[b] * abs(forward * shape.cosine[b] + dz * shape.sine[b])
+            spread = 0.5 * width * abs(m * d) * shape.sine[b] + tilt
+            room, crossed = width * shape.length[b], (forward > 0.0) != (dz <= 0.0) and normal < spread
             if crossed:  # d.n changes its sign within the bin
                 room *= 0.5 * (normal + spread) / max(spread, 1e-12)
                 normal = 0.5 * (normal + spread)
-                area = normal * p.lever[b]
+                area = normal * shape.lever[b]
             lost = not area > 0.0 or not room > 0.0  # the next piece, with more d.n, has lost this volume
             if lost and n < last:
                 left = volume
                 continue
             if lost:  # no piece moves into the material at this angle: nodes beside the line d.n = 0
                 b = last - 1 if k < bins else 0
-                room = width * p.length[b]
+                room = width * shape.length[b]
                 area = volume * cell / room
-                normal = area / p.lever[b]
+                normal = area / shape.lever[b]
             left, share = 0.0, volume * cell / (area * room)
             if crossed and share > MOST:
                 share, area = MOST, volume * cell / (MOST * room)
-                normal = area / p.lever[b]
+                normal = area / shape.lever[b]
             lever, edge, h = area / normal, teeth * share * room, normal / passes
-            if p.cosine[b] > 1.0 - LEVEL:
+            if shape.cosine[b] > 1.0 - LEVEL:
                 f_t, f_r = end_force(p, h)
                 f_a = 0.0
                 contact += edge
                 thrust += f_r * edge
             else:
                 f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
-            out, up = -f_r * p.sine[b] - f_a * p.cosine[b], f_r * p.cosine[b] - f_a * p.sine[b]
+            out, up = -f_r * shape.sine[b] - f_a * shape.cosine[b], f_r * shape.cosine[b] - f_a * shape.sine[b]
             x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
-            middle = p.middle[min(b, last - 1)]
-            if b == last and s.lost[b, k] > 0.0:
-                middle = s.raised[k] / s.lost[b, k] * p.level_step
+            middle = shape.middle[min(b, last - 1)]
+            if b == last and s.edge.lost[b, k] > 0.0:
+                middle = s.edge.raised[k] / s.edge.lost[b, k] * p.level_step
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
-            moment_x += p.lever[b] * d * z - middle * y
-            moment_y += middle * x - p.lever[b] * c * z
+            moment_x += shape.lever[b] * d * z - middle * y
+            moment_y += middle * x - shape.lever[b] * c * z
             torque += f_t * edge * lever
             total, raised = total + volume, raised + volume * middle
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
@@ -426,5 +308,5 @@ def undo_revolution(s):
     """Take the last step back; False where the log was too small and nothing was done."""
     for k in range(min(s.ints[LOGGED], s.log_place.size)):
         run = s.log_place[k] // RUN
-        s.highest[run] = min(s.highest[run], s.log_level[k])
+        s.edge.highest[run] = min(s.edge.highest[run], s.log_level[k])
     return undo_engagement(s)

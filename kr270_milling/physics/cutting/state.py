@@ -13,7 +13,7 @@ from kr270_milling.physics.cutting.lanes import LANES
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Params", "State", "make_params", "make_state", "make_log", "log_size"]
+__all__ = ["Params", "State", "common_params", "make_params", "make_state", "make_log", "log_size"]
 
 # Places in State.ints
 TILES = 0  # tiles in use
@@ -91,34 +91,41 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         raise ParameterError("micro_step_deg", math.degrees(micro_step), "at most 15 and a whole part of 360")
     micro_step = 2 * math.pi / steps
     pitch_steps = np.rint(tool.pitches / micro_step).astype(np.int64)
-    nx, ny = stock.nodes
     return Params(
+        **common_params(tool, cutting, stock, micro_step),
         directions=_directions(tool, micro_step * (np.arange(steps + 1) % steps)),
         middles=_directions(tool, micro_step * (np.arange(steps) + 0.5)),
         radii=np.array(tool.radii),
         shortest=float(tool.radii.min()),
         pitch_steps=pitch_steps,
         steps=steps,
-        sense=tool.sense,
-        micro_step=micro_step,
-        spacing=stock.grid_step,
-        origin_x=float(stock.min[0]) + 0.5 * stock.grid_step,
-        origin_y=float(stock.min[1]) + 0.5 * stock.grid_step,
-        nx=nx,
-        ny=ny,
-        top=float(stock.max[2]),
-        thickness=stock.thickness,
-        level_step=stock.level_step,
         tolerance=int(stock.floor_tolerance / stock.level_step),
         window=int(pitch_steps.max()) + int(0.126 / micro_step) + 6,
-        law=cutting.active.address(),
-        coefficients=cutting.active.arguments,
         nominal=cutting.chip_angle == "nominal",
-        moments=cutting.moments,
-        end_share=cutting.end_share,
-        edge_radius=tool.edge_radius,
         lag=math.tan(tool.helix) / micro_step,
     )
+
+
+def common_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -> dict:
+    """Return the fields that the constants of both models of the cut have."""
+    nx, ny = stock.nodes
+    return {
+        "sense": tool.sense,
+        "micro_step": micro_step,
+        "spacing": stock.grid_step,
+        "origin_x": float(stock.min[0]) + 0.5 * stock.grid_step,
+        "origin_y": float(stock.min[1]) + 0.5 * stock.grid_step,
+        "nx": nx,
+        "ny": ny,
+        "top": float(stock.max[2]),
+        "thickness": stock.thickness,
+        "level_step": stock.level_step,
+        "law": cutting.active.address(),
+        "coefficients": cutting.active.arguments,
+        "moments": cutting.moments,
+        "end_share": cutting.end_share,
+        "edge_radius": tool.edge_radius,
+    }
 
 
 def _directions(tool: Tool, turn: np.ndarray) -> np.ndarray:

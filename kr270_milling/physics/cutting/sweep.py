@@ -26,10 +26,7 @@ from kr270_milling.physics.cutting.state import (
 __all__ = ["NO_FORCES", "sweep", "undo"]
 
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
-NEAR = 0.8  # share of the radius: the rim band goes no deeper
-TURN = 1.26  # a point beyond NEAR seen from a centre that moves by x turns by at most TURN x / radius
-LEAD = 0.02  # [rad]
-END_POINTS = 64  # points of the radius, at which the layer below a sinking tool is measured
+TURN = 1.26  # a point beyond ``near`` seen from a centre that moves by x turns by at most TURN x / radius
 JUMP = 0.125  # share of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
@@ -181,13 +178,14 @@ def _tooth(s, p, i, step, turn, x0, y0, x1, y1, moved, depth, level, whole, path
     a, b = p.directions[i, turn, 0], p.directions[i, turn, 1]
     c, d = p.directions[i, turn + 1, 0], p.directions[i, turn + 1, 1]
     inner = 0.0
+    near = 0.8  # share of the radius: the rim band goes no deeper
     if whole:
         layer = _end(s, p, i, step, turn, x1, y1, depth, level)
     else:
         inner = _inner_radius(s, p, i, step + 1, x1, y1, c, d, moved, path)
         if inner >= radius + 2.0 * moved:
             return 0.0, 0.0
-        whole = inner < NEAR * p.shortest
+        whole = inner < near * p.shortest
     s.tally[0] = s.tally[1] = s.tally[3] = 0
     s.tally[2] = level
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
@@ -216,18 +214,20 @@ def _end(s, p, i, step, turn, x, y, depth, level):
     """Add the load of the end edge of tooth i, which lowers the floor below a sinking tool; the volume cut so [m^3].
 
     The floor is cut at least to FLOOR, and where that is not known to the shallowest level of this run; the side edge
-    cuts what is higher. The floor is measured LEAD ahead of the tooth, where nodes near the axis are not cut yet.
+    cuts what is higher. The floor is measured ``lead`` ahead of the tooth, where nodes near the axis are not cut yet.
     """
     floor = s.ints[RUN_LEVEL] - 1
     if s.ints[FLOOR] >= 0:
         floor = min(floor, s.ints[FLOOR])
     if level <= floor:
         return 0.0
-    ahead = (turn + 1 + int(LEAD / p.micro_step)) % p.steps
+    lead = 0.02  # [rad]
+    ahead = (turn + 1 + int(lead / p.micro_step)) % p.steps
     c, d = p.directions[i, ahead, 0], p.directions[i, ahead, 1]
-    step_r = p.radii[i] / END_POINTS
+    end_points = 64  # points of the radius, at which the layer below a sinking tool is measured
+    step_r = p.radii[i] / end_points
     volume = tangential = thrust = moment = torque = 0.0
-    for n in range(END_POINTS):
+    for n in range(end_points):
         r = (n + 0.5) * step_r
         u = int(math.floor((x + r * c - p.origin_x) / p.spacing + 0.5))
         v = int(math.floor((y + r * d - p.origin_y) / p.spacing + 0.5))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.base.record import Record, parameter
+from kr270_milling.base.record import Record, parameter, section
 
 __all__ = ["Tool", "ToolModes"]
 
@@ -124,7 +124,7 @@ class Tool(Record):
         0.0, unit="n_per_um", low=0.0, high=1e4, text="lateral, measured at the tip, from 0.001; 0: not known"
     )
 
-    modes: ToolModes = ToolModes()
+    modes: ToolModes = section(ToolModes)
 
     def check(self) -> None:
         if self.stiffness and self.stick_out:

@@ -10,16 +10,12 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.record import Record, parameter
+from kr270_milling.base.record import Record, parameter, section
 from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, discretise, discretise_reference, modes
 from kr270_milling.physics.robot import Arm, Mount, cartesian_mass, compliance, equilibrium, pose, rotate_matrix
 from kr270_milling.physics.robot.mass import MODELS
 
 __all__ = ["Dynamics", "MeasuredModes", "arm_model", "measured_model", "modal_models"]
-
-#: distance [m] that counts as much as a radian, where rotation and translation of the reference cannot both be met:
-#: a turn about the tool tip moves the edge of an ordinary cutter by it
-RADIUS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +62,7 @@ class Dynamics(Record):
     reference_inertia: bool = parameter(
         True, text="the reference moves the motor side: F - M r'' in (1); false: (1) as the paper prints it"
     )
-    modes: MeasuredModes = MeasuredModes()
+    modes: MeasuredModes = section(MeasuredModes)
 
     def check(self) -> None:
         if self.modes.frequency.size and self.follow_pose:
@@ -112,7 +108,10 @@ def measured_model(measured: MeasuredModes) -> ModalModel:
     which some mode moves it, and follows the reference in the others.
     """
     shapes = measured.shape.reshape(-1, 6).T  # (6, r)
-    weight = np.array([1.0] * 3 + [RADIUS] * 3)
+    # distance [m] that counts as much as a radian, where rotation and translation of the reference cannot both be met:
+    # a turn about the tool tip moves the edge of an ordinary cutter by it
+    lever = 0.01
+    weight = np.array([1.0] * 3 + [lever] * 3)
     r = measured.frequency.size
     return ModalModel(
         inertial=np.arange(r),

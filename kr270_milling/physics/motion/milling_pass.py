@@ -15,10 +15,9 @@ from numba import njit
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.cutting import CutModel, GridError, UndoError
+from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.cutting.cut_step import cut_step, cut_undo
-from kr270_milling.physics.cutting.grid import TILE
-from kr270_milling.physics.cutting.state import FAILED, LEVEL_SUM
+from kr270_milling.physics.cutting.state import LEVEL_SUM
 from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
 from kr270_milling.physics.motion.periods import Clock
 
@@ -217,8 +216,8 @@ def run_pass(
     silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
     material without a force, and the period counts as one without a cut. most_rows: of the result; those of a longer
     pass combine several periods, see ``PassResult.every``.
-    progress(done, total) is called every 4000 exchange periods. Raises GridError if the grid has no tile left,
-    UndoError if the periods are too long to be iterated, and PassError where the arm would fly off.
+    progress(done, total) is called every 4000 exchange periods. Raises MillingError if the grid has no
+    more tiles or the periods are too long to be iterated, and PassError where the arm would fly off.
     """
     n = clock.steps(reference.duration_ns)
     every = max(1, math.ceil(n / most_rows))
@@ -257,10 +256,7 @@ def run_pass(
         for first in range(begin, end, CHUNK):
             last = min(first + CHUNK, end)
             whole = _exchange(begin, first, last, *carried)
-            if cut.state.ints[FAILED]:
-                raise GridError(cut.state.pool.size // TILE**2)
-            if not whole:
-                raise UndoError(cut.undo_size)
+            cut.refuse_failure(whole)
             part = slice(first - begin, last - begin + 1)
             _refuse_flight(stamps[part], out[1][part])
             if progress is not None:

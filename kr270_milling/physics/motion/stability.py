@@ -34,10 +34,7 @@ from kr270_milling.physics.cutting.tool import Tool
 __all__ = ["DEEPEST", "Lobe", "Modes", "has_uniform_pitch", "stability_limit"]
 
 DEEPEST = 0.1  #: [m], up to which limits are looked for
-WAVES = 20.0  #: waves of a mode on the arc of engagement
 NODES = 8  #: on the arc for each wave, and 8 more: random limits are then within 1 % of another solution
-#: distance from the real axis, as a share of that to the next eigenvalue, that makes a limit possible
-NEAR = 0.35
 
 _gauss = functools.cache(np.polynomial.legendre.leggauss)
 
@@ -84,8 +81,9 @@ def stability_limit(
     the feed, in the sense of rotation; speed: of the spindle [rad/s].
     """
     waves = modes.frequency * (leave - entry) / (2.0 * math.pi * speed)
+    most_waves = 20.0  # waves of a mode on the arc of engagement
     # a mode with more waves keeps its stiffness: its lobes are so dense that its lowest limit counts at every speed
-    slower = WAVES / np.maximum(waves, WAVES)
+    slower = most_waves / np.maximum(waves, most_waves)
     modes = Modes(modes.frequency * slower, modes.damping_ratio, modes.shape * slower[:, None])
     delay = 2.0 * math.pi / (speed * tool.teeth)
     nodes = _nodes(entry, leave, speed * delay, math.ceil(NODES * float((waves * slower).max())) + 8)
@@ -228,7 +226,8 @@ def _interval(low: np.ndarray, high: np.ndarray, before: np.ndarray, after: np.n
     start = np.concatenate([before, np.take_along_axis(before, apart.argmin(1), 1)], 1)
     end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
     travel, passes = np.abs(end - start), start.imag * end.imag <= 0.0
-    close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < NEAR * travel)
+    near = 0.35  # distance from the real axis, as a share of that to the next eigenvalue, that makes a limit possible
+    close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < near * travel)
     # two eigenvalues that differ by less than 0.5 % enclose a limit
     fine = travel <= 5e-3 * np.maximum(np.abs(start), np.abs(end))
     share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
@@ -236,5 +235,5 @@ def _interval(low: np.ndarray, high: np.ndarray, before: np.ndarray, after: np.n
     known, guess = np.where(fine, on_axis, 0.0), np.where(fine, 0.0, on_axis)
     rows, k = np.arange(low.size), known.argmax(1)
     crossing = np.stack([known[rows, k], low + share[rows, k] * (high - low)], 1)
-    reach = np.where(close & ~fine, np.maximum(start.real, end.real) + NEAR * travel, 0.0)
+    reach = np.where(close & ~fine, np.maximum(start.real, end.real) + near * travel, 0.0)
     return reach.max(1), guess.max(1), crossing

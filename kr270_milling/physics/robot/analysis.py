@@ -16,8 +16,6 @@ from kr270_milling.physics.robot.mass import MODELS, cartesian_mass, mode_freque
 
 __all__ = ["analyse", "read_arm"]
 
-MOST_CONDITION = 1e6  # its square times the rounding of 1e-16 is what the stiffness is wrong by
-
 
 @dataclass(frozen=True, eq=False)
 class ArmFile(Record):
@@ -48,10 +46,11 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
     both = np.kron(np.eye(2), turn)
     loaded = equilibrium(arm, mount, q, both.T @ np.asarray(wrench, float), gravity)
     condition = float(np.linalg.cond(loaded.jacobian))
-    if not condition <= MOST_CONDITION:
+    most_condition = 1e6  # its square times the rounding of 1e-16 is what the stiffness is wrong by
+    if not condition <= most_condition:
         raise ModelError(
             "the arm is too near a singular posture for a stiffness: the condition number of its Jacobian is "
-            f"{condition:.3g}, but must be at most {MOST_CONDITION:g}"
+            f"{condition:.3g}, but must be at most {most_condition:g}"
         )
     shift = loaded.pose.position - start.position
     tilt = Rotation.from_matrix(loaded.pose.rotation @ start.rotation.T).as_rotvec()

@@ -16,9 +16,9 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.record import Record, parameter
+from kr270_milling.base.record import Record, parameter, section
 
-__all__ = ["AXES", "BARE", "NO_COMPENSATOR", "Arm", "GravityCompensator", "Mount", "moment_slope"]
+__all__ = ["AXES", "BARE", "Arm", "GravityCompensator", "Mount", "moment_slope"]
 
 #: direction of each joint axis in the frame of the link that it turns, (6, 3)
 AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
@@ -103,9 +103,6 @@ def moment_slope(spring, cosine, sine):
     return -k * (slope**2 + (s - s_0) * bend)
 
 
-NO_COMPENSATOR = GravityCompensator()
-
-
 @dataclass(frozen=True, eq=False)
 class Arm(Record):
     """A six-joint arm with a KUKA spherical wrist: geometry, limits, joint springs, link masses."""
@@ -164,7 +161,7 @@ class Arm(Record):
         text="friction torque of each joint on the link's side; a smaller load leaves the link on its flank",
     )
     payload: float = parameter(0.0, unit="kg", low=0.0, high=5000.0, text="most that the flange carries; 0: not known")
-    compensator: GravityCompensator = NO_COMPENSATOR
+    compensator: GravityCompensator = section(GravityCompensator)
 
     def check(self):
         if not np.all(self.joint_lower < self.joint_upper):

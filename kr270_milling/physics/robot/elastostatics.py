@@ -24,8 +24,6 @@ RESIDUAL = 1e-9  #: a solved equilibrium is out of balance by no more than this 
 ITERATIONS = 25
 #: a larger joint deflection [rad] is believed only when the load path leads there
 LARGE = 0.05
-#: and a still larger one is refused: drives and bearings are no linear springs over 10 deg
-TOO_LARGE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +133,7 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
     """(theta, residual, iterations) of one posture, (k + 6,), its load raised from nothing in adaptive steps."""
     theta, carried, step, count = np.zeros((1, q.size)), 0.0, 0.25, 0
     residual = np.inf
+    too_large = 0.2  # and a still larger one is refused: drives and bearings are no linear springs over 10 deg
     while carried < 1.0:
         share = min(1.0, carried + step)
         part = loads.part(share)
@@ -146,10 +145,10 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
                 springs = np.diag(arm.spring_stiffness) - bent[0]
                 raise UnstableLoadError(share, float(np.linalg.eigvalsh((springs + springs.T) / 2)[0]), index)
             theta, residual, carried, step = trial, left[0], share, 2 * step
-            if np.abs(theta).max() > TOO_LARGE:
+            if np.abs(theta).max() > too_large:
                 worst = int(np.argmax(np.abs(theta)))
                 joint = max(0, worst + 7 - q.size)  # 0: the base
-                raise DeflectionError(joint, float(theta[0, worst]), TOO_LARGE, carried, index)
+                raise DeflectionError(joint, float(theta[0, worst]), too_large, carried, index)
             continue
         residual, step = left[0], step / 2
         if step < 1 / 512:  # a load path that needs smaller steps ends at a limit point

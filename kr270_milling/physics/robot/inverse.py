@@ -19,13 +19,12 @@ __all__ = ["BRANCHES", "branches", "branches_at", "inverse_along", "inverse_near
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)
-SLACK = 1e-12  #: [rad], of the joint limits: rounding
-TWO_PI = 2 * np.pi
 
 
 def _wrapped(angle):
     """The angle [rad], a number or an array, within a half turn to either side."""
-    return angle - TWO_PI * np.round(angle / TWO_PI)
+    two_pi = 2 * np.pi
+    return angle - two_pi * np.round(angle / two_pi)
 
 
 wrapped = njit(cache=True, nogil=True)(_wrapped)
@@ -70,7 +69,8 @@ def inverse_along(
 
 def _check_limits(arm: Arm, q: np.ndarray) -> None:
     """Raise JointLimitError for the first posture (..., 6) [rad] with a joint out of its range."""
-    bad = np.argwhere(~((q >= arm.joint_lower - SLACK) & (q <= arm.joint_upper + SLACK)))
+    slack = 1e-12  # [rad], of the joint limits: rounding
+    bad = np.argwhere(~((q >= arm.joint_lower - slack) & (q <= arm.joint_upper + slack)))
     if len(bad):
         *index, joint = (int(i) for i in bad[0])
         limits = float(arm.joint_lower[joint]), float(arm.joint_upper[joint])
@@ -181,7 +181,8 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     """Postures (n, 6) along a path of poses (n,) on the branch nearest to the seed, (6,)."""
     first = _nearest(arm, mount, Pose(path.position[0], path.rotation[0]), seed)
     _check_shoulder(arm, mount, path)
-    row = _row_of(arm, first)
+    beta, radius = elbow_and_reach(arm, first)
+    row = (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)  # in BRANCHES, with A5 > 0
     unknown = np.full((len(path.position), 6), np.nan)  # no A4 where A5 = 0
     every, distance = branches(arm, mount, path, unknown)
     q = every[:, row]
@@ -191,12 +192,6 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     q[:, 3:] = _wrist_along(arm, mount, path, row, q[:, 3:], first)
     q[0] = first
     return np.unwrap(q, axis=0)
-
-
-def _row_of(arm: Arm, q: np.ndarray) -> int:
-    """Row in BRANCHES of the branch of a posture (6,), with A5 > 0."""
-    beta, radius = elbow_and_reach(arm, q)
-    return (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)
 
 
 def _wrist_along(arm: Arm, mount: Mount, path: Pose, row: int, wrist: np.ndarray, first: np.ndarray) -> np.ndarray:

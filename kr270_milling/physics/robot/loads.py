@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Arm, GravityCompensator, Mount
+from kr270_milling.physics.robot.arm import Arm, GravityCompensator, Mount
 from kr270_milling.physics.robot.kinematics import LinkFrames, cross, rows_of
 
 __all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "moment_arms"]
@@ -29,7 +29,7 @@ class LinkLoads:
 
     mass: np.ndarray  #: [kg], (8,)
     gravity: np.ndarray  #: [m/s^2] in base_link, (3,)
-    compensator: GravityCompensator = NO_COMPENSATOR  #: balances the weights
+    compensator: GravityCompensator = GravityCompensator()  #: balances the weights
     share: float = 1.0  #: share of the whole load; gravity contains it already, the compensator's moment not yet
 
     def part(self, share: float) -> LinkLoads:
@@ -51,8 +51,8 @@ def link_loads(arm: Arm, mount: Mount, gravity: float = GRAVITY) -> LinkLoads:
     mass[:6] += arm.link_mass * (1 - arm.link_mass_centre)
     mass[1:7] += arm.link_mass * arm.link_mass_centre
     mass[7] = mount.mass
-    balanced = arm.compensator if gravity else NO_COMPENSATOR
-    return LinkLoads(mass, np.array([0.0, 0.0, -gravity]), balanced)
+    weight = np.array([0.0, 0.0, -gravity])
+    return LinkLoads(mass, weight, arm.compensator) if gravity else LinkLoads(mass, weight)
 
 
 def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:

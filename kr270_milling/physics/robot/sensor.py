@@ -14,7 +14,6 @@ from kr270_milling.base.record import Record, parameter
 __all__ = ["ForceSensor", "moved_wrench"]
 
 WIDE = 5000.0  # [mm]
-TAKEN = ("workpiece", "tcp", "base", "base_link", "flange")  # frames whose wrenches are tared already
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +33,9 @@ class ForceSensor(Record):
     )
 
     def check(self) -> None:
-        if self.frame in TAKEN:
-            raise ParameterError("frame", self.frame, f"tool0 or a name other than {', '.join(TAKEN)}")
+        taken = ("workpiece", "tcp", "base", "base_link", "flange")  # frames whose wrenches are tared already
+        if self.frame in taken:
+            raise ParameterError("frame", self.frame, f"tool0 or a name other than {', '.join(taken)}")
 
     @functools.cached_property
     def pose(self) -> Pose:

@@ -26,8 +26,6 @@ COLOURS = {
     "metal": (0.62, 0.65, 0.69),
     "tool": (0.80, 0.70, 0.30),
 }
-STICK_OUT = 0.04  #: [m] of the tool from its holder
-HOLDER = 0.06  #: [m] of the holder from the spindle nose
 ORIGIN = NO_TURN = np.zeros(3)
 
 
@@ -189,9 +187,11 @@ def _adapter(mount: Mount) -> list[Solid]:
 
 def _spindle(mount: Mount, tool_radius: float) -> list[Solid]:
     """Tool, holder and, where the tip is far enough from the flange, the housing; tcp's z points to the tip."""
-    solids = [_cylinder((0, 0, -STICK_OUT), (0, 0, 0), tool_radius, "tool")]
-    if float(np.linalg.norm(mount.xyz)) > STICK_OUT + HOLDER:
-        nose = -(STICK_OUT + HOLDER)
-        solids.append(_cylinder((0, 0, nose), (0, 0, -STICK_OUT), max(0.025, 1.4 * tool_radius), "metal"))
+    stick_out = 0.04  # [m] of the tool from its holder
+    solids = [_cylinder((0, 0, -stick_out), (0, 0, 0), tool_radius, "tool")]
+    holder = 0.06  # [m] of the holder from the spindle nose
+    if float(np.linalg.norm(mount.xyz)) > stick_out + holder:
+        nose = -(stick_out + holder)
+        solids.append(_cylinder((0, 0, nose), (0, 0, -stick_out), max(0.025, 1.4 * tool_radius), "metal"))
         solids.append(_cylinder((0, 0, nose - 0.36), (0, 0, nose), 0.075, "metal"))  # the spindle
     return solids

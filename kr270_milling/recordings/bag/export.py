@@ -58,7 +58,7 @@ def export(
     """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
 
     The result names each topic that cannot be read; the other topics are written. Raises RecordingError for an unknown
-    topic and a full disk, MissingExtra without pyarrow.
+    topic and a full disk, MillingError without pyarrow.
     """
     if kind == "parquet":
         require_extra("Parquet", "studies", "pyarrow")

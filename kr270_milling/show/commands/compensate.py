@@ -172,7 +172,7 @@ def _correction(cell, revised, by) -> dict:
     values = {"largest_correction_um": 1e6 * float(size.max()), "limited": limited}
     if by.errors[1:]:
         values["remaining_errors_um"] = [1e6 * error for error in by.errors]
-    values["identified"] = by.identified and as_dict(by.identified)
+    values["identified"] = by.identified
     values["note"] = by.note or None
     if not by.chosen.smooth:
         values["chord_error_um"] = 1e6 * chord_error(path_of(cell).target)

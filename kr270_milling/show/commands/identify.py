@@ -82,8 +82,8 @@ def _plan(args, arm, mount, pose) -> Answer:
             "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
         )
     point = mount.xyz if args.point is None else 1e-3 * np.array(args.point)
-    bench = load_tests.Bench(point, args.mass_kg, args.pull_n, 1e-6 * args.noise_um)
-    choice = load_tests.candidates(arm, mount, bench, args.postures, args.seed)
+    loads = args.mass_kg, args.pull_n, 1e-6 * args.noise_um
+    choice = load_tests.candidates(arm, mount, args.postures, args.seed, point, *loads)
     if args.plan > len(choice.tests):
         raise InputError("--plan", f"asks for {args.plan} load tests, but only {len(choice.tests)} are possible here")
     planner = load_tests.Planner(arm, mount, choice, pose, not args.no_gravity, args.base)
@@ -200,14 +200,10 @@ def run_compare(args) -> Answer:
     measured = measured or _measured(args, chosen.reference.start_ns if passes else 0)
     with progress("milling") as report:
         simulated = simulate(cell, reference, progress=report).result
-    force, tool = (
-        comparison.VectorSeries(simulated.time, values) for values in (simulated.wrench[:, :3], simulated.actual)
-    )
+    series = {"force": (simulated.time, simulated.wrench[:, :3]), "pose": (simulated.time, simulated.actual)}
     feed = path_of(cell).target.sample_velocity(simulated.time_ns)
-    compared = comparison.compare(
-        measured, comparison.ComparedSeries(force, tool), simulated.target, feed, 2 * np.pi / cell.tool.spindle_speed
-    )
-    return _answer(args, comparison_outcome(compared, name, Path(args.cell).name))
+    compared = comparison.compare(measured, series, simulated.target, feed, 2 * np.pi / cell.tool.spindle_speed)
+    return _answer(args, comparison_outcome(*compared, name, Path(args.cell).name))
 
 
 def _recorded_passes(args) -> list:
@@ -221,24 +217,23 @@ def _recorded_passes(args) -> list:
 def _series_of(args, recorded):
     """Return force and place of the tool in a recorded pass, a PassResult."""
     sign = -1.0 if args.sensor_on == "part" else 1.0
-    force = comparison.VectorSeries(recorded.time, sign * recorded.wrench[:, :3] @ turn_of(args.sensor_abc).T)
-    return comparison.ComparedSeries(
-        force if recorded.wrench.any() else None, comparison.VectorSeries(recorded.time, recorded.actual)
-    )
+    force = sign * recorded.wrench[:, :3] @ turn_of(args.sensor_abc).T
+    series = {"pose": (recorded.time, recorded.actual)}
+    return series | ({"force": (recorded.time, force)} if recorded.wrench.any() else {})
 
 
 def _measured(args, start_ns: int):
-    """Read force and pose of the recording, from the start of the pass; None for a topic that it does not have."""
+    """Read force and pose of the recording, from the start of the pass, as far as the recording has them."""
     with Recording(args.recording) as recording:
         names = {topic.rpartition("/")[2] for topic in recording.topics()}
     remap = {own.rpartition("/")[2]: name for own, name in remapping(args.remap).items()}
     recorded = {name: name for name in names & {"wrench", "tool_pose"}} | remap
-    force = pose = None
+    measured = {}
     if topic := recorded.get("wrench"):
         sensor = Sensor(topic, turn_of(args.sensor_abc), args.sensor_on == "part")
         time, values = force_series(args.recording, sensor)
-        force = comparison.VectorSeries(time - 1e-9 * start_ns, values)
+        measured["force"] = time - 1e-9 * start_ns, values
     if topic := recorded.get("tool_pose"):
         time, values = pose_series(args.recording, topic)
-        pose = comparison.VectorSeries(time - 1e-9 * start_ns, values)
-    return comparison.ComparedSeries(force, pose)
+        measured["pose"] = time - 1e-9 * start_ns, values
+    return measured

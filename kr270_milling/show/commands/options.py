@@ -115,9 +115,9 @@ def _shared(parser, *names: str) -> None:
 
 def _methods() -> tuple[str, ...]:
     """Return the names of all methods; other packages may add methods, which takes time and may fail."""
-    from kr270_milling.physics.compensation.methods import METHODS
+    from kr270_milling.physics.compensation.methods import methods
 
-    return tuple(METHODS)
+    return tuple(methods())
 
 
 def _example(parser, example: str, note: str = "") -> None:

@@ -11,7 +11,8 @@ from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
-from kr270_milling.decide.stability import FeatureLimit, feature_limits
+from kr270_milling.cell.models import path_of
+from kr270_milling.decide.stability import FeatureLimit, feature_limits, modes_of
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.show.commands.console import Answer
 from kr270_milling.show.commands.progress import progress
@@ -44,14 +45,16 @@ def run_stability(args) -> Answer:
     nominal = cell.tool.spindle_speed * 30.0 / math.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, 60)
     with progress("stability") as report:
-        results = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
+        speeds = (np.linspace(low, high, count) * np.pi / 30.0).tolist()
+        results = lobes(path_of(cell), cell.cutting, modes_of(cell, not args.no_arm), speeds, report)
     rows = list(map(as_dict, results))
     (_, speed, speed_text), (_, depth, depth_text), _ = shown = columns_of(Lobe)
     best = max(rows, key=lambda row: row[depth])
     summary = f"deepest stable cut: {depth_text(best[depth])} mm at {speed_text(best[speed])} rpm{_rigid(cell)}"
     files = _write(args, cell, rows, summary) if args.out else []
     about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
-    title = f"Stability lobes of {engagement_text(cell)} (path.radial_immersion, path.mode) at the start of the path"
+    cut = engagement_text(cell.path)
+    title = f"Stability lobes of {cut} (path.radial_immersion, path.mode) at the start of the path"
     table = table_of(title, shown, rows[:: max(1, -(-len(rows) // SHOWN))])
     return Answer(about, [table, summary, OTHERS, *files])
 

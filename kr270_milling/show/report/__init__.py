@@ -13,7 +13,7 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.record import flatten
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.decision import Decision
 from kr270_milling.decide.part import PartAssessment, assess_all
@@ -83,7 +83,7 @@ def report_text(
         best = int(np.argmin([part.whole.max_normal for part in parts]))
     pictures, robot, charts = (
         linked(path, passes, parts, program),
-        robot_model(cell, passes[best]),
+        robot_model(arm_of(cell), cell.compensation, cell.stock, passes[best]),
         charts_of(cell, passes, parts),
     )
     data = {  # what the page's scripts draw

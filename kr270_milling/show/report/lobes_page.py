@@ -58,7 +58,7 @@ def write_lobes(
     table = TextTable("Modes", ("of", "frequency [Hz]", "damping ratio"), listed)
     sentences = [
         f"{name}: {cell.arm.name} mills {cut_text(path_of(cell))}",
-        f"engagement of the lobes: {engagement_text(cell)}",
+        f"engagement of the lobes: {engagement_text(cell.path)}",
         summary,
     ]
     title = f"Stability lobes of {name}"

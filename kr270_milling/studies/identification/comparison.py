@@ -12,12 +12,17 @@ from kr270_milling.physics.motion.scores import path_deviation, ringing_frequenc
 from kr270_milling.studies.identification.signals import resampled
 
 __all__ = [
-    "ComparedChannel", "ComparedSeries", "Comparison", "LinearFit", "VectorSeries", "best_lag",
-    "compare", "line_through",
-]  # fmt: skip
+    "ComparedChannel",
+    "ComparedSeries",
+    "LinearFit",
+    "best_lag",
+    "compare",
+    "line_through",
+]
 
-LEAST_OVERLAP = 0.6  #: share of the shorter series that both must have in common
-LEAST_LIKENESS = 0.5  #: below it two series are not of the same pass
+#: "force" on the tool [N] and "pose", its centre [m], as far as there are: times [s], (n,), and vectors in workpiece
+#: axes, (n, 3); the series of a measured pass have separate clocks
+ComparedSeries = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,8 @@ def best_lag(measured: np.ndarray, simulated: np.ndarray, same_size: bool) -> tu
     overlap = _slide(np.ones((len(measured), 1)), np.ones((len(simulated), 1)))
     likeness = product / np.sqrt(np.maximum(squares_m * squares_s, 1e-300))
     score = -(squares_m + squares_s - 2 * product) / np.maximum(overlap, 1.0) if same_size else likeness
-    enough = overlap > LEAST_OVERLAP * min(len(measured), len(simulated))
+    least_overlap = 0.6  # share of the shorter series that both must have in common
+    enough = overlap > least_overlap * min(len(measured), len(simulated))
     place = int(np.argmax(np.where(enough, score, -np.inf)))
     return place - (len(simulated) - 1), float(likeness[place])
 
@@ -70,22 +76,6 @@ def line_through(measured: np.ndarray, simulated: np.ndarray, independent: int) 
 
 
 @dataclass(frozen=True, eq=False)
-class VectorSeries:
-    """Vectors over time, workpiece axes."""
-
-    time: np.ndarray  #: [s], (n,)
-    values: np.ndarray  #: (n, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class ComparedSeries:
-    """Series of one pass; the series of a measured pass have separate clocks."""
-
-    force: VectorSeries | None  #: on the tool [N]
-    tool: VectorSeries | None  #: tool centre [m]
-
-
-@dataclass(frozen=True, eq=False)
 class ComparedChannel:
     """A quantity, measured and simulated, on the clock of the simulation."""
 
@@ -97,40 +87,44 @@ class ComparedChannel:
     line: LinearFit  #: from the series smoothed over a revolution
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Channels on one clock, lags of the measured clocks, and the ringing of both deviations."""
+def compare(
+    measured: ComparedSeries, simulated: ComparedSeries, target, feed, revolution: float
+) -> tuple[list[ComparedChannel], dict[str, float], dict[str, tuple[float, float]]]:
+    """Return channels on one clock, lags of the measured clocks, and the ringing of both deviations.
 
-    channels: list[ComparedChannel]
-    lags: dict[str, float]  #: [s] of the measured clock behind the simulated one, "force" and "pose"
-    ringing: dict[str, tuple[float, float]]  #: frequency [Hz] and damping ratio, "measured" and "simulated"
+    The lags [s] are those of the measured clock behind the simulated one, of "force" and "pose"; the ringing is
+    frequency [Hz] and damping ratio, "measured" and "simulated".
 
-
-def compare(measured: ComparedSeries, simulated: ComparedSeries, target, feed, revolution: float) -> Comparison:
-    """target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
+    target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
 
     Raises InputError without a measured series, ModelError for one of another pass.
     """
     channels: list[ComparedChannel] = []
-    lags, ringing = {}, {}
-    if measured.force is not None and simulated.force is not None:
-        lags["force"], force = _aligned("force", measured.force, simulated.force, same_size=False)
+    lags: dict[str, float] = {}
+    ringing: dict[str, tuple[float, float]] = {}
+    both = measured.keys() & simulated.keys()
+    if "force" in both:
+        time, ours = simulated["force"]
+        lags["force"], force = _aligned("force", measured["force"], (time, ours), same_size=False)
         inside = np.isfinite(force).all(1)
-        time, pairs = simulated.force.time[inside], zip(force[inside].T, simulated.force.values[inside].T, strict=True)
-        channels += [_channel(f"force {axis}", "N", time, theirs, ours, revolution)
-                     for axis, (theirs, ours) in zip("xyz", pairs, strict=True) if np.any(ours)]  # fmt: skip
-    if measured.tool is not None and simulated.tool is not None:
-        lags["pose"], place = _aligned("place of the tool", measured.tool, simulated.tool, same_size=True)
-        inside = np.isfinite(place).all(1)
-        time, count = simulated.tool.time[inside], _count(simulated.tool.time, revolution)
-        ours = path_deviation(simulated.tool.values, target, feed)[inside]
+        channels += [
+            _channel(f"force {axis}", "N", time[inside], force[inside, k], ours[inside, k], revolution)
+            for k, axis in enumerate("xyz")
+            if np.any(ours[inside, k])
+        ]
+    if "pose" in both:
+        time, centre = simulated["pose"]
+        lags["pose"], place = _aligned("place of the tool", measured["pose"], (time, centre), same_size=True)
+        inside, count = np.isfinite(place).all(1), _count(time, revolution)
         theirs = path_deviation(place, target, feed)[inside]
+        ours = path_deviation(centre, target, feed)[inside]
+        time = time[inside]
         channels.append(_channel("deviation", "m", time, theirs, ours, revolution))
-        both = {"measured": theirs, "simulated": ours}
-        ringing = {k: ringing_frequency(time, _smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
+        deviations = {"measured": theirs, "simulated": ours}
+        ringing = {k: ringing_frequency(time, _smoothed(v[:, None], count)[:, 0]) for k, v in deviations.items()}
     if not channels:
         raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
-    return Comparison(channels, lags, ringing)
+    return channels, lags, ringing
 
 
 def _count(time: np.ndarray, revolution: float) -> int:
@@ -138,20 +132,22 @@ def _count(time: np.ndarray, revolution: float) -> int:
     return max(1, round(revolution / float(np.median(np.diff(time)))))
 
 
-def _aligned(what: str, measured: VectorSeries, simulated: VectorSeries, same_size: bool) -> tuple[float, np.ndarray]:
+def _aligned(what: str, measured, simulated, same_size: bool) -> tuple[float, np.ndarray]:
     """Lag [s], and the measured vectors at the simulated times, (n, 3), NaN where there are none."""
-    step = float(np.median(np.diff(simulated.time)))
-    middle = simulated.values.mean(0) if same_size else 0.0  # squares of small numbers
-    theirs, ours = (resampled(p.time, p.values, step) - middle for p in (measured, simulated))
+    (measured_time, vectors), (time, values) = measured, simulated
+    step = float(np.median(np.diff(time)))
+    middle = values.mean(0) if same_size else 0.0  # squares of small numbers
+    theirs, ours = (resampled(at, rows, step) - middle for at, rows in (measured, simulated))
     lag, likeness = best_lag(theirs, ours, same_size)
-    if likeness < LEAST_LIKENESS:
+    least_likeness = 0.5  # below it two series are not of the same pass
+    if likeness < least_likeness:
         raise ModelError(
             f"the measured {what} does not resemble the simulated one at any lag (best correlation {likeness:.2f}): "
             "check the topic, the axes of the sensor and the cell"
         )
-    seconds = lag * step + float(measured.time[0] - simulated.time[0])
-    at = simulated.time + seconds
-    return seconds, np.stack([np.interp(at, measured.time, c, np.nan, np.nan) for c in measured.values.T], -1)
+    seconds = lag * step + float(measured_time[0] - time[0])
+    at = time + seconds
+    return seconds, np.stack([np.interp(at, measured_time, c, np.nan, np.nan) for c in vectors.T], -1)
 
 
 def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> ComparedChannel:

@@ -18,16 +18,12 @@ from scipy import stats
 from kr270_milling.base.errors import ModelError
 from kr270_milling.studies.identification.intervals import half_interval, robust_variance, robust_weights, scatter
 from kr270_milling.studies.identification.measurements import Measurements
-from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem
+from kr270_milling.studies.identification.problem import Problem
 
 __all__ = ["Fit", "fit_compliance"]
 
 #: relative standard deviation of a number that the data cannot identify, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15
-#: that of the base, in units of ``problem.TILT`` where the arm file has a rigid base: assumed, as stiff as published
-#: foundations or rigid
-BASE_PRIOR = 1.0
-ROUNDS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +32,7 @@ class Fit:
 
     problem: Problem  #: with the standard deviations that were used
     factors: np.ndarray  #: on the arm file's numbers, (p,)
-    exclusions: dict[int, Exclusion]  #: why a number was not fitted; its value is that of the arm file
+    exclusions: dict[int, str]  #: why a number was not fitted; its value is that of the arm file
     covariance: np.ndarray  #: covariance of the factors, (p, p), with PRIOR for those that were not fitted
     quantile: float  #: half width of a 95 % interval in standard deviations
     weights: np.ndarray  #: weight of each load test, (n,); 1 unless robust
@@ -110,6 +106,7 @@ def fit_compliance(problem: Problem, robust: bool = False) -> Fit:
     interval would include zero. The intervals of the other numbers then include its uncertainty, PRIOR.
     """
     exclusions = problem.excluded()
+    hidden_by_noise = "its effect is below the noise, its 95 % interval would include zero"
     while True:
         fitted = _fitted(problem, dict(exclusions), robust)
         relative = fitted.half_widths / np.maximum(np.abs(fitted.values), 1e-300)
@@ -118,17 +115,18 @@ def fit_compliance(problem: Problem, robust: bool = False) -> Fit:
         worst = int(np.argmax(relative))
         if not relative[worst] >= 1.0:
             return fitted
-        exclusions[worst] = problem.hidden(worst) or Exclusion(Cause.NOISE)
+        exclusions[worst] = problem.hidden(worst) or hidden_by_noise
 
 
-def _fitted(problem: Problem, exclusions: dict[int, Exclusion], robust: bool) -> Fit:
+def _fitted(problem: Problem, exclusions: dict[int, str], robust: bool) -> Fit:
     """Fit every number that is not excluded, with weights and standard deviations from the residuals of the fit."""
     weights, x = np.ones(len(problem.measured)), problem.start
     free = np.array([k not in exclusions for k in range(len(x))])
     sought, measured = int(free.sum()), int(problem.finite.sum())
     if measured <= sought:
         raise ModelError(f"{measured} measured numbers for {sought} unknown ones; measure more loads or postures")
-    for _ in range(ROUNDS):
+    rounds = 30
+    for _ in range(rounds):
         x = problem.solve(x, free, weights)
         left = problem.weighted(problem.predict(x))
         new = robust_weights(left) if robust else weights
@@ -147,7 +145,10 @@ def _fitted(problem: Problem, exclusions: dict[int, Exclusion], robust: bool) ->
         variance = robust_variance(problem.weighted(problem.predict(x)), sought)
     else:
         variance = scatter(chi2, freedom, True)
-    prior = np.where(problem.is_base, BASE_PRIOR, PRIOR)[~free]
+    # that of the base, in units of ``problem.TILT`` where the arm file has a rigid base: assumed, as stiff as published
+    # foundations or rigid
+    base_prior = 1.0
+    prior = np.where(problem.is_base, base_prior, PRIOR)[~free]
     weighted = a * np.sqrt(each)[:, None]
     covariance = _with_prior(np.linalg.inv(a[:, free].T @ a[:, free]) * variance, weighted, free, prior)
     quantile = half_interval(freedom, problem.measured.sigma_known and not robust)

@@ -29,7 +29,6 @@ __all__ = [
     "turn_of",
 ]
 
-MODES = ("slot", "up", "down")
 FORCES = ("fx_n", "fy_n", "fz_n")
 CUT = ("feed_per_tooth_mm", "depth_mm", "width_mm")
 RECORDED = ("recording", "start_s", "stop_s", "tare_start_s", "tare_stop_s")
@@ -84,7 +83,9 @@ def engagement_angles(mode, width, diameter: float) -> tuple[np.ndarray, np.ndar
     """Entry and exit angles [rad], (n,), of a tooth, from the feed direction in the sense of rotation.
 
     The chip thickness is h = f_z cos(phi). Up-milling begins at phi = -90 deg with h = 0 and ends where the width is
-    used up, sin(phi) = 2 width / diameter - 1; down-milling is its mirror image. mode: of MODES, (n,); width: (n,).
+    used up, sin(phi) = 2 width / diameter - 1; down-milling is its mirror image.
+
+    mode: slot, up or down, (n,); width: (n,).
     """
     mode, limit = np.asarray(mode), np.arcsin(np.clip(2.0 * width / diameter - 1.0, -1.0, 1.0))
     return np.where(mode == "down", -limit, -np.pi / 2), np.where(mode == "up", limit, np.pi / 2)
@@ -102,7 +103,8 @@ def read_cuts(path, tool: Tool, sensor: Sensor) -> CutMeasurements:
     mode, width = np.array(table.texts("mode")), 1e-3 * table.number("width_mm", np.nan)
     slot = mode == "slot"
     width = np.where(slot & np.isnan(width), tool.diameter, width)
-    table.refuse(~np.isin(mode, MODES), f"the mode must be one of {', '.join(MODES)}")
+    directions = ("slot", "up", "down")
+    table.refuse(~np.isin(mode, directions), f"the mode must be one of {', '.join(directions)}")
     most = f"at most the tool's diameter, {1e3 * tool.diameter:g} mm"
     table.refuse(~((width > 0.0) & (width <= tool.diameter * (1.0 + 1e-6))), f"the width must be above 0 and {most}")
     table.refuse(slot & (width < 0.99 * tool.diameter), "the width must be the tool's diameter in a slot")

@@ -29,53 +29,12 @@ from kr270_milling.studies.identification.signals import AXES
 
 __all__ = ["Doubt", "compliance_doubts", "force_doubts", "hammer_doubts", "refuse_units"]
 
-COMPLIANCE = 0.05e-6, 10e-6  #: [rad/(N m)] of a joint of a heavy arm, published
 #: factor on the arm file beyond which a unit is suspected: the published sets of one robot differ by 2.2
 UNLIKELY = 3.0
-FAR = 100.0  #: factor beyond which the table is refused even without a known cause
 NEAR = 1.5  #: factor within which a known factor explains what is seen
-#: factor on compliances -> what causes it
-LOAD_UNITS = {
-    1e-3: "displacements in m in the columns of mm, or forces 1000 times too large",
-    1e3: "displacements in um in the columns of mm, or forces in kN in the columns of N",
-    9.80665: "forces in kgf in the columns of N",
-    4.44822: "forces in pounds in the columns of N",
-    1 / 9.80665: "weights in N in the column of kg",
-    1 / 25.4: "displacements in inch in the columns of mm",
-    39.3701: "displacements in thousandths of an inch in the columns of mm",
-}
-POUNDS = 0.453592  #: factor on compliances, of masses in pounds in the column of kg
-ALIKE = 1.25  #: factor around POUNDS; Table 1 beside the set of 2013 differs by 1.1 to 2.2 from joint to joint
+ALIKE = 1.25  #: factor around that of pounds; Table 1 beside the set of 2013 differs by 1.1 to 2.2 from joint to joint
 EDGE = 2.0  #: factor beyond the published ratios of coefficients from which the table is suspected
-SIZE = 1.25  #: factor beyond the published K_tc from which a unit is suspected: assumed; pounds give 0.225 times K_tc
-FORCE_UNITS = {
-    1e-3: "forces in kN in the columns of N",
-    1e3: "forces in mN in the columns of N",
-    1 / 9.80665: "forces in kgf in the columns of N",
-    1 / 4.44822: "forces in pounds in the columns of N",
-    25.4: "depth or feed per tooth in inch in the columns of mm",
-    25.4**2: "depth and feed per tooth in inch in the columns of mm",
-}  #: factor on coefficients -> what causes it
-HAMMER_UNITS = {
-    1 / 9.80665: "accelerations in g instead of m/s2",
-    1e3: "forces in kN instead of N, or motions in mm instead of m",
-    4.44822: "forces in pounds instead of N",
-    1e-3: "forces in mN instead of N",
-}  #: factor on compliances -> what causes it
-#: another reading of F_x, F_y -> its matrix from the right
-READINGS = {
-    "forces on the part (--sensor-on part), or with x against the feed": ((-1, 0), (0, -1)),
-    "x and y swapped": ((0, 1), (1, 0)),
-    "x and y swapped and the signs of both changed": ((0, -1), (-1, 0)),
-    "the sensor turned (--sensor-abc 90,0,0)": ((0, 1), (-1, 0)),
-    "the sensor turned (--sensor-abc -90,0,0)": ((0, -1), (1, 0)),
-    "the sign of y changed, or the other sense of rotation": ((1, 0), (0, -1)),
-    "the sign of x changed": ((-1, 0), (0, 1)),
-}
-UNEXPLAINED = 0.25  #: share of the displacements that the model leaves, from which another frame or arm is suspected
 FALLS = 0.4  #: residuals fall to this share under a hypothesis that is named
-SURE = 1e-4  #: p-value of a base that tilts
-CLEAN = 0.2  #: residuals fall to this share without the row that is named
 LEFT_OUT = 1e-6  #: weight of a row of a robust fit that is named
 
 
@@ -113,8 +72,19 @@ def refuse_units(problem: Problem, path) -> None:
     factor, size = _size(problem)
     if factor == 0.0:
         raise InputError(path, "all displacements are zero")
-    cause = likely_factor(factor, LOAD_UNITS)
-    if not 1 / UNLIKELY < factor < UNLIKELY and (cause or not 1 / FAR < factor < FAR):
+    # factor on compliances -> what causes it
+    units = {
+        1e-3: "displacements in m in the columns of mm, or forces 1000 times too large",
+        1e3: "displacements in um in the columns of mm, or forces in kN in the columns of N",
+        9.80665: "forces in kgf in the columns of N",
+        4.44822: "forces in pounds in the columns of N",
+        1 / 9.80665: "weights in N in the column of kg",
+        1 / 25.4: "displacements in inch in the columns of mm",
+        39.3701: "displacements in thousandths of an inch in the columns of mm",
+    }
+    cause = likely_factor(factor, units)
+    farthest_factor = 100.0  # factor beyond which the table is refused even without a known cause
+    if not 1 / UNLIKELY < factor < UNLIKELY and (cause or not 1 / farthest_factor < factor < farthest_factor):
         raise InputError(path, f"{size}{cause or ', which no arm explains'}")
 
 
@@ -129,16 +99,18 @@ def compliance_doubts(fit: Fit) -> list[Doubt]:
     """Doubts about load tests."""
     if not fit.free[:6].any():
         return [Doubt("nothing is identified", True)]
-    outside = fit.free[:6] & ~((fit.values[:6] > COMPLIANCE[0]) & (fit.values[:6] < COMPLIANCE[1]))
+    published = 0.05e-6, 10e-6  # [rad/(N m)] of a joint of a heavy arm, published
+    outside = fit.free[:6] & ~((fit.values[:6] > published[0]) & (fit.values[:6] < published[1]))
     measured, (factor, size) = fit.problem.measured, _size(fit.problem)
     doubts = _pattern(fit) + _entered_twice("test", measured.q, measured.wrench, measured.displacement)
     if not 1 / UNLIKELY < factor < UNLIKELY:
         doubts.append(Doubt(f"{size}: is a unit wrong, or the arm file that of another arm?"))
-    if 1 / ALIKE < factor / POUNDS < ALIKE and not measured.wrench[:, [0, 1, 3, 4, 5]].any():
+    pounds = 0.453592  # factor on compliances, of masses in pounds in the column of kg
+    if 1 / ALIKE < factor / pounds < ALIKE and not measured.wrench[:, [0, 1, 3, 4, 5]].any():
         doubts.append(Doubt(f"{size}: masses in pounds in the column of kg?"))
     if outside.any():
         names = ", ".join(str(k + 1) for k in np.flatnonzero(outside))
-        limits = "{:g} to {:g}".format(*(1e6 * limit for limit in COMPLIANCE))
+        limits = "{:g} to {:g}".format(*(1e6 * limit for limit in published))
         doubts.append(Doubt(f"compliance of joint {names} is outside of the published {limits} urad/(N m)"))
     return doubts
 
@@ -166,7 +138,8 @@ def _unexplained(fit: Fit) -> float:
 def _pattern(fit: Fit) -> list[Doubt]:
     """Causes that the residuals suggest: another frame, one wrong row, a base that tilts."""
     left = _unexplained(fit)
-    if left < UNEXPLAINED:
+    unexplained = 0.25  # share of the displacements that the model leaves, from which another frame or arm is suspected
+    if left < unexplained:
         return _contradicting_row(fit, False) or _tilting_base(fit)
     best, name = left, ""
     for what, measured in _hypotheses(fit.problem.measured):
@@ -240,7 +213,8 @@ def _tilting_base(fit: Fit) -> list[Doubt]:
     count = len(columns)
     significance = stats.f.sf((before - after) / count / max(after / freedom, 1e-300), count, freedom)
     softest = float(fitted[-count:].max())
-    if not (significance < SURE and after < FALLS * before and softest > 0.0):
+    sure_enough = 1e-4  # p-value of a base that tilts
+    if not (significance < sure_enough and after < FALLS * before and softest > 0.0):
         return []
     tilts = ", ".join(f"{value:.2g}" for value in fitted[-count:])
     known = "bolt it, or fit it with --base (about z the number of joint 1 contains the base)"
@@ -278,9 +252,20 @@ def _coefficients(edge: LawFit) -> list[Doubt]:
         text = f"is feed_per_tooth_mm the feed per revolution? Divided by {teeth} it gives {1e-6 * k_tc * teeth:.0f}"
         return [Doubt(f"{shown}, and K_tc / K_te is {1e-3 * ratio:.2g} /mm, published {1e-3 * ratios.min():.0f} to "
                       f"{1e-3 * ratios.max():.0f}: {text}")]  # fmt: skip
-    if 0.0 < k_tc < low / SIZE or k_tc > high * SIZE:
+    # factor beyond the published K_tc from which a unit is suspected: assumed; pounds give 0.225 times K_tc
+    other_unit = 1.25
+    # factor on coefficients -> what causes it
+    units = {
+        1e-3: "forces in kN in the columns of N",
+        1e3: "forces in mN in the columns of N",
+        1 / 9.80665: "forces in kgf in the columns of N",
+        1 / 4.44822: "forces in pounds in the columns of N",
+        25.4: "depth or feed per tooth in inch in the columns of mm",
+        25.4**2: "depth and feed per tooth in inch in the columns of mm",
+    }
+    if 0.0 < k_tc < low / other_unit or k_tc > high * other_unit:
         typical = float(np.median(known[:, 0]))
-        cause = " or ".join(text for factor, text in FORCE_UNITS.items() if low < k_tc / factor < high)
+        cause = " or ".join(text for factor, text in units.items() if low < k_tc / factor < high)
         return [Doubt(f"{shown}, {k_tc / typical:.2g} times the median{f': {cause}?' if cause else ''}")]
     return []
 
@@ -297,7 +282,17 @@ def _plausible(fit: LawFit) -> bool:
 def _other_axes(edge: LawFit) -> list[Doubt]:
     """The readings of F_x and F_y with which the coefficients are those of a cut, where they are not as read."""
     most, left = edge.lateral_rms * (FALLS if _plausible(edge) else 1 / FALLS), {}
-    for name, turned in READINGS.items():
+    # another reading of F_x, F_y -> its matrix from the right
+    readings = {
+        "forces on the part (--sensor-on part), or with x against the feed": ((-1, 0), (0, -1)),
+        "x and y swapped": ((0, 1), (1, 0)),
+        "x and y swapped and the signs of both changed": ((0, -1), (-1, 0)),
+        "the sensor turned (--sensor-abc 90,0,0)": ((0, 1), (-1, 0)),
+        "the sensor turned (--sensor-abc -90,0,0)": ((0, -1), (1, 0)),
+        "the sign of y changed, or the other sense of rotation": ((1, 0), (0, -1)),
+        "the sign of x changed": ((-1, 0), (0, 1)),
+    }
+    for name, turned in readings.items():
         force = edge.cuts.force.copy()
         force[:, :2] = force[:, :2] @ np.array(turned)
         with contextlib.suppress(MillingError):
@@ -314,8 +309,9 @@ def _other_axes(edge: LawFit) -> list[Doubt]:
 
 def _contradicting_cut(edge: LawFit) -> list[Doubt]:
     """The cut without which the others agree."""
+    clean = 0.2  # residuals fall to this share without the row that is named
     with contextlib.suppress(MillingError):
-        row = contradicting_cut(edge.cuts, CLEAN)
+        row = contradicting_cut(edge.cuts, clean)
         if row is not None:
             return [Doubt(f"cut {row + 1} contradicts the others: correct its row, or use --robust")]
     return []
@@ -361,7 +357,14 @@ def hammer_doubts(
         return [Doubt(f"{shown}, if the columns are in SI units: a motion in g or mm/s2 and a force in kN show only "
                       "with --cell")]  # fmt: skip
     factor = soft / float(static[at, at])
+    # factor on compliances -> what causes it
+    units = {
+        1 / 9.80665: "accelerations in g instead of m/s2",
+        1e3: "forces in kN instead of N, or motions in mm instead of m",
+        4.44822: "forces in pounds instead of N",
+        1e-3: "forces in mN instead of N",
+    }
     if factor > UNLIKELY or (factor < 1 / UNLIKELY and omega.min() < NEAR * first):
-        cause = likely_factor(factor, HAMMER_UNITS) or ": is a unit wrong, or the cell that of another arm?"
+        cause = likely_factor(factor, units) or ": is a unit wrong, or the cell that of another arm?"
         return [Doubt(f"{shown}, {factor:.3g} times that of the cell{cause}", True)]
     return []

@@ -29,8 +29,6 @@ __all__ = [
 ]  # fmt: skip
 
 FIRST = "linear_edge"
-LEAVES = 0.5  #: a cut is left out if the residual of the others falls below this share
-FEWEST_LEFT = 4
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
 
 
@@ -98,7 +96,8 @@ def fit_forces(law: str, cuts: CutMeasurements) -> LawFit:
 
 def contradicting_cut(cuts: CutMeasurements, share: float) -> int | None:
     """Return the cut without which the linear-edge law leaves least, if the residual falls below this share."""
-    if len(cuts) <= FEWEST_LEFT:
+    fewest_left = 4
+    if len(cuts) <= fewest_left:
         return None
     left = {}
     for row in range(len(cuts)):
@@ -111,7 +110,8 @@ def contradicting_cut(cuts: CutMeasurements, share: float) -> int | None:
 def agreeing_cuts(cuts: CutMeasurements) -> np.ndarray:
     """Return the cuts that a robust fit keeps, (n,) bool: those without which the others do not agree much better."""
     agreeing = np.arange(len(cuts))
-    while agreeing.size > len(cuts) // 2 and (worst := contradicting_cut(cuts.take(agreeing), LEAVES)) is not None:
+    leaves = 0.5  # a cut is left out if the residual of the others falls below this share
+    while agreeing.size > len(cuts) // 2 and (worst := contradicting_cut(cuts.take(agreeing), leaves)) is not None:
         agreeing = np.delete(agreeing, worst)
     return np.isin(np.arange(len(cuts)), agreeing)
 

@@ -12,9 +12,6 @@ from scipy import stats
 
 __all__ = ["MixedUpError", "half_interval", "robust_variance", "robust_weights", "scatter", "solve"]
 
-WORST = 1e-6  #: share of the largest singular value, columns of length 1, below which unknowns are mixed up
-TUKEY = 4.685  #: 95 % efficiency for normal residuals of one number a test [Tukey's biweight]
-
 
 class MixedUpError(ValueError):
     """Fewer rows than unknowns, or columns that are alike; the caller knows their names."""
@@ -40,7 +37,8 @@ def solve(a: np.ndarray, b: np.ndarray, known: bool) -> tuple[np.ndarray, np.nda
     unit = a / np.where(lengths > 0.0, lengths, 1.0)
     singular = np.linalg.svd(unit, compute_uv=False)
     freedom = len(b) - a.shape[1]
-    if freedom < 0 or not singular[-1] >= WORST * singular[0] > 0.0:
+    worst = 1e-6  # share of the largest singular value, columns of length 1, below which unknowns are mixed up
+    if freedom < 0 or not singular[-1] >= worst * singular[0] > 0.0:
         raise MixedUpError
     x = np.linalg.lstsq(unit, b, rcond=None)[0] / lengths
     chi2 = float(np.sum((b - a @ x) ** 2))
@@ -63,7 +61,8 @@ def _shares(residuals: np.ndarray) -> np.ndarray:
     count = np.isfinite(residuals).sum(1)
     length = np.sqrt(np.nansum(residuals**2, axis=1))
     scale = float(np.median(length / np.sqrt(stats.chi2.ppf(0.5, count))))
-    cut = np.sqrt(stats.chi2.isf(stats.chi2.sf(TUKEY**2, 1), count))
+    tukey = 4.685  # 95 % efficiency for normal residuals of one number a test [Tukey's biweight]
+    cut = np.sqrt(stats.chi2.isf(stats.chi2.sf(tukey**2, 1), count))
     return length / np.maximum(scale * cut, 1e-300)
 
 

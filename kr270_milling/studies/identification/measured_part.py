@@ -20,17 +20,14 @@ give the covariance. Vibration behind corners is within the error of the model, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.base.column import column
-from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import long_pass
-from kr270_milling.cell.models import path_of
-from kr270_milling.cell.plant import coarser, cores, numbers_of, perturbed, robot_of
+from kr270_milling.cell.plant import coarser, numbers_of, perturbed, robot_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.studies.identification.wall import PredictedPlaces, WallPlaces, read_wall, robot_errors
 
@@ -49,13 +46,7 @@ FEWEST, MOST = 6, 200  #: places of a part
 SIGMA = 5e-6  #: [m], assumed: of a measured error without sigma_um, a CMM or a dial gauge on the part
 #: [m] and share of the root mean square of the predicted errors, assumed: what no robot of the cell explains
 MODEL_ERROR, MODEL_SHARE = 5e-6, 0.1
-STRANGE = (
-    4.0  #: deviations from what the other places predict: 1 of 80 parts with 200 places has such a place by chance
-)
 BESIDE, ALIKE = 2, 0.5  #: neighbours of the same surface; share of its deviation with which one supports a place
-MOST_STRANGE = 0.2  #: share of the places; more contradict the program
-FREEDOM = 4.0  #: assumed
-SURE = 10.0  #: logarithm of the likelihood ratio with which another reading of a table is its meaning
 #: other meanings of the numbers of a table, and their factors to um
 READINGS = {
     "has the opposite sign, so that positive is too much removed": -1.0,
@@ -65,13 +56,9 @@ READINGS = {
     "is in thousandths of an inch": 25.4,
 }
 STEPS = 8  #: most passes that follow the slopes
-LEAST_STEP = 0.05  #: of a number behind a robot: no place shows a smaller one
 KNOWN = 0.8  #: deviation of an unknown after and before, above which the places do not show it
-LEAST_SHARE = 0.01  #: share of a variance; directions that lose less are not stored
-RANGE = (-3.0, 3.0)  #: of the numbers behind a robot: 99.7 % of them
-ROBOTS = 32  #: of the ensemble
-GENTLE = 2.0  #: a: the ensemble moves half of the way in information, the slopes the rest
-SECANT = 0.5  #: length of a secant, in standard deviations
+RANGE = (-3.0, 3.0)  #: range of the numbers behind a robot, which has 99.7 % of them
+ROBOTS = 32  #: robots of the ensemble
 SAMPLES, SAMPLE_SEED = 200, 1_000_002  #: robots that show an unknown before and after; no seed of a verdict
 
 
@@ -126,31 +113,23 @@ def learn(
     measured = np.concatenate([part.error for part, *_ in parts])
     count = numbers_of(model)
     mean, spread = _state(cell, count)
-    total, ran = 2 * ROBOTS + count + STEPS, 0
-    same: dict = {}  # errors of robots that cut alike
+    total, passes_run = 2 * ROBOTS + count + STEPS, 0
+    same: dict[Cell, np.ndarray] = {}  # errors of robots that cut alike
 
-    def predict(numbers: np.ndarray) -> np.ndarray:
-        """Errors [m] of a robot at all places; NaN where it fails."""
-        robot = robot_of(model, numbers)
-        robot = robot.replace(imperfections=robot.imperfections.replace(repeatability=0.0, pose_noise=0.0))
-        if robot in same:
-            return same[robot]
-        try:
-            runs = zip(parts, places, strict=True)
-            errors = np.concatenate([robot_errors(robot, model, part[1], at) for part, at in runs])
-        except MillingError:
-            errors = np.full(measured.size, np.nan)
-        return same.setdefault(robot, errors)
-
-    def run(robots: np.ndarray) -> np.ndarray:
-        """Errors (k, places) of robots (k, n)."""
-        nonlocal ran
-        rows: list[np.ndarray] = []
-        with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
-            for row in pool.map(predict, robots):
-                rows.append(row)
-                progress(ran := min(ran + 1, total), total)
-        return np.array(rows)
+    def run(numbers: np.ndarray) -> np.ndarray:
+        """Errors (k, places) of robots behind numbers (k, n)."""
+        nonlocal passes_run
+        robots = [robot_of(model, row) for row in numbers]
+        robots = [
+            robot.replace(imperfections=robot.imperfections.replace(repeatability=0.0, pose_noise=0.0))
+            for robot in robots
+        ]
+        new = list(dict.fromkeys(robot for robot in robots if robot not in same))
+        runs = [(reference, at) for (_, reference, _), at in zip(parts, places, strict=True)]
+        for robot, row in zip(new, robot_errors(new, model, runs), strict=True):
+            same[robot] = row
+            progress(passes_run := min(passes_run + 1, total), total)
+        return np.array([same[robot] for robot in robots])
 
     rng = np.random.default_rng(SAMPLE_SEED)
     size, axes = np.linalg.eigh(spread)
@@ -202,8 +181,9 @@ def closest_robot(
     """
     (mean, spread), (drawn, rows) = known, ensemble
     away, apart = drawn - drawn.mean(axis=0), rows - rows.mean(axis=0)
-    gain = np.linalg.solve(apart.T @ apart / (len(rows) - 1) + GENTLE * noise, apart.T @ away / (len(rows) - 1))
-    noisy = measured + rng.standard_normal(rows.shape) @ np.linalg.cholesky(GENTLE * noise).T
+    gentle = 2.0  # a: the ensemble moves half of the way in information, the slopes the rest
+    gain = np.linalg.solve(apart.T @ apart / (len(rows) - 1) + gentle * noise, apart.T @ away / (len(rows) - 1))
+    noisy = measured + rng.standard_normal(rows.shape) @ np.linalg.cholesky(gentle * noise).T
     moved = np.clip(drawn + (noisy - rows) @ gain, *RANGE)
     tried = np.concatenate([drawn, moved]), np.concatenate([rows, run(moved)])
 
@@ -215,18 +195,20 @@ def closest_robot(
     costs = [cost(*pair) for pair in zip(*tried, strict=True)]
     best = int(np.argmin(costs))
     z, errors, least = tried[0][best], tried[1][best], costs[best]
-    length = np.where(z <= 0.0, SECANT, -SECANT) * np.sqrt(np.diag(spread))  # towards the middle
+    secant = 0.5  # length of a secant, in standard deviations
+    length = np.where(z <= 0.0, secant, -secant) * np.sqrt(np.diag(spread))  # towards the middle
     slopes = (np.nan_to_num(run(z + np.diag(length)) - errors) / length[:, None]).T
     share = 1.0
+    least_step = 0.05  # of a number behind a robot: no place shows a smaller one
     for _ in range(STEPS):
         aim, _ = gaussian_update(mean, spread, slopes, measured - errors - slopes @ (mean - z), noise)
         step = share * (np.clip(aim, *RANGE) - z)
-        if np.abs(step).max() < LEAST_STEP:
+        if np.abs(step).max() < least_step:
             break
         (after,) = run((z + step)[None])
         if np.isnan(after).any():
             break
-        if np.linalg.norm(step) >= SECANT:  # jumps of the vibration make the slope of a short step
+        if np.linalg.norm(step) >= secant:  # jumps of the vibration make the slope of a short step
             slopes = slopes + np.outer(after - errors - slopes @ step, step) / (step @ step)
         new = cost(z + step, after)
         if new >= least:
@@ -264,7 +246,8 @@ def _state(cell: Cell, count: int) -> tuple[np.ndarray, np.ndarray]:
 def _directions(spread: np.ndarray) -> np.ndarray:
     """D (k, n) of the covariance I - D^T D."""
     size, axes = np.linalg.eigh(np.eye(len(spread)) - spread)
-    some = size > LEAST_SHARE
+    least_share = 0.01  # share of a variance; directions that lose less are not stored
+    some = size > least_share
     return (axes[:, some] * np.sqrt(np.minimum(size[some], 1.0 - 1e-9))).T
 
 
@@ -288,9 +271,11 @@ def refuse_contradictions(parts, measured: np.ndarray, rows: np.ndarray, noise: 
     """Raise InputError where another sign or unit explains a table far better than its own numbers.
 
     rows (N, k): errors of drawn robots [m], noise (k, k): covariance of measured minus predicted errors. The density of
-    a table is that of Student's t with FREEDOM degrees: robots have jumps, so few of them are far from the others.
+    a table is that of Student's t with 4 degrees of freedom: robots have jumps, so few of them are far from the others.
     """
     middle, covariance, first = rows.mean(axis=0), np.cov(rows.T) + noise, 0
+    freedom = 4.0  # assumed
+    sure_enough = 10.0  # logarithm of the likelihood ratio with which another reading of a table is its meaning
     for part, *_ in parts:
         here = slice(first, first := first + len(part.error))
         e, f, root = measured[here], middle[here], np.linalg.cholesky(covariance[here, here])
@@ -300,19 +285,14 @@ def refuse_contradictions(parts, measured: np.ndarray, rows: np.ndarray, noise: 
             text = f"the errors {name} have the opposite sign: is the wall measured from its other side?"
             readings.append((text, np.where(side, -1.0, 1.0), part.lines[int(np.argmax(side))]))
         tried = np.ones(e.size), *(factors for _, factors, _ in readings)
-        square = np.array([_square(root, factors * e - f) for factors in tried])
+        left = [np.linalg.solve(root, factors * e - f) for factors in tried]  # in standard deviations
+        square = np.array([rest @ rest for rest in left])
         scale = np.array([0.0, *(np.sum(np.log(np.abs(factors))) for _, factors, _ in readings)])
-        density = scale - 0.5 * (FREEDOM + e.size) * np.log1p(square / FREEDOM)
-        better = [k for k in range(len(readings)) if density[k + 1] > density[0] + SURE]
+        density = scale - 0.5 * (freedom + e.size) * np.log1p(square / freedom)
+        better = [k for k in range(len(readings)) if density[k + 1] > density[0] + sure_enough]
         if better:
             text, _, line = readings[max(better, key=lambda k: (scale - 0.5 * square)[k + 1])]  # normal: without tails
             raise InputError(part.path, f"no robot of the cell leaves these errors; they fit if {text}", line)
-
-
-def _square(root: np.ndarray, rest: np.ndarray) -> float:
-    """Square of a deviation (k,) in its deviations; root: of the covariance, lower triangle."""
-    left = np.linalg.solve(root, rest)
-    return float(left @ left)
 
 
 def _sides(part: WallPlaces):
@@ -340,12 +320,15 @@ def strange_places(parts, rest: np.ndarray, covariance: np.ndarray) -> tuple[np.
     sentences: list[str] = []
     where = [(number, part, k) for number, (part, *_) in enumerate(parts) for k in range(len(part.error))]
     spot = np.array([(*part.place[k], part.floor[k], number) for number, part, k in where])
+    # deviations from what the other places predict: 1 of 80 parts with 200 places has such a place by chance
+    strange = 4.0
+    most_strange = 0.2  # share of the places; more contradict the program
     while True:
         rows = np.flatnonzero(agreeing)
         inverse = np.linalg.inv(covariance[np.ix_(rows, rows)])
         lonely = np.where(tried[rows], 0.0, np.abs(inverse @ rest[rows]) / np.sqrt(np.diag(inverse)))
         worst = int(np.argmax(lonely))
-        if lonely[worst] <= STRANGE:
+        if lonely[worst] <= strange:
             return agreeing, tuple(sentences)
         tried[rows[worst]] = True
         off = spot[rows] - spot[rows[worst]]
@@ -359,7 +342,7 @@ def strange_places(parts, rest: np.ndarray, covariance: np.ndarray) -> tuple[np.
         away, deviation = (inverse @ rest[rows])[worst] / inverse[worst, worst], inverse[worst, worst] ** -0.5
         _, part, k = where[rows[worst]]
         sentences.append(_strange(part, k, part.error[k] - away, deviation))
-        if np.sum(~agreeing) > MOST_STRANGE * agreeing.size:
+        if np.sum(~agreeing) > most_strange * agreeing.size:
             reason = (
                 f"{np.sum(~agreeing)} of {agreeing.size} places contradict the others or the program: {sentences[0]}"
             )

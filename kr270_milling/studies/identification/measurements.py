@@ -24,10 +24,6 @@ SIGMA = ("sigma_um", "sigma_mrad")
 LOAD = ("load_x_mm", "load_y_mm", "load_z_mm")
 REFLECTOR = ("reflector_x_mm", "reflector_y_mm", "reflector_z_mm")
 COLUMNS = (*JOINTS, *WRENCH, *MASS, *LOAD, *REFLECTOR, *SHIFT, *TILT, *SIGMA, "note")
-#: three reflectors 0.2 m apart: sigma of a rotation = sqrt(2) sigma of a position / 0.2 m [1/m]
-ROTATION_PER_SHIFT = np.sqrt(2.0) / 0.2
-ARRAYS = ("q", "wrench", "application", "reflector", "displacement", "sigma")
-FARTHEST = 0.2  #: [m] that a load test moves a reflector at most; more is a wrong unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +43,8 @@ class Measurements:
 
     def take(self, rows) -> Measurements:
         """Some of the rows."""
-        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in ARRAYS})
+        arrays = ("q", "wrench", "application", "reflector", "displacement", "sigma")
+        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
 
 def unmeasured(q: np.ndarray, force: np.ndarray, point: np.ndarray, sigma: float) -> Measurements:
@@ -69,7 +66,8 @@ def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:
     wrench, application = _loads(table, mount)
     reflector = _point(table, REFLECTOR, mount.xyz)
     shift = 1e-3 * table.numbers(SHIFT)
-    table.refuse(np.abs(shift).max(1) > FARTHEST, f"a load moved the arm by more than {FARTHEST} m")
+    farthest = 0.2  # [m] that a load test moves a reflector at most; more is a wrong unit
+    table.refuse(np.abs(shift).max(1) > farthest, f"a load moved the arm by more than {farthest} m")
     tilt = 1e-3 * table.numbers(TILT, np.nan)
     sigma, known = _sigma(table)
     return Measurements(q, wrench, application, reflector, np.hstack([shift, tilt]), sigma, known)
@@ -104,7 +102,9 @@ def _sigma(table: Table) -> tuple[np.ndarray, bool]:
     known = "sigma_um" in table
     shift = 1e-6 * table.number("sigma_um", None if known else 1.0)
     tilt = 1e-3 * table.number("sigma_mrad", np.nan)
-    tilt = np.where(np.isfinite(tilt), tilt, ROTATION_PER_SHIFT * shift)
+    # three reflectors 0.2 m apart: sigma of a rotation = sqrt(2) sigma of a position / 0.2 m [1/m]
+    rotation_per_shift = np.sqrt(2.0) / 0.2
+    tilt = np.where(np.isfinite(tilt), tilt, rotation_per_shift * shift)
     table.refuse(~((shift > 0.0) & (tilt > 0.0)), "a standard deviation must be above 0")
     return np.stack([shift] * 3 + [tilt] * 3, -1), known
 

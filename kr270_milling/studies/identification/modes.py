@@ -39,18 +39,8 @@ from kr270_milling.studies.identification.signals import AXES, Signals
 __all__ = ["Mode", "by_compliance", "by_hammer", "check_hammer", "find_modes", "free_decay",
            "split_modes", "tool_compliance"]  # fmt: skip
 
-MOST_SAMPLES = 1200  #: samples of the pencil; longer series are thinned after a low-pass
-SHARE = 1e-3  #: share of the strongest singular value: below is noise
-MOST_DAMPED = 0.5
-FAINT = 0.02  #: share of the strongest mode's energy below which a mode must exceed the noise by CLEAR
 CLEAR = 8.0  #: standard deviations; a pole that follows noise reaches about 4
-LEAST = 1e-6  #: share of the energy below which a pole is rounding
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
-TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
-QUIET = 0.2  #: share of the largest motion in the band, below which no ring-down is assumed to run
-PHASE = math.radians(10)  #: phase of the drive point without a finding; the shape is off by 1 - sqrt(cos PHASE) = 0.8 %
-MOST_PHASE = math.radians(30)  #: phase of the drive point; the shape is then off by 7 %
-BLOW = 5.0, 5e4  #: [N] of a hammer; from the smallest for tool tips to a sledge hammer: assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +77,8 @@ class Mode:
     @property
     def confirmed(self) -> bool:
         """Return whether the logarithmic decrement gives about the same damping ratio."""
-        return bool(abs(self.decrement / self.damping_ratio - 1.0) < TOGETHER)
+        together = 0.2  # relative difference of both damping ratios up to which they confirm each other
+        return bool(abs(self.decrement / self.damping_ratio - 1.0) < together)
 
     @property
     def shape(self) -> np.ndarray:
@@ -111,15 +102,18 @@ def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tup
     data, step = _thinned(data, signals.step, high)
     poles = _poles(data, step, 2 * most + 2)
     frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
-    shown = (frequency > low) & (frequency < high) & (poles.imag > 0) & (damping > 0.0) & (damping < MOST_DAMPED)
+    most_damped = 0.5
+    shown = (frequency > low) & (frequency < high) & (poles.imag > 0) & (damping > 0.0) & (damping < most_damped)
     residues, spread = _residues(data, step, poles)
     energy = np.sum(np.abs(residues) ** 2, 1) / np.maximum(2 * np.abs(poles.real), 1e-12)
     clear = np.sqrt(np.sum(np.abs(residues) ** 2, 1) / np.maximum(np.sum(spread**2, 1), 1e-300))
-    shown &= energy > LEAST * energy[shown].max(initial=0.0)
+    rounding = 1e-6  # share of the energy below which a pole is rounding
+    shown &= energy > rounding * energy[shown].max(initial=0.0)
     if not shown.any():
-        reason = f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {MOST_DAMPED}"
+        reason = f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {most_damped}"
         raise ModelError(reason)
-    strong = shown & ((energy > FAINT * energy[shown].max()) | (clear > CLEAR))
+    faint_share = 0.02  # share of the strongest mode's energy below which a mode must exceed the noise by CLEAR
+    strong = shown & ((energy > faint_share * energy[shown].max()) | (clear > CLEAR))
     order = np.flatnonzero(strong)[np.argsort(frequency[strong])][:most]
     faint = [k for k in np.flatnonzero(shown)[np.argsort(frequency[shown])] if k not in order]
     total = float(energy[shown].sum())
@@ -147,7 +141,8 @@ def free_decay(signals: Signals, low: float, high: float) -> Signals:
     data = signal.sosfiltfilt(signal.butter(2, edges, "bandpass", fs=1 / signals.step, output="sos"), signals.values,
                               axis=0, padlen=0)  # fmt: skip
     size = np.linalg.norm(data / np.maximum(np.abs(data).max(0), 1e-300), axis=1)
-    start = int(np.argmax(size > QUIET * size.max())) * signals.step
+    quiet = 0.2  # share of the largest motion in the band, below which no ring-down is assumed to run
+    start = int(np.argmax(size > quiet * size.max())) * signals.step
     power = np.sum(np.abs(np.fft.rfft(data, axis=0)) ** 2, axis=1)
     if start * int(np.argmax(power)) < 0.25 * len(data) * signals.step:  # a quarter of the strongest period
         return signals
@@ -177,7 +172,8 @@ def _thinned(data: np.ndarray, step: float, high: float) -> tuple[np.ndarray, fl
         part = min(factor, 10)
         data = signal.decimate(data, part, axis=0, ftype="fir")
         step, factor = step * part, factor // part
-    return data[:MOST_SAMPLES], step
+    most_samples = 1200  # samples of the pencil; longer series are thinned after a low-pass
+    return data[:most_samples], step
 
 
 def _poles(data: np.ndarray, step: float, order: int) -> np.ndarray:
@@ -186,7 +182,8 @@ def _poles(data: np.ndarray, step: float, order: int) -> np.ndarray:
     pencil = n // 3
     hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(c, n - pencil) for c in data.T], 1)
     _, strength, right = np.linalg.svd(hankel.T, full_matrices=False)
-    count = min(order, int(np.count_nonzero(strength > SHARE * strength[0])))
+    noise_share = 1e-3  # share of the strongest singular value: below is noise
+    count = min(order, int(np.count_nonzero(strength > noise_share * strength[0])))
     basis = right[:count].T
     shift = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]
     with np.errstate(divide="ignore"):
@@ -280,17 +277,23 @@ def check_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str) 
     if signals.quantity not in ("", quantity):
         raise InputError("--quantity", f"is {quantity}, but the file states {signals.quantity}")
     blow = float(np.abs(signals.force - np.median(signals.force)).max())
-    if not BLOW[0] < blow < BLOW[1]:
-        raise InputError("force_n", f"has a blow of {blow:.3g} N, allowed: {BLOW[0]:g} to {BLOW[1]:g} N: another unit?")
+    blow_range = 5.0, 5e4  # [N] of a hammer; from the smallest for tool tips to a sledge hammer: assumed
+    if not blow_range[0] < blow < blow_range[1]:
+        raise InputError(
+            "force_n", f"has a blow of {blow:.3g} N, allowed: {blow_range[0]:g} to {blow_range[1]:g} N: another unit?"
+        )
     drive = signals.names.index(axis)
     omega = np.array([mode.pole.imag for mode in modes])
     phase = np.angle([2j * mode.residues[drive] / mode.pole ** POWER[quantity] for mode in modes])
-    sure = np.maximum(PHASE, 3.0 / np.array([mode.clear for mode in modes]))
+    # phase of the drive point without a finding; the shape is off by 1 - sqrt(cos 10 deg) = 0.8 %
+    small_phase = math.radians(10)
+    sure = np.maximum(small_phase, 3.0 / np.array([mode.clear for mode in modes]))
     if np.all(np.abs(phase) < sure):
         return ""
     listed = ", ".join(f"{np.degrees(a):.0f} deg at {m.frequency:.4g} Hz" for a, m in zip(phase, modes, strict=True))
     shown = f"the phase of the drive point must be 0, but is {listed}"
-    if np.all(np.abs(phase) < MOST_PHASE):
+    most_phase = math.radians(30)  # phase of the drive point; the shape is then off by 7 %
+    if np.all(np.abs(phase) < most_phase):
         return f"{shown}: the shapes may be off by {100 - 100 * float(np.sqrt(np.cos(phase)).min()):.0f} % or more"
     turns = {"the signs are wrong": 2} | {f"--quantity is {name}": p - POWER[quantity] for name, p in POWER.items()}
     causes = [text for text, turn in turns.items() if np.all(np.abs(_wrapped(phase - turn * np.pi / 2)) < 3 * sure)]

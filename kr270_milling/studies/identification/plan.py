@@ -26,30 +26,12 @@ from kr270_milling.studies.identification.measurements import Measurements, unme
 from kr270_milling.studies.identification.problem import Problem
 
 __all__ = [
-    "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "candidates", "read_test_pose",
+    "CRITERIA", "Candidates", "Design", "Planner", "at_posture", "candidates", "read_test_pose",
     "sorted_tests",
 ]  # fmt: skip
 
 MARGIN = np.radians(5.0)  #: distance to every joint limit
-MOST_TURN = np.radians(180.0)  #: turn of axes 4 and 6, for the cables
-LEAST_MEASURE = 0.1  #: distance to the singularities of elbow and wrist: assumed
-TEST_FORCE = 100.0  #: [N] along each axis in turn, what milling of aluminium asks of the arm
 CRITERIA = ("test pose", "A", "D")
-WEAK = 1.0  #: relative standard deviation of each number before anything is measured: regular from the first test on
-SWEEPS = 20
-
-
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """Loads and measuring equipment."""
-
-    point: np.ndarray  #: flange frame [m], (3,): where the loads act and the reflector sits
-    mass: float = 100.0  #: [kg] hung from it
-    pull: float = 800.0  #: [N] of a rope with a load cell, horizontal; the vertical axis cannot be turned by a mass
-    sigma: float = 20e-6  #: [m] of each measured coordinate
-    lowest: float = 0.3  #: [m] over the base, of tool and wrist
-    highest: float = 2.2  #: [m], of the tool, where a mass can still be hung
-    nearest: float = 0.9  #: [m] from axis 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,42 +45,61 @@ class Candidates:
         return Candidates(self.tests.take(rows), self.kind[rows])
 
 
-def candidates(arm: Arm, mount: Mount, bench: Bench, postures: int, seed: int) -> Candidates:
-    """Every load in up to ``postures`` postures spread evenly over the free space (Sobol')."""
-    q = _postures(arm, mount, bench, postures, seed)
-    kinds = np.flatnonzero([bench.mass > 0.0, *[bench.pull > 0.0] * 3])
+def candidates(
+    arm: Arm,
+    mount: Mount,
+    postures: int,
+    seed: int,
+    point: np.ndarray,
+    mass: float = 100.0,
+    pull: float = 800.0,
+    sigma: float = 20e-6,
+) -> Candidates:
+    """Every load in up to ``postures`` postures spread evenly over the free space (Sobol').
+
+    point: of the flange [m], (3,), where the loads act and the reflector is; mass [kg] hung there; pull [N] of a
+    horizontal rope with a load cell, as no mass turns the vertical axis; sigma [m] of each measured coordinate.
+    """
+    q = _postures(arm, mount, point, postures, seed)
+    kinds = np.flatnonzero([mass > 0.0, *[pull > 0.0] * 3])
     if not kinds.size:
-        raise ParameterError("mass_kg and pull_n", [bench.mass, bench.pull], "above 0, one of them at least")
+        raise ParameterError("mass_kg and pull_n", [mass, pull], "above 0, one of them at least")
     outward = np.stack([np.cos(q[:, 0]), -np.sin(q[:, 0]), np.zeros(len(q))], -1)  # from axis 1
     sideways = np.stack([np.sin(q[:, 0]), np.cos(q[:, 0]), np.zeros(len(q))], -1)
-    hang = np.tile([0.0, 0.0, -GRAVITY * bench.mass], (len(q), 1))
-    pulls = [bench.pull * outward, bench.pull * sideways, bench.pull * (outward + sideways) / np.sqrt(2.0)]
+    hang = np.tile([0.0, 0.0, -GRAVITY * mass], (len(q), 1))
+    pulls = [pull * outward, pull * sideways, pull * (outward + sideways) / np.sqrt(2.0)]
     force = np.stack([hang, *pulls], 1)[:, kinds].reshape(-1, 3)
-    tests = unmeasured(np.repeat(q, len(kinds), axis=0), force, bench.point, bench.sigma)
+    tests = unmeasured(np.repeat(q, len(kinds), axis=0), force, point, sigma)
     return Candidates(tests, np.tile(kinds, len(q)))
 
 
-def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np.ndarray:
+def _postures(arm: Arm, mount: Mount, point_on_flange: np.ndarray, count: int, seed: int) -> np.ndarray:
     """(k, 6) [rad], k up to ``count``."""
     low, high = arm.joint_lower + MARGIN, arm.joint_upper - MARGIN
-    low[[3, 5]], high[[3, 5]] = np.maximum(low[[3, 5]], -MOST_TURN), np.minimum(high[[3, 5]], MOST_TURN)
+    most_turn = np.radians(180.0)  # turn of axes 4 and 6, for the cables
+    low[[3, 5]], high[[3, 5]] = np.maximum(low[[3, 5]], -most_turn), np.minimum(high[[3, 5]], most_turn)
     drawn = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(16 * count))))
     q = low + (high - low) * drawn
     frames = forward(arm, mount, q)
-    point = frames.flange.apply(bench.point)
+    point = frames.flange.apply(point_on_flange)
     lowest = np.minimum(point[:, 2], frames.nodes[:, 2:, 2].min(1))
-    fits = (lowest > bench.lowest) & (point[:, 2] < bench.highest)
-    fits &= np.hypot(point[:, 0], point[:, 1]) > bench.nearest
-    fits &= np.hypot(*np.moveaxis(frames.nodes[:, 4, :2], -1, 0)) > bench.nearest
-    fits &= (singularity_measures(arm, q)[:, 1:] > LEAST_MEASURE).all(1)
+    above_base = 0.3  # [m], of tool and wrist
+    within_reach = 2.2  # [m], of the tool, where a mass can still be hung
+    from_axis = 0.9  # [m] from axis 1
+    fits = (lowest > above_base) & (point[:, 2] < within_reach)
+    fits &= np.hypot(point[:, 0], point[:, 1]) > from_axis
+    fits &= np.hypot(*np.moveaxis(frames.nodes[:, 4, :2], -1, 0)) > from_axis
+    least_measure = 0.1  # distance to the singularities of elbow and wrist: assumed
+    fits &= (singularity_measures(arm, q)[:, 1:] > least_measure).all(1)
     if not fits.any():
         raise MillingError("no posture of this arm keeps its tool above the floor and away from its base")
     return q[fits][:count]
 
 
 def at_posture(mount: Mount, q) -> Measurements:
-    """TEST_FORCE along x, y and z of the base at the tool point of posture q (6,) [rad], as tests without a result."""
-    return unmeasured(np.tile(np.asarray(q, float), (3, 1)), TEST_FORCE * np.eye(3), mount.xyz, 1.0)
+    """Tests without a result: 100 N along x, y and z of the base at the tool point of posture q (6,) [rad]."""
+    test_force = 100.0  # [N] along each axis in turn, what milling of aluminium asks of the arm
+    return unmeasured(np.tile(np.asarray(q, float), (3, 1)), test_force * np.eye(3), mount.xyz, 1.0)
 
 
 def read_test_pose(path, mount: Mount) -> Measurements | None:
@@ -139,7 +140,8 @@ class Planner:
         chosen: list[int] = []
         for _ in range(count):
             chosen.append(self._addition(chosen, criterion))
-        for _ in range(SWEEPS):
+        sweeps = 20
+        for _ in range(sweeps):
             before = list(chosen)
             for i in range(count):
                 chosen[i] = self._addition(chosen[:i] + chosen[i + 1 :], criterion)
@@ -163,7 +165,9 @@ class Planner:
 
     def _covariance(self, rows) -> np.ndarray:
         slopes = self._slopes[list(rows)].reshape(-1, self._slopes.shape[-1])
-        return np.linalg.inv(slopes.T @ slopes + np.eye(slopes.shape[1]) / WEAK**2)
+        # relative standard deviation of each number before anything is measured: regular from the first test on
+        weak = 1.0
+        return np.linalg.inv(slopes.T @ slopes + np.eye(slopes.shape[1]) / weak**2)
 
     def _addition(self, others: list[int], criterion: str) -> int:
         """Return the candidate that improves the criterion most.

@@ -16,8 +16,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from dataclasses import dataclass
-from enum import Enum, auto
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -33,8 +31,6 @@ from kr270_milling.studies.identification.measurements import Measurements
 
 __all__ = [
     "TILTS",
-    "Cause",
-    "Exclusion",
     "Problem",
 ]
 
@@ -42,31 +38,6 @@ COMPENSATOR = tuple(spec.name for spec in specs(GravityCompensator))
 #: where the base may tilt, and the size of the unknown: [rad/(N m)], assumed, a third of the stiffest joint's
 TILTS, TILT = ("base x", "base y"), 5e-8
 STEP = 1e-4  #: share of its scale by which a number of the compensator is changed for its derivative
-ITERATIONS = 20
-PRECISION = 1e-8  #: [rad] of the last Newton step, which leaves its square
-MOST_BEND = 0.1  #: [rad] of a joint spring; beyond it no drive is linear
-#: a column whose length is a smaller share of the longest, or a direction with a smaller share of the largest singular
-#: value of the columns of length 1, is rounding of the model (1e-13 rad of 1e-4 rad) and no information
-NOTHING = 1e-6
-#: a torque below this share of the largest, or a lever [m] of the reflector below it, counts as zero
-UNSEEN = 1e-3
-
-
-class Cause(Enum):
-    """Reason why the data do not identify a number."""
-
-    NO_EFFECT = auto()  #: no measured displacement depends on it
-    NO_LOAD = auto()  #: no load turned the joint
-    ON_AXIS = auto()  #: the reflector lay on the axis of the joint
-    ALIKE = auto()  #: another number has the same effect in every test
-    NOISE = auto()  #: its 95 % interval would include zero
-
-
-class Exclusion(NamedTuple):
-    """A number that is not fitted."""
-
-    cause: Cause
-    partner: int = -1  #: the other number, for ALIKE
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,16 +229,19 @@ class Problem:
         q = self._sprung.on_base(np.tile(self.measured.q, (2, 1)))
         wrench = np.concatenate([self.measured.wrench, np.zeros_like(self.measured.wrench)])
         theta = np.zeros_like(q)
-        for _ in range(ITERATIONS):
+        iterations = 20
+        precision = 1e-8  # [rad] of the last Newton step, which leaves its square
+        most_bend = 0.1  # [rad] of a joint spring; beyond it no drive is linear
+        for _ in range(iterations):
             frames = self._frames(q + theta)
             torque = load_torque(frames, wrench, loads)
             left = np.eye(len(c)) - c[:, None] * load_hessian(frames, wrench, loads)
             step = np.linalg.solve(left, (c * torque - theta)[..., None])[..., 0]
             theta = theta + step
-            far = ~(np.abs(theta).max(1) < MOST_BEND)
+            far = ~(np.abs(theta).max(1) < most_bend)
             if far.any():
                 raise self._no_equilibrium(int(far.argmax()), c)
-            if np.abs(step).max() < PRECISION:
+            if np.abs(step).max() < precision:
                 by_axis = np.linalg.solve(left, torque[:, :, None] * np.eye(len(c)))
                 return self._frames(q + theta), by_axis
         raise self._no_equilibrium(int(np.abs(step).max(1).argmax()), c)
@@ -287,31 +261,38 @@ class Problem:
 
     # --- which numbers the data identify ---
 
-    def excluded(self) -> dict[int, Exclusion]:
-        """Return the numbers that must be excluded so that the data identify the others, each with the cause."""
+    def excluded(self) -> dict[int, str]:
+        """Return the numbers that must be excluded so that the data identify the others, each with the reason."""
         columns = self.derivatives(self.start)
         lengths = np.linalg.norm(columns, axis=0)
         unit = columns / np.where(lengths > 0.0, lengths, 1.0)
-        effectless = np.flatnonzero(~(lengths > NOTHING * lengths.max())).tolist()
-        exclusions = {k: self.hidden(k) or Exclusion(Cause.NO_EFFECT) for k in effectless}
+        # a column whose length is a smaller share of the longest, or a direction with a smaller share of the largest
+        # singular value of the columns of length 1, is rounding of the model (1e-13 rad of 1e-4 rad) and no information
+        nothing = 1e-6
+        effectless = np.flatnonzero(~(lengths > nothing * lengths.max())).tolist()
+        exclusions = {k: self.hidden(k) or "no measured displacement depends on it" for k in effectless}
         while free := [k for k in range(len(lengths)) if k not in exclusions]:
             _, values, directions = np.linalg.svd(unit[:, free], full_matrices=len(unit) < len(free))
-            if len(values) == len(free) and values[-1] > NOTHING * values[0]:
+            if len(values) == len(free) and values[-1] > nothing * values[0]:
                 break
             worst, partner = [free[i] for i in np.argsort(-np.abs(directions[-1]))[[0, min(1, len(free) - 1)]]]
-            exclusions[worst] = Exclusion(Cause.ALIKE, partner)
+            exclusions[worst] = (
+                f"in every test it moved the reflector as {self.names[partner]} does, so the data cannot separate them"
+            )
         return exclusions
 
-    def hidden(self, number: int) -> Exclusion | None:
-        """Return why a joint, number 0 to 5, has no effect, if the reason is one of geometry."""
+    def hidden(self, number: int) -> str:
+        """Return why a joint, number 0 to 5, has no effect; empty where the reason is not one of geometry."""
         if number >= 6:
-            return None
+            return ""
         measured = self.measured
         torques = np.abs(load_torque(self._frames(measured.q), measured.wrench, link_loads(self.arm, self.mount, 0.0)))
-        if torques[:, number].max() <= UNSEEN * torques.max():
-            return Exclusion(Cause.NO_LOAD)
+        # a torque below this share of the largest, or a lever [m] of the reflector below it, counts as zero
+        unseen = 1e-3
+        if torques[:, number].max() <= unseen * torques.max():
+            return "no load turned it"
         frames = forward(self.arm, self.mount, measured.q)
         lever = np.linalg.norm(jacobian_at(frames, frames.flange.apply(measured.reflector))[:, :3, number], axis=-1)
-        if lever.max() <= UNSEEN and not self.finite[:, 3:].any():
-            return Exclusion(Cause.ON_AXIS)
-        return None
+        if lever.max() <= unseen and not self.finite[:, 3:].any():
+            return "the reflector lay on its axis, so its rotation was not measured"
+        return ""

@@ -20,15 +20,9 @@ __all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resa
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
 COLUMNS = ("time_s", *AXES, FORCE)
-QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  #: specific data type of a UFF file -> quantity
-FORCES = (9, 13)  #: specific data types: reaction force, excitation force
-SI = ("", "NONE", "M", "M/S", "M/S2", "M/S^2", "M/S**2", "N", "RAD")  #: labels of units of a UFF file
 UFF = (".uff", ".unv", ".58")
 FEWEST = 16
 MOST_BYTES = 256 * 1024 * 1024  #: size of a UFF file, which is read as a whole
-LONGEST_GAP = 10.0  #: steps that are bridged by a straight line: assumed
-UNEVEN = 0.1  #: share of a step by which stamps may be uneven without a word: assumed, 3 degrees at 10 samples a period
-CONFLICTS = 0.01  #: share of the messages that may repeat a stamp with other values: assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +33,7 @@ class Signals:
     values: np.ndarray  #: (n, channels)
     names: tuple[str, ...]  #: axes of the channels, from AXES where they are known
     force: np.ndarray | None = None  #: force of the hammer [N], (n,)
-    quantity: str = ""  #: from QUANTITIES; empty: the file does not state the quantity
+    quantity: str = ""  #: displacement, velocity or acceleration; empty: the file does not state the quantity
     drive: str = ""  #: from AXES, where the file states the direction of the force, or the other point that was hit
     notes: tuple[str, ...] = ()  #: sentences about stamps and channels
 
@@ -103,16 +97,19 @@ def _even_stamps(path, time: np.ndarray, lines) -> tuple[np.ndarray, float, str]
         share = f"{int((steps == 0.0).sum())} of {len(time)} samples have the stamp of the sample before them"
         raise InputError(path, f"{share}, as {time[late]:.9g} s: write the stamps with all their digits", line)
     step = float(np.median(steps))
-    if steps.max() > LONGEST_GAP * step:
+    longest_gap = 10.0  # steps that are bridged by a straight line: assumed
+    if steps.max() > longest_gap * step:
         raise InputError(path, f"has a gap of {steps.max():.3g} s where samples come every {step:.3g} s")
     uneven = float(np.abs(steps - step).max())
     even = np.linspace(time[0], time[-1], len(time))
     digit = next((d for d in 10.0 ** -np.arange(10) if np.abs(time - d * np.rint(time / d)).max() < 1e-3 * d), 0.0)
+    # share of a step by which stamps may be uneven without a word: assumed, 3 degrees at 10 samples a period
+    noticed = 0.1
     if np.abs(time - even).max() <= 1.01 * digit:
         note = f"the stamps are rounded to {digit:g} s: the samples are taken as even, every {even[1] - even[0]:.6g} s"
-        return even, float(even[1] - even[0]), note if uneven > UNEVEN * step else ""
+        return even, float(even[1] - even[0]), note if uneven > noticed * step else ""
     note = f"the stamps are uneven, {steps.min():.3g} to {steps.max():.3g} s: straight lines give even samples"
-    return time, step, note if uneven > UNEVEN * step else ""
+    return time, step, note if uneven > noticed * step else ""
 
 
 def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
@@ -133,16 +130,20 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(path, f"is no UFF file that pyuff reads ({error})") from None
     histories = [s for s in sets if s.get("func_type") == 1]
-    histories.sort(key=_is_force)  # the force is the last column
     if not histories:
         raise InputError(path, "holds no time history (data set 58, function type 1)")
-    forces, moves = [s for s in histories if _is_force(s)], [s for s in histories if not _is_force(s)]
-    axes = [_direction(s, i) for i, s in enumerate(histories)]
+    force_types = (9, 13)  # specific data types: reaction force, excitation force
+    forces = [s for s in histories if s.get("ordinate_spec_data_type") in force_types]
+    moves = [s for s in histories if s.get("ordinate_spec_data_type") not in force_types]
+    histories = [*moves, *forces]  # the force is the last column
+    turns = [abs(int(s["rsp_dir"])) for s in histories]
+    axes = [AXES[axis - 1] if 1 <= axis <= 6 else f"channel {i}" for i, axis in enumerate(turns)]
     names = (*axes[: len(moves)], *[FORCE] * len(forces))
     nodes = list(dict.fromkeys(int(s["rsp_node"]) for s in moves))
     times = [np.asarray(s["x"], float) for s in histories]
     rates = list(dict.fromkeys(f"{1 / (x[1] - x[0]):.6g} from {x[0]:g} s" for x in times if len(x) > 1))
-    kinds = list(dict.fromkeys(QUANTITIES.get(s.get("ordinate_spec_data_type"), "") for s in moves))
+    quantities = {8: "displacement", 11: "velocity", 12: "acceleration"}  # specific data type of a UFF file -> quantity
+    kinds = list(dict.fromkeys(quantities.get(s.get("ordinate_spec_data_type"), "") for s in moves))
     for kind, several in (("nodes", nodes), ("sampling rates, a second:", rates), ("quantities", kinds)):
         if len(several) > 1:
             listed = ", ".join(str(value) or "unknown" for value in several)
@@ -153,23 +154,16 @@ def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray, dict]:
     if forces and moves and int(forces[0]["rsp_node"]) != nodes[0]:
         drive = f"node {int(forces[0]['rsp_node'])}, not node {nodes[0]}"
     labels = [str(s.get("ordinate_axis_units_lab") or "").strip() for s in histories]
-    foreign = (f"{name} in {label}" for name, label in zip(names, labels, strict=True) if label.upper() not in SI)
+    si_labels = ("", "NONE", "M", "M/S", "M/S2", "M/S^2", "M/S**2", "N", "RAD")  # labels of units of a UFF file
+    foreign = (
+        f"{name} in {label}" for name, label in zip(names, labels, strict=True) if label.upper() not in si_labels
+    )
     notes = tuple(f"the file states {text}: its numbers are taken as SI units" for text in foreign)
     length = min(len(s["data"]) for s in histories)
     signs = [-1.0 if int(s["rsp_dir"]) < 0 else 1.0 for s in histories]
     values = np.stack([np.real(s["data"][:length]) for s in histories], -1) * signs
     stated = {"quantity": kinds[0] if kinds else "", "drive": drive, "notes": notes}
     return times[0][:length], names, values, stated
-
-
-def _is_force(history: dict) -> bool:
-    return history.get("ordinate_spec_data_type") in FORCES
-
-
-def _direction(history: dict, number: int) -> str:
-    """The axis of a history of a UFF file."""
-    axis = abs(int(history["rsp_dir"]))
-    return AXES[axis - 1] if 1 <= axis <= 6 else f"channel {number}"
 
 
 def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
@@ -192,7 +186,8 @@ def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
         raise RecordingError(path, f"{matches[0]} has no two messages")
     stamp, first, place = np.unique(read.stamp, return_index=True, return_inverse=True)
     others = int((read.values != read.values[first[place]]).any(1).sum())  # a repeated answer has the same values
-    if others > CONFLICTS * len(place):
+    conflicts = 0.01  # share of the messages that may repeat a stamp with other values: assumed
+    if others > conflicts * len(place):
         reason = f"{others} of {len(place)} messages of {matches[0]} have the stamp of another message"
         raise RecordingError(path, f"{reason}: stamp each sample with its own time")
     return stamp * 1e-9, read.values[first]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import long_pass
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.part.stations import stations_of
@@ -35,12 +36,7 @@ __all__ = [
 
 PLACE = ("x_mm", "y_mm")
 COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "surface", "note")
-SURFACES = ("wall", "floor")
-FARTHEST = 2e-3  #: [m] from a place to the predicted wall
-LARGEST = 5e-3  #: [m] of a measured error; more is a wrong unit
 FEWEST = 3  #: places for a gain and an offset
-NEAR = 5  #: points of the predicted wall, whose mean is the prediction
-PATCH = 1e-3  #: [m], radius of the floor whose median is the prediction: the ball of a probe
 PLANTS = 16
 BAND = (0.05, 0.95)
 
@@ -79,10 +75,12 @@ def read_wall(path) -> WallPlaces:
     """Read a CSV file of places, one a row; the columns are COLUMNS. Raises InputError."""
     table = read_table(path, COLUMNS, (*PLACE, "error_um"))
     error, sigma = 1e-6 * table.number("error_um"), 1e-6 * table.number("sigma_um", 0.0)
-    table.refuse(np.abs(error) > LARGEST, f"error_um must be in um and at most {1e6 * LARGEST:g}")
+    largest = 5e-3  # [m] of a measured error; more is a wrong unit
+    table.refuse(np.abs(error) > largest, f"error_um must be in um and at most {1e6 * largest:g}")
     table.refuse(sigma < 0.0, "sigma_um must be at least 0")
     surface = np.array(table.texts("surface") if "surface" in table else [""] * len(table))
-    table.refuse(~np.isin(surface, ("", *SURFACES)), f"surface must be one of {', '.join(SURFACES)}; empty: wall")
+    surfaces = ("wall", "floor")
+    table.refuse(~np.isin(surface, ("", *surfaces)), f"surface must be one of {', '.join(surfaces)}; empty: wall")
     if len(table) < FEWEST:
         raise InputError(path, f"has {len(table)} places, but a comparison needs at least {FEWEST}")
     place, height = 1e-3 * table.numbers(PLACE), 1e-3 * table.number("z_mm", np.nan)
@@ -121,18 +119,23 @@ class PredictedPlaces:
     def _wall(self, k: int, tree: cKDTree, bottom: np.ndarray) -> np.ndarray:
         """Indices of the nearest points of the walls, at the height of the place where that is given."""
         z, height = self.measured.height[k], self._ideal.wall_height
-        distance, near = tree.query(self.measured.place[k], k=min(8 * NEAR, bottom.size), distance_upper_bound=FARTHEST)
+        farthest = 2e-3  # [m] from a place to the predicted wall
+        nearest = 5  # points of the predicted wall, whose mean is the prediction
+        distance, near = tree.query(
+            self.measured.place[k], k=min(8 * nearest, bottom.size), distance_upper_bound=farthest
+        )
         near = np.atleast_1d(near)[np.isfinite(np.atleast_1d(distance))]
         if np.isfinite(z):
             near = near[(bottom[near] - 1e-5 <= z) & (z <= bottom[near] + height[near] + 1e-5)]
         if not near.size:
-            self._refuse(k, f"is farther than {1e3 * FARTHEST:g} mm from every wall that the cell leaves")
-        return near[:NEAR]
+            self._refuse(k, f"is farther than {1e3 * farthest:g} mm from every wall that the cell leaves")
+        return near[:nearest]
 
     def _floor(self, k: int) -> np.ndarray:
         """Indices of the level nodes around a place, in the map as one row."""
         ideal, (x, y) = self._ideal, self.measured.place[k]
-        near = np.hypot(ideal.x[:, None] - x, ideal.y - y) <= PATCH
+        patch = 1e-3  # [m], radius of the floor whose median is the prediction: the ball of a probe
+        near = np.hypot(ideal.x[:, None] - x, ideal.y - y) <= patch
         depth = ideal.height[near]
         level = near & ~ideal.unjudged & (ideal.owner >= 0)
         if depth.size:
@@ -161,28 +164,38 @@ def compare_wall(
 
     Raises InputError as ``PredictedPlaces`` does.
     """
-    predicted = robot_errors(cell, cell, reference, PredictedPlaces(cell, measured))
+    predicted = _errors(cell, cell, reference, PredictedPlaces(cell, measured))
     nominal, rng = coarser(cell), np.random.default_rng(seed)
-    drawn = [perturbed(nominal, rng) for _ in range(plants)]
-    places, rows = PredictedPlaces(nominal, measured), []
-
-    def errors(plant: Cell) -> np.ndarray:
-        try:
-            return robot_errors(plant, nominal, reference, places)
-        except MillingError:
-            return np.full(len(measured.error), np.nan)
-
-    with ThreadPoolExecutor(cores()) as pool:
-        for row in pool.map(errors, drawn):
-            rows.append(row)
-            progress(len(rows), plants)
+    drawn, places = [perturbed(nominal, rng) for _ in range(plants)], PredictedPlaces(nominal, measured)
+    rows: list[np.ndarray] = []
+    for row in robot_errors(drawn, nominal, [(reference, places)]):
+        rows.append(row)
+        progress(len(rows), plants)
     noise = measured.sigma * rng.normal(size=(len(rows), len(predicted)))
     low, high = np.nanquantile(np.array(rows) + noise, BAND, axis=0)
     line = line_through(measured.error, predicted, len(predicted))
     return WallComparison(measured, predicted, low, high, plants, line)
 
 
-def robot_errors(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> np.ndarray:
+def robot_errors(
+    robots: Iterable[Cell], cell: Cell, parts: Sequence[tuple[Trajectory | None, PredictedPlaces]]
+) -> Iterator[np.ndarray]:
+    """Errors [m], (n,), that each robot leaves at places of the parts of a cell; NaN for a robot that fails.
+
+    parts: the reference that was run, None: the target, and the places of each part.
+    """
+
+    def errors(robot: Cell) -> np.ndarray:
+        try:
+            return np.concatenate([_errors(robot, cell, reference, places) for reference, places in parts])
+        except MillingError:
+            return np.full(sum(places.normal.shape[0] for _, places in parts), np.nan)
+
+    with ThreadPoolExecutor(1 if long_pass(path_of(cell)) else cores()) as pool:
+        yield from pool.map(errors, robots)
+
+
+def _errors(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> np.ndarray:
     """Errors [m], (n,), that a robot leaves at places of the part of a cell; raises MillingError where it fails."""
     target = path_of(cell).target
     reference, cut = target if reference is None else reference, cut_of(robot)

@@ -31,10 +31,6 @@ from kr270_milling.studies.maps.postures import postures
 
 __all__ = ["Turns", "TurnPath", "constant_turn", "best_turns", "turned"]
 
-FINEST = 1e-4  #: [rad] of the last grid
-NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a path
-ROUNDS = 60
-
 
 @dataclass(frozen=True, eq=False)
 class TurnPath:
@@ -128,10 +124,13 @@ def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> TurnPath |
 
 def _refined(turns: Turns, path: TurnPath, step: float, ends: tuple[float, float]) -> TurnPath:
     """Refine the path with ever smaller steps [rad] about it, within ``ends``."""
-    for _ in range(ROUNDS):
-        if step < FINEST:
+    finest = 1e-4  # [rad] of the last grid
+    near = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # steps about a path
+    rounds = 60
+    for _ in range(rounds):
+        if step < finest:
             break
-        turn = np.clip(path.turn[:, None] + step * NEAR, *ends)
+        turn = np.clip(path.turn[:, None] + step * near, *ends)
         q, error = turns.at(turn)
         q = path.q[:, None] + (q[:, :, path.branch] - path.q[:, None] + np.pi) % (2 * np.pi) - np.pi
         better = turns.searched(path.branch, turn, q, error[:, :, path.branch], np.inf)

@@ -36,18 +36,8 @@ from kr270_milling.base.record import read_tree
 __all__ = ["StudyRows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
-ALONE = 4.0  #: [s] of work before local workers have imported the package
-COMPILES = 60.0  #: [s] that a first chunk may take because it compiles; assumed, for a busy machine
 ANSWER = 10.0  #: [s] for a scheduler to answer
-PATIENCE = 30.0  #: [s] for a first worker
-PLAN = "_study.json"  # Arrow leaves out names that begin with "_" where it reads the folder
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-QUIET = {
-    "distributed.logging.distributed": "critical",  # a worker that ends may miss a heartbeat
-    "distributed.admin.log-format": "",
-    "distributed.scheduler.allowed-failures": 3,
-    "distributed.admin.low-level-log-length": 10,  # each of its entries holds a task with the cell: 1000 grew by 90 MB
-}
 
 
 class StudyRows:
@@ -85,7 +75,8 @@ class Study:
     def __init__(self, folder, plan: dict):
         self.folder, self.plan = Path(folder), json.loads(json.dumps(plan))
         self.folder.mkdir(parents=True, exist_ok=True)
-        place, before = self.folder / PLAN, self.folder / PLAN[1:]
+        plan_name = "_study.json"  # Arrow leaves out names that begin with "_" where it reads the folder
+        place, before = self.folder / plan_name, self.folder / plan_name[1:]
         if before.exists():  # of version 0.2
             before.replace(place)
         if place.exists():
@@ -157,13 +148,15 @@ def run_chunks(
 
 def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes], report: Callable[[int], object]) -> int:
     """Make chunks here as long as the rest takes less than the start of workers; returns how many were made."""
+    alone = 4.0  # [s] of work before local workers have imported the package
+    compiles = 60.0  # [s] that a first chunk may take because it compiles; assumed, for a busy machine
     for k, number in enumerate(missing):
         start = time.monotonic()
         _write_whole(study.chunk(number), rows_of(number))
         report(k + 1)
         took = time.monotonic() - start
         # the first chunk may compile, so that a short one has a second try
-        if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > COMPILES):
+        if took * (len(missing) - k - 1) > alone and (k > 0 or took > compiles):
             return k + 1
     return len(missing)
 
@@ -193,13 +186,21 @@ def _executor(scheduler: str | None, rows_of: Callable[[int], bytes]) -> Iterato
     import dask
     from dask.distributed import Client
 
-    with dask.config.set(QUIET):
+    patience = 30.0  # [s] for a first worker
+    quiet = {
+        "distributed.logging.distributed": "critical",  # a worker that ends may miss a heartbeat
+        "distributed.admin.log-format": "",
+        "distributed.scheduler.allowed-failures": 3,
+        # each of its entries holds a task with the cell: 1000 grew by 90 MB
+        "distributed.admin.low-level-log-length": 10,
+    }
+    with dask.config.set(quiet):
         try:
             client = Client(scheduler, timeout=ANSWER)
         except (OSError, ValueError) as error:
             raise ModelError(f"the scheduler {scheduler} does not answer: {error}") from None
         with client:
-            client.wait_for_workers(1, timeout=PATIENCE)
+            client.wait_for_workers(1, timeout=patience)
             yield client.get_executor(pure=False), max(1, sum(client.nthreads().values()))
 
 

@@ -9,45 +9,49 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.models import path_of
-from kr270_milling.decide.stability import modes_of
+from kr270_milling.cell.paths import CellPath
+from kr270_milling.cell.sections import PathSection
+from kr270_milling.physics.cutting import Cutting
 from kr270_milling.physics.motion.stability import Lobe, Modes, has_uniform_pitch, stability_limit
 from kr270_milling.studies.identification.cuts import engagement_angles
 
 __all__ = ["engagement_text", "lobes"]
 
-THREADS = 2
-
 
 def lobes(
-    cell: Cell, speeds: Sequence[float], arm: bool = True, progress: Callable[[int, int], None] | None = None
+    path: CellPath,
+    cutting: Cutting,
+    modes: Modes,
+    speeds: Sequence[float],
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Lobe]:
-    """Limit depth at each spindle speed [rad/s], for the immersion of ``path`` and the feed per tooth of the cell."""
-    tool, modes = cell.tool, modes_of(cell, arm)
+    """Limit depth at each spindle speed [rad/s], for the immersion and the feed per tooth of a path.
+
+    modes: in axes with x along the feed.
+    """
+    tool = path.tool
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
     results = []
-    with ThreadPoolExecutor(THREADS) as pool:
-        for lobe in pool.map(lambda speed: _lobe_at(cell, modes, speed), speeds):
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for lobe in pool.map(lambda speed: _lobe_at(path, cutting, modes, speed), speeds):
             results.append(lobe)
             if progress is not None:
                 progress(len(results), len(speeds))
     return results
 
 
-def engagement_text(cell: Cell) -> str:
+def engagement_text(path: PathSection) -> str:
     """The cut of ``lobes`` in words."""
-    path = cell.path
     if path.radial_immersion >= 1.0:
         return "a slot"
     return f"{100.0 * path.radial_immersion:.3g} % of the diameter, {path.mode}"
 
 
-def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
-    """The limit depth at one spindle speed [rad/s]; modes: in axes with x along the feed."""
-    tool = cell.tool
-    mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
-    entry, leave = (float(angle) for angle in engagement_angles(mode, cell.path.radial_immersion, 1.0))
-    feed_per_tooth = 2.0 * math.pi * path_of(cell).feed_rate / (tool.spindle_speed * tool.teeth)
-    return Lobe(speed, *stability_limit(modes, tool, cell.cutting, feed_per_tooth, entry, leave, speed))
+def _lobe_at(path: CellPath, cutting: Cutting, modes: Modes, speed: float) -> Lobe:
+    """The limit depth at one spindle speed [rad/s]."""
+    tool, immersion = path.tool, path.path.radial_immersion
+    mode = "slot" if immersion >= 1.0 else path.path.mode
+    entry, leave = (float(angle) for angle in engagement_angles(mode, immersion, 1.0))
+    feed_per_tooth = 2.0 * math.pi * path.feed_rate / (tool.spindle_speed * tool.teeth)
+    return Lobe(speed, *stability_limit(modes, tool, cutting, feed_per_tooth, entry, leave, speed))

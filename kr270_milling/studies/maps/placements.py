@@ -40,10 +40,7 @@ __all__ = [
 ]  # fmt: skip
 
 MOST = 10_000_000  #: placements of a map
-SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
-PLACES = 24  #: along the path at which the error of each placement is looked at
 BLOCK = 1000  #: placements at a time, some 20 MB of postures
-REST = 12  #: over the whole path, approach and all, for reach and limits
 MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places
 DEGREES = 180.0 / math.pi
 
@@ -99,10 +96,12 @@ def grid_axes(workpiece: Workpiece, values: Sequence) -> tuple[np.ndarray, ...]:
 
 
 def path_places(path: CellPath, result: PassResult) -> PathPlaces:
-    """Places where the tool cuts in a pass along a path, and REST over the whole path for its reach and limits."""
+    """Places where the tool cuts in a pass along a path, and others over the whole path for its reach and limits."""
     cutting = np.flatnonzero(result.volume > 0.0)
-    chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
-    rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)
+    most_places = 24  # along the path at which the error of each placement is looked at
+    chosen = cutting[np.linspace(0, len(cutting) - 1, most_places).astype(int)]
+    quiet_places = 12  # over the whole path, approach and all, for reach and limits
+    rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, quiet_places).astype(int), chosen)
     both = np.union1d(chosen, rest)
     places = places_at(path, result, both)
     places.force[np.isin(both, rest)] = 0.0
@@ -176,7 +175,8 @@ class Placements(StudyRows):
         size = np.linalg.norm(force, axis=-1)
         within, measures = along_path(placed.arm, q, deflection, feed, size, MARGIN)
         singular, soft, largest, mean = np.moveaxis(measures, -1, 0)
-        reachable, feasible = np.isfinite(singular), within & (singular > SINGULAR)
+        least_measure = 1e-6  # measure of a posture below which no Jacobian is inverted
+        reachable, feasible = np.isfinite(singular), within & (singular > least_measure)
         return {
             "feasible": feasible,
             "reachable": reachable,

@@ -15,7 +15,6 @@ from kr270_milling.physics.robot.kinematics import jacobian_column
 
 __all__ = ["along_path", "postures", "whole_turns"]
 
-TWO_PI = 2.0 * np.pi
 _slope = njit(cache=True, nogil=True)(moment_slope)
 
 
@@ -95,15 +94,16 @@ def whole_turns(q, lower, upper):
     Of the whole turns that are within them, those nearest to the middle of the range are taken.
     """
     within = True
+    two_pi = 2.0 * np.pi
     for j in range(6):
         low = high = q[0, j]
         for k in range(1, len(q)):
             q[k, j] = q[k - 1, j] + wrapped(q[k, j] - q[k - 1, j])
             low, high = min(low, q[k, j]), max(high, q[k, j])
-        first, last = np.ceil((lower[j] - low) / TWO_PI), np.floor((upper[j] - high) / TWO_PI)
+        first, last = np.ceil((lower[j] - low) / two_pi), np.floor((upper[j] - high) / two_pi)
         within &= first <= last
-        central = np.round(0.5 * (lower[j] + upper[j] - low - high) / TWO_PI)
-        shift = TWO_PI * max(first, min(last, central))
+        central = np.round(0.5 * (lower[j] + upper[j] - low - high) / two_pi)
+        shift = two_pi * max(first, min(last, central))
         for k in range(len(q)):
             q[k, j] += shift
     return within

@@ -19,7 +19,6 @@ from kr270_milling.studies.maps.engine import StudyRows
 __all__ = ["Axis", "Sweep", "SweepSummary", "parse_axis"]
 
 MOST_ROWS = 10_000_000
-MOST_SHOWN = 5000  #: rows of a picture
 SPEED, PERIOD = "tool.spindle_speed_rpm", "exchange.period_ms"
 SCORES = (
     "static_deviation_um", "max_deviation_um", "mean_fx_n", "mean_fy_n", "mean_fz_n", "max_torque_n_m",
@@ -155,7 +154,8 @@ class SweepSummary:
         self.best: list[dict] = []
         self.worst: list[dict] = []
         self.shown: list[dict] = []
-        self._every = -(-len(sweep) // MOST_SHOWN)
+        most_shown = 5000  # rows of a picture
+        self._every = -(-len(sweep) // most_shown)
 
     def add(self, table) -> None:
         """Add the rows of an Arrow table."""

@@ -21,8 +21,9 @@ from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import find_file
 from kr270_milling.base.version import __version__
+from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell_file import read_cell
-from kr270_milling.cell.jobs import commanded_joints, compensated, simulate
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.compensation import compensate
@@ -295,7 +296,7 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
     line = Trajectory(np.arange(4) * 10**8, np.outer(np.arange(4), [1e-3, 0, 0]), path_of(cell).target.quaternion[0])
     write_programs(tmp_path, own, line, line, method="same", date=DATE)
     read = Robot(next(tmp_path.glob("krl_spline_*")), "MILLING_ORG")
-    assert_flange(read, own.arm, commanded_joints(own, line))
+    assert_flange(read, own.arm, commanded_joints(arm_of(own), own.compensation, line))
     lifted = (own.workpiece.pose.apply(read.transforms[:, :3, 3]) - own.workpiece.pose.apply(line.position))[:, 2]
     assert np.all(lifted > 0.1e-3)  # 700 kg of arm bend it by tenths of a millimetre
 

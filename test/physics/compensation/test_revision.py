@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
-from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
+from kr270_milling.cell.arm import mirrored
+from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cli import main
 from kr270_milling.decide.path_limits import correction_per_tick, correction_size
@@ -198,7 +199,7 @@ def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
     k = np.arange(0, len(target), 20)
     some = Trajectory(target.time_ns[k] - target.time_ns[k[0]], target.position[k], target.quaternion[k])
     wrench = np.tile([80.0, -150.0, 60.0, 20.0, -30.0, 40.0], (len(some), 1))
-    points = mirrored(cell, some, wrench)
+    points = mirrored(arm_of(cell), cell.compensation.relaxation, some, wrench)
     modified, _ = corrected(some, points.position - some.position, False, quaternion=points.quaternion)
     turn, part = np.kron(np.eye(2), cell.workpiece.pose.rotation), cell.workpiece.pose
     loaded = loaded_pose(cell.arm, cell.mount, arm_of(cell).joints(modified), wrench @ turn.T, True)
@@ -289,32 +290,32 @@ def gap(first: Pose, second: Pose) -> tuple[float, float]:
 )  # fmt: skip
 def test_mirror_target(load, relaxation):
     force = WRENCH * LOADS[load]
-    solution = mirror(ARM, SPINDLE, TARGET, force, PAPER, relaxation=relaxation, sag_compensated=False)
-    loaded = equilibrium(ARM, SPINDLE, solution.joints, np.tile(force, (5, 1)), gravity=True).pose
+    modified, joints, _ = mirror(ARM, SPINDLE, TARGET, force, PAPER, relaxation=relaxation, sag_compensated=False)
+    loaded = equilibrium(ARM, SPINDLE, joints, np.tile(force, (5, 1)), gravity=True).pose
     assert gap(loaded, TARGET)[1] < 1e-8
-    assert gap(pose(ARM, SPINDLE, solution.joints), solution.pose)[0] < 1e-12  # the joints command the modified target
+    assert gap(pose(ARM, SPINDLE, joints), modified)[0] < 1e-12  # the joints command the modified target
     return 0.0, gap(loaded, TARGET)[0], 1e-9
 
 
 def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs_turns_and_states_what_is_left():
-    solution = mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER)
+    modified, joints, _ = mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER)
     heavy, light = (
-        equilibrium(ARM, SPINDLE, solution.joints, w * np.ones((5, 1)), gravity=True).pose for w in (WRENCH, 0 * WRENCH)
+        equilibrium(ARM, SPINDLE, joints, w * np.ones((5, 1)), gravity=True).pose for w in (WRENCH, 0 * WRENCH)
     )
-    moved = solution.pose.position + heavy.position - light.position
+    moved = modified.position + heavy.position - light.position
     np.testing.assert_allclose(moved, TARGET.position, atol=1e-9)
-    turned = heavy.rotation @ np.swapaxes(light.rotation, -1, -2) @ solution.pose.rotation
+    turned = heavy.rotation @ np.swapaxes(light.rotation, -1, -2) @ modified.rotation
     assert gap(Pose(moved, turned), TARGET)[1] < 1e-8
     wrenches = WRENCH * np.linspace(-1, 1, 5)[:, None]
-    whole = mirror(ARM, SPINDLE, TARGET, wrenches, PAPER).pose
+    whole = mirror(ARM, SPINDLE, TARGET, wrenches, PAPER)[0]
     for k in range(5):
-        one = mirror(ARM, SPINDLE, Pose(TARGET.position[k : k + 1], TARGET.rotation[:1]), wrenches[k], PAPER).pose
+        one = mirror(ARM, SPINDLE, Pose(TARGET.position[k : k + 1], TARGET.rotation[:1]), wrenches[k], PAPER)[0]
         assert gap(one, Pose(whole.position[k : k + 1], whole.rotation[k : k + 1]))[0] < 2e-9
     moment = np.array([0, 0, 0, 0, 0, 30.0])
-    solution = mirror(ARM, SPINDLE, TARGET, moment, PAPER)
+    _, _, history = mirror(ARM, SPINDLE, TARGET, moment, PAPER)
     tilted = loaded_pose(ARM, SPINDLE, np.tile(PAPER, (1, 1)), moment[None], True)
     shift, turn = gap(tilted, Pose(START.position[None], START.rotation[None]))
-    assert solution.history[0] == pytest.approx(shift + LEVER * turn, rel=0.05)
+    assert history[0] == pytest.approx(shift + LEVER * turn, rel=0.05)
     for relaxation, iterations in ((0.01, 60), (0.9, 3), (1.0, 1)):
         with pytest.raises(ModelError, match=rf"m left after {iterations} iterations of \(32\), wanted 1e-09 m"):
             mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=iterations)
@@ -325,7 +326,7 @@ def test_the_mirror_works_point_by_point_leaves_the_sag_to_the_controller_weighs
     cases=("relaxation", [(0.2,), (0.5,), (0.8,), (0.9,)]),
 )  # fmt: skip
 def test_mirror_rate(relaxation):
-    history = np.array(mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=200).history)
+    history = np.array(mirror(ARM, SPINDLE, TARGET, WRENCH, PAPER, relaxation=relaxation, max_iterations=200)[2])
     assert np.all(np.diff(history) < 0)
     rate = np.exp(np.polyfit(np.arange(len(history) - 1), np.log(history[:-1]), 1)[0])
     return 1 - relaxation, rate, 0.05 * (1 - relaxation)

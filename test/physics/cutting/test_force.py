@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from book import check
-from samples.cuttings import ALUMINIUM, LAWS, PAPER_LAW, convergence, slot_chip
+from samples.cuttings import ALUMINIUM, KLIMCHIK2014, LAWS, PAPER_LAW, convergence, slot_chip
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build, flatten
-from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2014, Cut, Cutting, Stock, Tool, fractional
+from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, Stock, Tool, fractional
 from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError, ModelError
+from kr270_milling.cell.arm import mirrored
 from kr270_milling.cell.cell_file import cell_text
-from kr270_milling.cell.jobs import compensated, mirrored, simulate
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, modal_model_of, path_of
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.arm_model import Dynamics, MeasuredModes, arm_model, measured_model, modal_models
@@ -375,5 +376,8 @@ def test_the_mirror_and_other_methods_remove_the_displacement_of_the_tool_as_wel
         left = compensated(tried, original, method).scores.static_deviation
         assert abs(left) < 0.08 * original.scores.static_deviation
     wrench = np.tile([100.0, -80.0, 60.0, 0.0, 0.0, 0.0], (len(path_of(tried).target), 1))
-    bent, rigid = (mirrored(one, path_of(one).target, wrench).position for one in (tried, cell()))
+    bent, rigid = (
+        mirrored(arm_of(one), one.compensation.relaxation, path_of(one).target, wrench).position
+        for one in (tried, cell())
+    )
     assert bent - rigid == pytest.approx(np.tile([-50e-6, 40e-6, 0.0], (len(bent), 1)), abs=1e-7)

@@ -15,11 +15,11 @@ from samples.cuttings import profile
 from samples.small_part import GCODE, small_part
 
 from kr270_milling import read_cell
-from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.cutting import Cut, GridError, UndoError
+from kr270_milling.physics.cutting import Cut
 from kr270_milling.physics.motion import milling_pass
 from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.periods import Clock, Exchange
@@ -108,7 +108,7 @@ def test_a_pass_may_be_in_the_air_or_of_one_period_and_a_lack_of_log_or_tiles_is
     assert len(result.time) == 2 and result.micro_steps == 24
     cell = read_cell("paper.yaml", *SHORT)
     cut = Cut(cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step, log_size=64)
-    with pytest.raises(UndoError):
+    with pytest.raises(MillingError, match="taken back"):
         run_pass(
             arm_model_of(cell, path_of(cell).target),
             cut,
@@ -118,7 +118,7 @@ def test_a_pass_may_be_in_the_air_or_of_one_period_and_a_lack_of_log_or_tiles_is
             2,
         )
     monkeypatch.setattr("kr270_milling.physics.cutting.state.MAX_TILES", 3)
-    with pytest.raises(GridError, match="3 tiles"):
+    with pytest.raises(MillingError, match="3 tiles"):
         run(*SHORT)
 
 

@@ -14,8 +14,8 @@ from samples.recording_samples import sample
 
 from kr270_milling.base.column import as_dict, column, columns, columns_of, computed, table_of
 from kr270_milling.base.record import find_file
+from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell_file import read_cell
-from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.part import FeatureRow
 from kr270_milling.exchange.scene import OUTPUTS
@@ -109,8 +109,9 @@ def test_the_solids_of_every_link_are_closed_and_the_tool_ends_in_the_tip(cell, 
 def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
     cell = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
     reference = path_of(cell).target
-    model = robot_model(cell, SimpleNamespace(reference=reference, name="original"))
-    np.testing.assert_allclose(model["joints"][0], commanded_joints(cell, reference)[0], atol=1e-9)
+    of_cell, shown = (arm_of(cell), cell.compensation), SimpleNamespace(reference=reference, name="original")
+    model = robot_model(*of_cell, cell.stock, shown)
+    np.testing.assert_allclose(model["joints"][0], commanded_joints(*of_cell, reference)[0], atol=1e-9)
     assert np.abs(model["joints"][0] - arm_of(cell).posture).max() > 1e-4  # [rad], of the sag
     assert model["time"][-1] == pytest.approx(reference.duration_ns * 1e-9)
 

@@ -24,11 +24,11 @@ from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.show.report.identification.comparison import advice
 from kr270_milling.show.report.identification.compliance import reason
 from kr270_milling.studies.identification import comparison
-from kr270_milling.studies.identification.comparison import ComparedSeries, VectorSeries
+from kr270_milling.studies.identification.comparison import ComparedSeries
 from kr270_milling.studies.identification.compliance import fit_compliance
 from kr270_milling.studies.identification.measurements import read_measurements
-from kr270_milling.studies.identification.plan import Bench, Planner, candidates, read_test_pose
-from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem
+from kr270_milling.studies.identification.plan import Planner, candidates, read_test_pose
+from kr270_milling.studies.identification.problem import Problem
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_coverage():
 )
 def test_plan():
     """The error is that of the displacement predicted for 100 N along each axis, against the true arm."""
-    rng, choice = np.random.default_rng(12), candidates(ARM, MOUNT, BENCH, 1000, 2)
+    rng, choice = np.random.default_rng(12), candidates(ARM, MOUNT, 1000, 2, MOUNT.xyz)
     planned = Planner(ARM, MOUNT, choice, POSE).best(12).rows
     kinds = [np.flatnonzero(choice.kind == kind) for kind in choice.kind[planned]]
     true = displacements(TRUE, MOUNT, POSE)[:, :3]
@@ -98,12 +98,12 @@ def test_each_cause_of_a_joint_that_is_not_identified_is_named(rng):
     assert fitted.values[5] == ARM.joint_compliance[5] and fitted.half_widths[5] == np.inf
     on_axis = dataclasses.replace(tests, reflector=np.zeros((20, 3)))
     fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(on_axis)))
-    assert fitted.exclusions[5].cause is Cause.ON_AXIS
+    assert "on its axis" in fitted.exclusions[5]
     fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests.take(np.zeros(8, int)))))
-    assert fitted.free.sum() <= 3 and [e.cause for e in fitted.exclusions.values()].count(Cause.ALIKE) == 3
+    assert fitted.free.sum() <= 3 and sum("in every test" in reason for reason in fitted.exclusions.values()) == 3
     tests.wrench[:] *= 0.01  # the effect of a joint is below the noise
     fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests, rng=rng)))
-    assert not fitted.free.all() and Cause.NOISE in [e.cause for e in fitted.exclusions.values()]
+    assert not fitted.free.all() and any("below the noise" in reason for reason in fitted.exclusions.values())
     assert np.all(fitted.values > 0.0)
 
 
@@ -116,7 +116,7 @@ def test_published_compliances_are_identified_from_hanging_loads(rng):
     moved = displacements(arm, mount, weights)
     moved[:, 3:] = np.nan
     fitted = fit_compliance(Problem(ARM, mount, dataclasses.replace(weights, displacement=moved)))
-    assert fitted.free.tolist() == [False, *[True] * 5] and fitted.exclusions == {0: Exclusion(Cause.NO_LOAD)}
+    assert fitted.free.tolist() == [False, *[True] * 5] and fitted.exclusions == {0: "no load turned it"}
     assert 1e6 * fitted.values[1:] == pytest.approx(table, rel=1e-6)
     assert 1e6 * fitted.values[0] == pytest.approx(0.26)  # stays as Table 1 has it
 
@@ -154,12 +154,12 @@ def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
 
 
 # --- Plans of load tests: the design is what it claims, the exchange finds the best of what can be enumerated ---
-BENCH, POSE = Bench(MOUNT.xyz), read_test_pose(find_file("test_piece.yaml"), MOUNT)
+POSE = read_test_pose(find_file("test_piece.yaml"), MOUNT)
 
 
 @pytest.fixture(scope="module")
 def choice():
-    return candidates(ARM, MOUNT, BENCH, 200, 3)
+    return candidates(ARM, MOUNT, 200, 3, MOUNT.xyz)
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +171,8 @@ def test_candidates_keep_to_limits_floor_and_distance(choice):
     q = choice.tests.q
     assert np.all((q > ARM.joint_lower) & (q < ARM.joint_upper)) and np.abs(q[:, [3, 5]]).max() <= np.pi
     point = forward(ARM, MOUNT, q).tool.position
-    assert point[:, 2].min() > BENCH.lowest and point[:, 2].max() < BENCH.highest
-    assert np.hypot(point[:, 0], point[:, 1]).min() > BENCH.nearest
+    assert point[:, 2].min() > 0.3 and point[:, 2].max() < 2.2
+    assert np.hypot(point[:, 0], point[:, 1]).min() > 0.9
     size = np.linalg.norm(choice.tests.wrench[:, :3], axis=1)
     assert size[choice.kind == 0] == pytest.approx(980.665) and size[choice.kind > 0] == pytest.approx(800.0)
     assert not choice.tests.wrench[choice.kind > 0, 2].any()
@@ -180,7 +180,7 @@ def test_candidates_keep_to_limits_floor_and_distance(choice):
 
 def test_the_exchange_finds_the_best_of_all_choices():
     """All 4060 choices of 3 of 30 candidates."""
-    few = candidates(ARM, MOUNT, BENCH, 8, 5).take(np.arange(30))
+    few = candidates(ARM, MOUNT, 8, 5, MOUNT.xyz).take(np.arange(30))
     planner = Planner(ARM, MOUNT, few, POSE)
     best = min(planner.design(rows).pose_error for rows in itertools.combinations(range(30), 3))
     assert planner.best(3).pose_error <= 1.02 * best
@@ -278,7 +278,7 @@ def model():
 def as_pass(result, lag=0.0, noise=0.0) -> ComparedSeries:
     force, place = noise * np.random.default_rng(4).normal(size=(2, *result.actual.shape))
     values = (result.wrench[:, :3] + 1e6 * force, result.actual + place)
-    return ComparedSeries(*(VectorSeries(result.time + lag, value) for value in values))
+    return {name: (result.time + lag, value) for name, value in zip(("force", "pose"), values, strict=True)}
 
 
 def compared(measured: ComparedSeries, model):
@@ -288,36 +288,37 @@ def compared(measured: ComparedSeries, model):
 
 @pytest.mark.parametrize("lag", [-0.2, 0.0, 0.137])
 def test_the_same_pass_agrees_whatever_its_clock(model, lag):
-    result = compared(as_pass(model, lag, noise=2e-6), model)
-    assert result.lags["force"] == pytest.approx(lag, abs=6e-4) and result.lags["pose"] == pytest.approx(lag, abs=6e-4)
-    assert all(abs(c.line.gain - 1.0) < 0.01 + 3 * c.line.gain_sigma for c in result.channels)
-    assert all(c.line.gain_sigma < 0.03 for c in result.channels)
-    assert advice(result) == ["measurement and simulation agree: nothing to identify again"]
+    channels, lags, ringing = compared(as_pass(model, lag, noise=2e-6), model)
+    assert lags == pytest.approx({"force": lag, "pose": lag}, abs=6e-4)
+    assert all(abs(c.line.gain - 1.0) < 0.01 + 3 * c.line.gain_sigma for c in channels)
+    assert all(c.line.gain_sigma < 0.03 for c in channels)
+    assert advice(channels, ringing) == ["measurement and simulation agree: nothing to identify again"]
 
 
 def test_advice_separates_larger_forces_from_a_softer_arm(model):
     law = CELL.cutting.fractional
     stronger = CELL.replace(cutting=CELL.cutting.replace(fractional=law.replace(stiffness=1.2 * law.stiffness)))
-    sentences = advice(compared(as_pass(simulate(stronger).result, 0.1, 2e-6), model))
+    channels, _, ringing = compared(as_pass(simulate(stronger).result, 0.1, 2e-6), model)
+    sentences = advice(channels, ringing)
     assert any("identify forces" in s for s in sentences) and not any("identify compliance" in s for s in sentences)
     softer = CELL.replace(arm=CELL.arm.replace(joint_compliance=1.25 * CELL.arm.joint_compliance))
-    result = compared(as_pass(simulate(softer).result, 0.1, 2e-6), model)
-    sentences = advice(result)
+    channels, _, ringing = compared(as_pass(simulate(softer).result, 0.1, 2e-6), model)
+    sentences = advice(channels, ringing)
     assert any("the deviation is 1.2" in s and "identify compliance" in s for s in sentences)
     assert not any("identify forces" in s for s in sentences)
     assert any("identify damping" in s for s in sentences)  # 1 / sqrt(1.25): 11 % lower
-    assert result.ringing["measured"][0] == pytest.approx(result.ringing["simulated"][0] / np.sqrt(1.25), rel=0.02)
+    assert ringing["measured"][0] == pytest.approx(ringing["simulated"][0] / np.sqrt(1.25), rel=0.02)
 
 
 def test_a_force_alone_or_a_place_alone_is_compared_and_another_pass_is_refused(model):
     both = as_pass(model)
-    assert set(compared(ComparedSeries(both.force, None), model).lags) == {"force"}
-    assert set(compared(ComparedSeries(None, both.tool), model).lags) == {"pose"}
+    assert set(compared({"force": both["force"]}, model)[1]) == {"force"}
+    assert set(compared({"pose": both["pose"]}, model)[1]) == {"pose"}
     with pytest.raises(MillingError, match="neither a force nor a place"):
-        compared(ComparedSeries(None, None), model)
+        compared({}, model)
     noise = np.random.default_rng(0).normal(size=model.wrench[:, :3].shape)
     with pytest.raises(ModelError, match="does not resemble"):
-        compared(ComparedSeries(VectorSeries(model.time, noise), None), model)
+        compared({"force": (model.time, noise)}, model)
 
 
 def test_the_line_of_a_known_series_and_its_standard_deviation():

@@ -127,7 +127,7 @@ def measured(cell):
     model, rng = coarser(cell), np.random.default_rng(6)
     law = model.cutting.active.grown(1.6)
     hidden = model.replace(cutting=model.cutting.replace(**{model.cutting.law: law}))
-    errors = robot_errors(hidden, model, None, PredictedPlaces(model, places))
+    (errors,) = robot_errors([hidden], model, [(None, PredictedPlaces(model, places))])
     return [dataclasses.replace(places, error=errors + UM * rng.normal(size=n)) for _ in range(2)]
 
 

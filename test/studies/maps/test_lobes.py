@@ -15,7 +15,8 @@ from semi_discretisation import BENCHMARK, MASS, TEETH, directional, limit, moda
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell_file import read_cell
-from kr270_milling.decide.stability import feature_limits
+from kr270_milling.cell.models import path_of
+from kr270_milling.decide.stability import feature_limits, modes_of
 from kr270_milling.physics.motion.stability import Modes, stability_limit
 from kr270_milling.studies.maps.lobes import lobes
 
@@ -26,13 +27,18 @@ def benchmark(immersion: float = 1.0, mode: str = "slot"):
     return read_cell(find_file("paper.yaml"), [*BENCHMARK, f"path.radial_immersion={immersion}", f"path.mode={mode}"])
 
 
+def limits_at(cell, speeds):
+    """Limits of a cell, without the modes of the arm."""
+    return lobes(path_of(cell), cell.cutting, modes_of(cell, arm=False), speeds)
+
+
 @pytest.mark.parametrize(("immersion", "mode"), [(1.0, "slot"), (0.5, "up"), (0.5, "down")])
 @pytest.mark.parametrize("speed", [5000, 9000, 13500, 20000])
 def test_limit_and_frequency_are_those_of_semi_discretisation(immersion, mode, speed):
     delay = 60.0 / speed / TEETH
     depths = np.geomspace(1e-4, 6e-3, 30)
     expected, multiplier = limit(delay, directional(mode, 40), directional(mode, 160), depths)
-    (result,) = lobes(benchmark(immersion, mode), [speed * RPM], arm=False)
+    (result,) = limits_at(benchmark(immersion, mode), [speed * RPM])
     assert result.depth_limit == pytest.approx(expected, rel=0.01)
     beat = abs(np.angle(multiplier))
     assert abs(np.angle(np.exp(1j * result.chatter_frequency * delay))) == pytest.approx(beat, abs=0.03)
@@ -42,7 +48,7 @@ def test_an_unstable_island_below_the_lobe_is_the_limit():
     """Half immersion, down, 10,000 rpm: vibration of twice the tooth period grows from 2.106 to 2.345 mm."""
     delay, h = 60.0 / 10000 / TEETH, directional("down", 100)
     first = brentq(lambda depth: radius(depth, delay, h) - 1.0, 2.0e-3, 2.2e-3)
-    (result,) = lobes(benchmark(0.5, "down"), [10000 * RPM], arm=False)
+    (result,) = limits_at(benchmark(0.5, "down"), [10000 * RPM])
     assert result.depth_limit == pytest.approx(first, rel=2e-3)
     assert result.chatter_frequency * delay / np.pi % 2.0 == pytest.approx(1.0, abs=1e-9)
 
@@ -105,7 +111,7 @@ def test_a_feature_is_cut_in_its_own_direction(tmp_path):
         return result.limit, cell
 
     with_x, cell = limit_of(along_x, "[1, 0, 0]")
-    (expected,) = lobes(cell, [cell.tool.spindle_speed], arm=False)
+    (expected,) = limits_at(cell, [cell.tool.spindle_speed])
     assert with_x.depth_limit == pytest.approx(expected.depth_limit, rel=0.05)
     assert limit_of(along_y, "[0, 1, 0]")[0].depth_limit == pytest.approx(with_x.depth_limit, rel=0.05)
     assert limit_of(along_x, "[0, 1, 0]")[0].depth_limit != pytest.approx(with_x.depth_limit, rel=0.2)
@@ -114,10 +120,10 @@ def test_a_feature_is_cut_in_its_own_direction(tmp_path):
 def test_the_sense_of_rotation_mirrors_and_a_heavier_mode_cuts_deeper():
     cell = benchmark()
     other = cell.replace(tool=cell.tool.replace(rotation="counterclockwise"))
-    (one,), (mirrored,) = (lobes(c, [9000 * RPM], arm=False) for c in (cell, other))
+    (one,), (mirrored,) = (limits_at(c, [9000 * RPM]) for c in (cell, other))
     assert mirrored.depth_limit == pytest.approx(one.depth_limit, rel=1e-6)
     heavy = read_cell(find_file("paper.yaml"), [*BENCHMARK[:-1], BENCHMARK[-1].replace(str(MASS), str(2 * MASS))])
-    (twice,) = lobes(heavy, [9000 * RPM], arm=False)
+    (twice,) = limits_at(heavy, [9000 * RPM])
     assert twice.depth_limit == pytest.approx(2 * one.depth_limit, rel=2e-3)  # m x'' = -a h: only a / m counts
 
 
@@ -133,7 +139,7 @@ def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path):
 
 def test_what_cannot_be_meant_is_refused():
     with pytest.raises(ParameterError, match="no mode"):
-        lobes(read_cell(find_file("paper.yaml")), [800.0], arm=False)
+        limits_at(read_cell(find_file("paper.yaml")), [800.0])
     with pytest.raises(ConfigError, match="direction"):
         read_cell(find_file("paper.yaml"), [BENCHMARK[-1].replace("[1, 0, 0]", "[2, 0, 0]")])
     assert refused("stability", "paper.yaml", "--speeds", "1:2")

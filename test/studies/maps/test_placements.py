@@ -17,7 +17,7 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
 from kr270_milling.physics.robot.analysis import read_arm
-from kr270_milling.physics.robot.arm import NO_COMPENSATOR, GravityCompensator
+from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.studies.maps.along import Turns, best_turns, constant_turn
 from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell, present_row
 from kr270_milling.studies.maps.postures import whole_turns
@@ -97,7 +97,7 @@ def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placeme
     long = spring.length(np.cos(q[1]), np.sin(q[1]))
     slack = spring.replace(preload=20e6 * (spring.length(0.0, -1.0) - long))
     ours = []
-    for compensator in (NO_COMPENSATOR, slack):
+    for compensator in (GravityCompensator(), slack):
         arm = cell.arm.replace(compensator=compensator)
         made = Placements(arm_of(cell.replace(arm=arm)), placements.left, places, placements.axes).rows(place)
         model = modal_models(arm, cell.mount, cell.dynamics, cell.workpiece.pose, q[None])[0]

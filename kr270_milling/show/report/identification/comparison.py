@@ -7,7 +7,7 @@ import numpy as np
 from kr270_milling.base.column import TextTable, fixed
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
-from kr270_milling.studies.identification.comparison import ComparedChannel, Comparison, LinearFit
+from kr270_milling.studies.identification.comparison import ComparedChannel, LinearFit
 
 __all__ = ["advice", "comparison_outcome"]
 
@@ -20,29 +20,30 @@ COLUMNS = ("quantity", "measured / simulated", "95 % +-", "offset", "difference 
 UNITS = {"m": (1e6, "um", "um"), "N": (1.0, "n", "N")}  #: unit of a channel -> factor, suffix of keys, unit in tables
 
 
-def comparison_outcome(comparison: Comparison, recording: str, cell: str) -> Outcome:
+def comparison_outcome(
+    channels: list[ComparedChannel], lags: dict, ringing: dict, recording: str, cell: str
+) -> Outcome:
     """Return the result of ``compare``; recording, cell: names of the files."""
-    sentences = advice(comparison)
-    lags = [
+    sentences = advice(channels, ringing)
+    clocks = [
         f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
         if abs(lag) < DAY
         else f"the clock of the {name} does not begin with the pass"
-        for name, lag in comparison.lags.items()
+        for name, lag in lags.items()
     ]
     result = {
-        "channels": [_as_dict(channel) for channel in comparison.channels],
-        "lag_s": comparison.lags,
-        "ringing": {name: {"frequency_hz": f, "damping_ratio": z} for name, (f, z) in comparison.ringing.items()},
+        "channels": [_as_dict(channel) for channel in channels],
+        "lag_s": lags,
+        "ringing": {name: {"frequency_hz": f, "damping_ratio": z} for name, (f, z) in ringing.items()},
         "advice": sentences,
     }
     title = f"Measured against simulated: {recording} and {cell}"
-    table = TextTable("Measured against simulated", COLUMNS, [_row(channel) for channel in comparison.channels])
-    return Outcome("compare", title, result, [table], [*lags, *sentences], lambda: _figures(comparison))
+    table = TextTable("Measured against simulated", COLUMNS, [_row(channel) for channel in channels])
+    return Outcome("compare", title, result, [table], [*clocks, *sentences], lambda: _figures(channels))
 
 
-def advice(comparison: Comparison) -> list[str]:
+def advice(channels: list[ComparedChannel], ringing: dict[str, tuple[float, float]]) -> list[str]:
     """Return what to identify again."""
-    channels, ringing = comparison.channels, comparison.ringing
     sentences = []
     largest = max((float(np.abs(c.simulated).mean()) for c in channels if c.unit == "N"), default=0.0)
     forces = [c for c in channels if c.unit == "N" and np.abs(c.simulated).mean() > LARGE * largest]
@@ -98,9 +99,9 @@ def _row(channel: ComparedChannel) -> list[str]:
     return [channel.name, *numbers, f"{fixed(offset)} {unit}", f"{factor * _rms(channel):.2f} {unit}"]
 
 
-def _figures(comparison: Comparison) -> list:
+def _figures(channels: list[ComparedChannel]) -> list:
     figures = []
-    for channel in comparison.channels:
+    for channel in channels:
         thin = slice(None, None, max(1, len(channel.time) // MOST_POINTS))
         factor, _, unit = UNITS[channel.unit]
         both = {"measured": channel.measured, "simulated": channel.simulated}

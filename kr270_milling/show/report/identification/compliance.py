@@ -13,18 +13,11 @@ from kr270_milling.show.report.study_page import COLOURS, DIVERGING, figure_of, 
 from kr270_milling.studies.identification.compliance import Fit
 from kr270_milling.studies.identification.doubts import compliance_doubts
 from kr270_milling.studies.identification.measurements import Measurements
-from kr270_milling.studies.identification.problem import Cause, Exclusion
 
 __all__ = ["BASE_Z", "compliance_outcome", "reason", "sentences"]
 
 COLUMNS = ("number", "arm file", "identified", "95 % +-", "identified by the data")
 BASE_Z = "not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance"
-CAUSES = {
-    Cause.NO_EFFECT: "no measured displacement depends on it",
-    Cause.NO_LOAD: "no load turned it",
-    Cause.ON_AXIS: "the reflector lay on its axis, so its rotation was not measured",
-    Cause.NOISE: "its effect is below the noise, its 95 % interval would include zero",
-}
 
 
 def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outcome:
@@ -57,14 +50,7 @@ def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outc
 
 def reason(fit: Fit, number: int) -> str:
     """Return why a number was not fitted."""
-    exclusion: Exclusion = fit.exclusions[number]
-    names = fit.problem.names
-    if exclusion.cause is Cause.ALIKE:
-        partner = names[exclusion.partner]
-        return (
-            f"{names[number]}: in every test it moved the reflector as {partner} does, so the data cannot separate them"
-        )
-    return f"{names[number]}: {CAUSES[exclusion.cause]}"
+    return f"{fit.problem.names[number]}: {fit.exclusions[number]}"
 
 
 def sentences(fit: Fit, pose: Measurements | None = None, doubted: bool = False) -> list[str]:
