@@ -224,7 +224,7 @@ def monte_carlo(
     samples: int = SAMPLES,
     seed: int = 1,
     *,
-    progress: Callable[[int, int], None] = lambda *_: None,
+    progress: Callable[[int, int], None] | None = None,
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
 ) -> Verdict:
@@ -250,7 +250,11 @@ def monte_carlo(
         rows = run_sample(plant, target, (target, *references.values()), gauge)
         return rows, _tracked(cell, plant, gauge) if k < learning else None
 
-    drawn = _each_robot(nominal, samples, seed, run, lambda done: progress(work(done), work(samples)))
+    def count(done: int) -> None:
+        if progress:
+            progress(work(done), work(samples))
+
+    drawn = _each_robot(nominal, samples, seed, run, count)
     rows = np.stack([row for row, _ in drawn])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
     tracked = [value for _, value in drawn if value is not None]
