@@ -27,7 +27,8 @@ from kr270_milling.path.cam.program_builder import ProgramBuilder
 
 RS274 = os.environ.get("RS274") or shutil.which("rs274") or ""
 NEAR = 3e-3  #: [mm] rs274 writes four decimals, also in inches
-TOOLS = "".join(f"T{n} P{n} D{n} Z0\n" for n in range(1, 100))
+#: diameters are inches here, and D n is a tool of n mm
+TOOLS = "".join(f"T{n} P{n} D{n / 25.4:.9f} Z0\n" for n in range(1, 100))
 CANON = re.compile(r"^ *\d+ +N[\d.]+ *(\w+)\((.*)\)$")
 
 
@@ -141,6 +142,7 @@ class _Logged(Interpreter):
         self.position = [0.0] * 3
         self.to_initial = self.fixed = False  # rs274 starts in G99, and G10 sets its offsets
         self.homes = False
+        self.radii |= {float(n): 0.5e-3 * n for n in range(1, 100)}
 
     def go(self, end) -> None:
         super().go(end)
@@ -273,7 +275,9 @@ def _blocks(rng: random.Random, subs: list[str], count: int) -> list[str]:
             lines += _random_cycle(rng)
         elif kind < 0.86:
             lines.append(_filled(rng, rng.choice(PLACES if kind < 0.8 else SETTINGS)))
-        elif kind < 0.9 and subs:
+        elif kind < 0.89:
+            lines += _random_contour(rng)
+        elif kind < 0.92 and subs:
             lines.append(f"{rng.choice(subs)} call [{_number(rng)}] [2]")
         else:
             inside = [f"G1 X{_number(rng)}", f"G0 Y[#101*{_number(rng)}]", "#101=[#101+1]"]
@@ -305,6 +309,28 @@ def _random_arc(rng: random.Random) -> list[str]:
     if end and rng.random() < 0.3:
         centre, turns = f" R{radius * rng.choice((1, -1)):.5f}", ""
     return ["G90", f"G{plane}", f"G1 {first}{a[0]:.5f} {second}{a[1]:.5f}", f"G{word}{end}{helix}{centre}{turns}"]
+
+
+def _random_contour(rng: random.Random) -> list[str]:
+    """A contour with the tool beside it: lines and arcs, corners of any angle, moves along z; often one where the tool
+    does not fit."""
+    x, y, heading, radius = rng.uniform(-30, 30), rng.uniform(-30, 30), rng.uniform(-180, 180), rng.randint(1, 8)
+    lines = ["G90 G17", f"G0 X{x:.4f} Y{y:.4f}", rng.choice((f"G41 D{2 * radius}", f"G42 D{2 * radius}"))]
+    for k in range(rng.randint(2, 9)):
+        heading += 0 if not k else rng.choice((0, 90, -90, rng.uniform(-170, 170), rng.uniform(-60, 60)))
+        way, before = rng.uniform(9, 50), complex(x, y)
+        turn = rng.choice((0, 0, 90, -90, rng.uniform(-300, 300))) if k else 0
+        chord = 2 * way * math.sin(math.radians(abs(turn) / 2)) or way
+        step = chord * _turn(heading + turn / 2)
+        x, y = round(x + step.real, 5), round(y + step.imag, 5)
+        centre = before + 1j * way * _turn(heading) * (1 if turn > 0 else -1) - before
+        word = "G0" if rng.random() < 0.1 and k else "G1" if not turn else "G3" if turn > 0 else "G2"
+        arc = f" I{centre.real:.5f} J{centre.imag:.5f}" if word in ("G2", "G3") else ""
+        lines.append(f"{word} X{x:.5f} Y{y:.5f}{arc}" + rng.choice(("", "", f" Z{rng.uniform(-3, 3):.3f}", " F333")))
+        heading += turn if arc else 0
+        lines += rng.choice(([], [], [], [f"G1 Z{rng.uniform(-3, 3):.3f}"]))
+    step = 2 * radius * _turn(heading)
+    return [*lines, "G40", f"{rng.choice(('G0', 'G1'))} X{x + step.real:.4f} Y{y + step.imag:.4f}"]
 
 
 def _random_cycle(rng: random.Random) -> list[str]:

@@ -6,8 +6,10 @@ Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points
+from kr270_milling.path.cam.contour import Stroke, planned
 from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, TOP
@@ -19,6 +21,7 @@ MM = 0.001  #: [m]
 AXES = {"X": 0, "Y": 1, "Z": 2}
 CENTRES = ("I", "J", "K")
 OF_ARCS = (*CENTRES, "R", "CR", "TURN")
+CORNERS = (",R", ",C", "RND", "CHR", "CHF")  #: words that round or break the corner after a move
 MOVING = ("X", "Y", "Z", *CENTRES, "R", "CR")
 #: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
@@ -55,6 +58,11 @@ class Machine:
         self.ended = False
         #: from coordinates of the program to those of the path: factor of x + i y, x + i y [m], z [m]; None: the same
         self.shift: tuple[complex, complex, float] | None = None
+        self.side = 0  #: 1: the tool is to the left of the contour, -1: to the right
+        self.radius = 0.0  #: [m], by which it is; NaN: that of the tool
+        self.beside = 0j  #: [m], of the tool from ``position``
+        #: of a program that looks ahead: the moves of its first run, or what is planned for those of the second one
+        self.contour: list[Stroke | None] | Iterator[list[Stroke] | str | None] | None = None
 
     def on_path(self, point) -> tuple[float, ...]:
         """Return the place of a point on the path; an axis without a value keeps none."""
@@ -69,6 +77,7 @@ class Machine:
 
     def set_shift(self, shift: tuple[complex, complex, float] | None) -> None:
         """Give the moves that follow other coordinates; the tool stays where it is."""
+        self.ends_contour("other coordinates")
         place = self.on_path(self.position)
         self.shift = shift
         if shift is not None:
@@ -114,9 +123,11 @@ class Machine:
     def home(self, axes: list[str]) -> None:
         """The tool leaves the workpiece: up to the top height first, then X and Y are unknown."""
         self.cycle = None
+        self.ends_contour("a move home")
         if "Z" in axes:
             self.position[2] = TOP
-            self.go(tuple(self.position))
+            self.go(self._place)
+            self.beside = 0j
         for axis in axes:
             if axis != "Z":
                 self.position[AXES[axis]] = math.nan
@@ -125,6 +136,7 @@ class Machine:
     def change_tool(self, tool: str) -> None:
         """The tool of the moves that follow, if it is another one."""
         if tool not in ("", self.program.tool):
+            self.ends_contour("a change of the tool")
             self.program.change_tool(tool)
             self.cycle = None
 
@@ -156,11 +168,102 @@ class Machine:
         start, end = tuple(self.position), self._end(axes)
         arc = {letter: axes.pop(letter) for letter in OF_ARCS if letter in axes}
         self.position = list(end)
+        if self.contour is None and not self.side:
+            self._plain(start, end, arc, axes)
+        else:
+            self._contoured(start, end, arc, axes)
+
+    def _plain(self, start, end, arc: dict, axes: dict) -> None:
         if self.mode == 0:
             self._surplus(arc)
             self.go(end)
         elif self.mode is not None:
             self._cut(start, end, arc, axes)
+
+    # --- contours ---
+
+    def plan(self) -> Iterator[list[Stroke] | str | None]:
+        """Return what the moves of the first run become; the radius of a tool is that of its comment."""
+        strokes = self.contour if isinstance(self.contour, list) else []
+        radii = {tool.name: tool.diameter / 2 for tool in self.program.described_tools(self.unit)}
+        for k, stroke in enumerate(strokes):
+            if stroke is not None and math.isnan(stroke.radius):
+                strokes[k] = stroke._replace(radius=radii.get(stroke.tool, 0.0) or math.nan)
+        return iter(planned(strokes))
+
+    @property
+    def _place(self) -> tuple[float, ...]:
+        """Return the place of the tool in coordinates of the program."""
+        x, y, z = self.position
+        return x + self.beside.real, y + self.beside.imag, z
+
+    def ends_contour(self, what: str) -> None:
+        """Refuse what may not occur while the tool is beside the contour; the next move is the first of another one."""
+        if self.side:
+            self.program.refuse("G41", f"{what} while G41 or G42 is active", "write G40 before it", derived=True)
+        if isinstance(self.contour, list):
+            self.contour.append(None)
+        elif self.contour is not None:
+            next(self.contour)
+
+    def _contoured(self, start, end, arc: dict, axes: dict) -> None:
+        """Record a move in the first run; make what is planned for it in the second one."""
+        first = isinstance(self.contour, list)
+        stroke = self._stroke(start, end, dict(arc), dict(axes) if first else axes)
+        if not first and stroke is None and self.side:
+            reason = "G41 and G42 take straight moves and arcs in the xy plane from a known place, without G93"
+            self.program.refuse("G41", reason, lost=True)
+        for letter in CORNERS:
+            axes.pop(letter, None)
+        result: list[Stroke] | str | None = None
+        if isinstance(self.contour, list):
+            self.contour.append(stroke)
+        else:
+            result = next(self.contour or iter(()), "G41 and G42 need a number that is not computed")
+        if isinstance(result, str):
+            self.program.refuse(f"G{self.mode}", result, lost=True)
+        elif stroke is None or result is None:
+            self._plain(start, end, arc, axes)
+        else:
+            mode, height = self.mode, start[2]
+            for part in result:
+                height = self._run_stroke(part, height)
+            self.mode = mode
+            self.beside = result[-1].end - stroke.end
+
+    def _stroke(self, start, end, arc: dict, axes: dict) -> Stroke | None:
+        """Return a move in the xy plane; None for another one, and for one that cannot be run."""
+        corner = next(((letter, axes[letter] * self.unit) for letter in CORNERS if letter in axes), None)
+        known = all(map(math.isfinite, (*start, *end))) and start[2] != TOP
+        if self.mode not in (0, 1, 2, 3) or self.plane != 17 or not known or (self.side and self.feed_mode == 93):
+            return None
+        stroke = Stroke(
+            complex(*start[:2]), complex(*end[:2]), end[2], self.mode == 0, None, 0, 0,
+            self.side, self.radius, self.program.tool, corner,
+        )  # fmt: skip
+        if self.mode in (0, 1):
+            return None if any(arc.values()) else stroke
+        try:
+            centre, turns = self._circle(start, end, arc, axes)
+        except ArcError:
+            return None
+        return stroke._replace(centre=complex(*centre), sense=1 if self.mode == 3 else -1, turns=turns)
+
+    def _run_stroke(self, stroke: Stroke, height: float) -> float:
+        """Make a move that is planned, from a height; return that of its end."""
+        z = height if math.isnan(stroke.z) else stroke.z
+        start, end = (stroke.start.real, stroke.start.imag, height), (stroke.end.real, stroke.end.imag, z)
+        self.mode = 0 if stroke.rapid else {0: 1, 1: 3, -1: 2}[stroke.sense]
+        if stroke.rapid:
+            self.go(end)
+        elif stroke.centre is None:
+            self._feed_to(start, [end], math.dist(start, end))
+        else:
+            centre = stroke.centre.real, stroke.centre.imag
+            closing = _closing(start, centre)
+            points, curvature, swept = arc_points(start, end, centre, stroke.sense < 0, closing, CHORD, stroke.turns)
+            self._feed_to(start, points, math.hypot(swept, z - height), curvature)
+        return z
 
     def _end(self, axes: dict) -> tuple[float, ...]:
         """Return the end point of the block; take the words of lengths out of ``axes``."""
@@ -241,8 +344,8 @@ class Machine:
 
     # --- arcs ---
 
-    def _arc(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
-        """Points along an arc, its length [m], its curvature in the xy plane [1/m]."""
+    def _circle(self, start, end, arc: dict, axes: dict) -> tuple[tuple[float, float], int]:
+        """Return the centre of an arc in its plane [m] and its full turns; raise ArcError."""
         plane = PLANES[self.plane]
         first, second, across = (CENTRES[axis] for axis in plane)
         from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
@@ -262,7 +365,6 @@ class Machine:
         clockwise = self.mode == 2
         if radius is not None:
             centre = centre_from_radius(from_point, to_point, radius * self.unit, clockwise, CLOSING)
-            closing = _closing(from_point, centre)
         else:
             stated = [arc.get(letter, 0.0) * self.unit for letter in (first, second)]
             absolute = [self.absolute.get(letter, self.absolute_centre) for letter in (first, second)]
@@ -276,7 +378,15 @@ class Machine:
         turns = arc["TURN"] if "TURN" in arc else axes.pop("P", 1.0) - 1
         if turns != int(turns):
             raise ArcError(f"a helix of {turns:g} turns is not meant")
-        points, curvature, swept = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, int(turns))
+        return centre, int(turns)
+
+    def _arc(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
+        """Points along an arc, its length [m], its curvature in the xy plane [1/m]."""
+        plane = PLANES[self.plane]
+        from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
+        centre, turns = self._circle(start, end, arc, axes)
+        closing = _closing(from_point, centre)
+        points, curvature, swept = arc_points(from_point, to_point, centre, self.mode == 2, closing, CHORD, turns)
         length = math.hypot(swept, to_point[2] - from_point[2])
         x, y, z = map(plane.index, (0, 1, 2))
         ends = [(point[x], point[y], point[z]) for point in points]
@@ -311,6 +421,7 @@ class Machine:
     def _drill(self, kind: float | None, axes: dict) -> None:
         """Drill the holes of a block along the axis of the plane: one hole, or several in a row with G91 and L or K."""
         self.drilled = True
+        self.ends_contour("a drilling cycle")
         if not axes:
             self.program.refuse(f"G{kind:g}", "a drilling cycle without X, Y, Z or R", lost=True)
             return
@@ -365,7 +476,8 @@ class Machine:
             return (*point[:across], height, *point[across + 1 :])
 
         height = max(self.position[across], cycle.retract)
-        self.go(at(self.position, height))
+        self.go(at(self._place, height))
+        self.beside = 0j
         self.go(at(place, height))
         last = at(place, cycle.retract)
         self.go(last)

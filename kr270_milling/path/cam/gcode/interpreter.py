@@ -57,6 +57,8 @@ class Interpreter(Machine):
         self.preset = False  #: G92 gave the tool its place
         self.calls = False  #: sub-programs can be called
         self.call: tuple[str, float, float, dict[str, float]] | None = None  #: kind, name, repeats, values
+        self.radii: dict[float, float] = {0.0: 0.0}  #: number D -> radius [m] that the program states
+        self.edge = math.nan  #: number of the last D
         self.end_word = 0.0  #: number of the M word that ended the program
 
     @property
@@ -64,7 +66,7 @@ class Interpreter(Machine):
         """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
         return (
             self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
-            and self.shift is None and bool(self.feed) and not self.watched
+            and self.shift is None and self.contour is None and bool(self.feed) and not self.watched
         )  # fmt: skip
 
     def run(self, words: list[tuple[str, Any]]) -> None:
@@ -130,7 +132,7 @@ class Interpreter(Machine):
             return self._named(key)
         if 5420 <= key <= 5422:
             value = self.position[key - 5420] / self.unit
-            return value if math.isfinite(value) else None
+            return value if math.isfinite(value) and not self.side and not self.beside else None
         offsets = self.offsets
         index = key - 5221
         if 5211 <= key <= 5213:
@@ -184,6 +186,9 @@ class Interpreter(Machine):
         if letter in TOOL_DATA:
             self.program.set_frame(TOOL_DATA[letter], word_of(letter, value))
             self.program.count(letter)
+            if letter == "D":
+                self.edge = value
+                self.radius = self.radii.get(value, math.nan)
         elif not value and (letter in FURTHER or letter in OF_ARCS):
             self.program.count(f"{letter}0")
         elif letter == "P" and self.cycle is not None and self.drilled:
@@ -209,6 +214,8 @@ class Interpreter(Machine):
             self.set_feed_mode(int(groups["feed"]))
         if "claim" in groups:
             self._claimed(groups, axes)
+        if "compensation" in groups:
+            self._compensate(groups["compensation"], axes)
         if "tool" in groups if self.changes else "T" in groups or "tool" in groups:
             if groups.get("tool") == 61 and "Q" in axes:  # the number of the tool that is in the spindle
                 self.next_tool = word_of("T", axes.pop("Q"))
@@ -234,6 +241,18 @@ class Interpreter(Machine):
             if "S" in axes:
                 self.program.refuse("M19", "M19 with S is a speed or an angle", "write S in the line of M3 or M4")
             self._read_over("M19", axes, SILENT_M[19])
+
+    def _compensate(self, word: float, axes: dict) -> None:
+        """G40, G41 D, G42 D: the radius is that of G10 with D's number, else of the tool; G41.1 D: of the diameter D."""
+        self.side = {40: 0, 41: 1, 42: -1}[int(word)]
+        number = axes.pop("D", self.edge)
+        if word == int(word):
+            self.edge = number if self.side else self.edge
+            self.radius = self.radii.get(number, math.nan)
+        else:
+            self.radius = number * self.unit / 2
+        if self.side and axes.pop("L", 0.0):
+            self.program.refuse(word_of("G", word), "L states the edge of a tool of lathes")
 
     def _offset(self, groups: dict, axes: dict) -> None:
         """G54 to G59.3 and others; G54.1 P, G154 P, and G15 H of Okuma."""
@@ -419,6 +438,8 @@ class Interpreter(Machine):
     def _data(self, lengths: dict, axes: dict) -> str:
         """G10: the place of a work offset by L2 and, by the coordinates that the tool is to have there, L20."""
         kind, number = axes.get("L"), axes.get("P", 0.0)
+        if kind in (1, 12) and "R" in axes:
+            self.radii[number] = axes["R"] * self.unit
         if kind not in (2, 20):
             return "" if kind in (1, 10, 11, 12, 13) or not self._began else "G10 of this kind"
         offsets = self.offsets

@@ -42,7 +42,7 @@ OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *ran
 #: tool length, limits. 5, 74 and 75 change none together with some other words.
 SILENT_G: dict[float, str] = {
     **dict.fromkeys(
-        (28.1, 30.1, 9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""
+        (28.1, 30.1, 9, 13.1, 15, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""
     ),
     **dict.fromkeys((290, 291, 450, 451, *range(601, 604), *range(641, 647)), ""),
     **dict.fromkeys((5, 8, 54.4, 61.1, 103), "P"),
@@ -81,6 +81,7 @@ G_GROUPS: dict[float, str] = {
     52: "shift",
     68: "turn",
     92: "preset",
+    **dict.fromkeys((40, 41, 41.1, 42, 42.1), "compensation"),
 }
 M_GROUPS: dict[float, str] = {
     **{n: f"M{n:g}" for n in SILENT_M},
@@ -124,7 +125,7 @@ def _each(names: str, advice: str) -> dict[str, str]:
 
 #: words that cannot be run -> what to do
 ADVICE = {
-    **_each("G41 G42 G41.1 G42.1 G141", CENTRE),
+    **_each("G141", CENTRE),
     **_each("G66 G66.1 M96 M72 M198", MACROS),
     **_each(
         """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
