@@ -78,13 +78,13 @@ def test_after_the_end_nothing_is_read_repeated_points_are_left_out_and_m_words_
 
 #: a block behind the start of a program, and what the refusal of line 2 states
 REFUSED = [
-    ("G41 D1", "G41: let the CAM output the path of the tool's centre"), ("M98 P100", "O100 is not in this file"),
+    ("G41 D1 G1 X9 F100", "radius of the tool is not known"), ("M98 P100", "O100 is not in this file"),
     *((block, "post without macros") for block in ("#5220=5", "G1 X[#1+2]", "o100 sub", "WHILE [#1 LT 5] DO1")),
     ("G10 L2 P1 X5", "whose place is not known"), ("G92 A5", "G92 without X, Y or Z"),
     ("G84 Z-5 R1 F100", "G84: leave threads out"), ("G5 X1 Y1 I1 J1", "G5 takes X, Y, I, J, P and Q"),
     ("G173", "G173: it is not known"), ("G1 X1 A90 F100", "A90: post a 3-axis program"),
     ("TRAORI", "TRAORI: post a 3-axis program"), ("CYCLE81(10,0,2,-5)", "CYCLE81: let the CAM output the cycle"),
-    ("G1 X10 Y0,R2 F100", "let the CAM output lines and arcs"), ("G1 X1", "without a feed"), ("G1 X1 F0", "zero feed"),
+    ("G1 X10 Y0,R2 F100", ",R without a next move"), ("G1 X10,A45 F100", "let the CAM output lines and arcs"), ("G1 X1", "without a feed"), ("G1 X1 F0", "zero feed"),
     ("G1 X1 F-100", "F-100"), ("G1 XNaN F100", "XNAN"), ("G1 X F100", "X has no number"), ("G1 X1 E5 F100", "E5"),
     ("G1 X1 X2 F100", "X occurs twice"), ("G0 G1 X1 F100", "G1 contradicts"),
     *((f"G2 {words} F100", "does not close") for words in ("X10 Y0 I4 J0", "X10 Y0 R4.9", "X5 I0 J0")),
@@ -117,8 +117,8 @@ def test_what_cannot_be_run_is_refused_with_line_and_word(read, text, line, word
 
 def test_all_that_cannot_be_run_is_listed_at_once_and_not_what_follows_from_a_refused_move(read):
     with pytest.raises(ProgramError) as caught:
-        read(START + "G41 D1\nG1 X1 F100\nX#1\nG42\nA5\nG1 X2\n")
-    assert [(r.line, r.word) for r in caught.value.program.refused] == [(2, "G41"), (4, "X#1"), (5, "G42"), (6, "A5")]
+        read(START + "G96 S9\nG1 X1 F100\nX#1\nG96 S5\nA5\nG1 X2\n")
+    assert [(r.line, r.word) for r in caught.value.program.refused] == [(2, "G96"), (4, "X#1"), (5, "G96"), (6, "A5")]
     assert "line 4: #1 has no value" in str(caught.value) and "(also line 5)" in str(caught.value)
     with pytest.raises(ProgramError) as caught:
         read("G0 X#1 Y0\nG0 Z5\nG1 Z-1 F100\nX1\n")

@@ -54,7 +54,7 @@ def reference(path, trials: int = 20) -> tuple[list[Move], str]:
             command, capture_output=True, text=True, errors="replace", timeout=60, cwd=Path(path).resolve().parent,
             env=os.environ | {"LD_LIBRARY_PATH": paths},
         )  # fmt: skip
-    if ran.returncode and "TRAVERSE" not in ran.stdout and ran.stderr in ("", "executing\n") and trials:
+    if "TRAVERSE" not in ran.stdout and ran.stderr in ("", "executing\n") and trials:
         return reference(path, trials - 1)  # runs at one time share the file of the tool table
     harmless = re.compile(r"executing|.*variable file.*|File ended with no percent sign.*|")
     complaint = [line for line in ran.stderr.splitlines() if not harmless.fullmatch(line)]

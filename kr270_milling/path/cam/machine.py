@@ -244,7 +244,7 @@ class Machine:
         if self.mode in (0, 1):
             return None if any(arc.values()) else stroke
         try:
-            centre, turns = self._circle(start, end, arc, axes)
+            centre, turns = self._centre(start, end, arc, axes)
         except ArcError:
             return None
         return stroke._replace(centre=complex(*centre), sense=1 if self.mode == 3 else -1, turns=turns)
@@ -344,7 +344,7 @@ class Machine:
 
     # --- arcs ---
 
-    def _circle(self, start, end, arc: dict, axes: dict) -> tuple[tuple[float, float], int]:
+    def _centre(self, start, end, arc: dict, axes: dict) -> tuple[tuple[float, float], int]:
         """Return the centre of an arc in its plane [m] and its full turns; raise ArcError."""
         plane = PLANES[self.plane]
         first, second, across = (CENTRES[axis] for axis in plane)
@@ -384,7 +384,7 @@ class Machine:
         """Points along an arc, its length [m], its curvature in the xy plane [1/m]."""
         plane = PLANES[self.plane]
         from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
-        centre, turns = self._circle(start, end, arc, axes)
+        centre, turns = self._centre(start, end, arc, axes)
         closing = _closing(from_point, centre)
         points, curvature, swept = arc_points(from_point, to_point, centre, self.mode == 2, closing, CHORD, turns)
         length = math.hypot(swept, to_point[2] - from_point[2])

@@ -66,7 +66,8 @@ class Interpreter(Machine):
         """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
         return (
             self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
-            and self.shift is None and self.contour is None and bool(self.feed) and not self.watched
+            and self.shift is None and not self.side and self.contour is None
+            and bool(self.feed) and not self.watched
         )  # fmt: skip
 
     def run(self, words: list[tuple[str, Any]]) -> None:
@@ -175,7 +176,7 @@ class Interpreter(Machine):
                 groups["claim"] = value
         else:
             word = word_of(letter, value)
-            moves = letter == "M" or not (41 <= value < 43 or value in (96, 22, 23))
+            moves = letter == "M" or value not in (96, 22, 23)
             advice = ADVICE.get(word, UNKNOWN if letter == "G" else UNKNOWN_M)
             self.program.refuse(word, advice=advice, lost=moves)
             if moves:
