@@ -36,12 +36,16 @@ ENDS = {
     "G41.1 D4\nX10\nX20\nY-10\nX30\nG40\nX50": [(10, 2), (20, 2), (22, 0), (22, -8), (30, -8), (50, -10)],
     "G42.1 D4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
+    "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
 }
 #: the same for words that LinuxCNC has not, by their definition
 OTHER_ENDS = {
     "X10,R2\nY10,C3\nX20": [8, (10, 2), (10, 7), (13, 10), 20],
     "X10 RND=2\nY10 CHF=3\nX20": [8, (10, 2), (10, 10 - 1.5 * math.sqrt(2)), (10 + 1.5 * math.sqrt(2), 10), 20],
+    "G16 X10 Y90\nY0\nG15\nX3": [(0, 10), (10, 0), (3, 0)],
+    "G81 Z-2 R1 L0\nG70 I5 J90 L2\nX30\nG71 X0 Y0 I5 K90 L2\nG72 X0 Y1 I4 L2": [
+        (0, 5), (0, -5), (30, -5), (5, 0), (0, 5), (0, 1), (4, 1)],
     "G10 L12 P1 R1\nG41 D1\nX10\nX20,R4\nY10\nG40 Y30": [(10, 1), (16, 1), (19, 4), (19, 10), (20, 30)],
     "G76 X3 Y0 Z-2 R1 Q0.2 P1\nG80": [(3, 0, -2)],
     "G68 X0 Y0 R90\nX5\nG69\nX5": [(0, 5), (5, 5)],
@@ -70,6 +74,9 @@ REFUSED = {
     "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
     "#1=41\nG#1 D1\nX5": "a number that is not computed",
     "G41.1 D4\nX9\nG5.1 X9 Y9 I2 J2": "straight moves and arcs",
+    **dict.fromkeys(("@1 X2", "G18 @3 ^2", "G16 G91 X3"), "a radius and an angle"),
+    "@5": "alone at the origin",
+    "G70 I5 L3": "circle of holes on Haas",
     "X9,R20\nY9": ",R does not fit",
     "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",
     "M98 P7\nO7\nX1\nM99": "runs into a sub-program",

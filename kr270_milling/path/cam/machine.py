@@ -5,6 +5,7 @@ Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterator
 
@@ -22,7 +23,8 @@ AXES = {"X": 0, "Y": 1, "Z": 2}
 CENTRES = ("I", "J", "K")
 OF_ARCS = (*CENTRES, "R", "CR", "TURN")
 CORNERS = (",R", ",C", "RND", "CHR", "CHF")  #: words that round or break the corner after a move
-MOVING = ("X", "Y", "Z", *CENTRES, "R", "CR")
+PLACES = ("X", "Y", "Z", "@", "^")  #: @ and ^: radius and angle about the origin (LinuxCNC)
+MOVING = (*PLACES, *CENTRES, "R", "CR")
 #: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 CHORD = 2e-6  #: [m], arcs to chords
@@ -54,6 +56,8 @@ class Machine:
         self.feed: float | None = feed or None  #: [m/s], [m/rev] or [1/s]; at first what the cell says
         self.feed_word: float | None = None  #: number of the last F
         self.no_feed = NO_FEED  #: why there is none
+        self.polar = False  #: X and Y are a radius and an angle (G16)
+        self.pattern: list[complex] = []  #: holes of the block about its place [m]
         self.drilled = False  #: the block drilled a hole
         self.ended = False
         #: from coordinates of the program to those of the path: factor of x + i y, x + i y [m], z [m]; None: the same
@@ -156,7 +160,9 @@ class Machine:
             return
         if cycle == 80:
             self.cycle = cycle = None
-        if cycle is not None or (self.cycle is not None and not axes.keys().isdisjoint("XYZ")):
+        if cycle is not None or (
+            self.cycle is not None and (self.pattern or not axes.keys().isdisjoint(PLACES))
+        ):
             self._drill(cycle, axes)
         elif not axes.keys().isdisjoint(MOVING):
             self._move(axes)
@@ -268,6 +274,8 @@ class Machine:
     def _end(self, axes: dict) -> tuple[float, ...]:
         """Return the end point of the block; take the words of lengths out of ``axes``."""
         end = list(self.position)
+        if self.polar or not axes.keys().isdisjoint("@^"):
+            self._polar(axes)
         for letter, axis in AXES.items():
             value = axes.pop(letter, None)
             if value is None:
@@ -283,6 +291,26 @@ class Machine:
                 self.program.refuse(word, f"{word} lies more than {REACH:g} m away; wrong unit?", lost=True)
                 end[axis] = math.nan
         return tuple(end)
+
+    def _polar(self, axes: dict) -> None:
+        """Replace radius and angle about the origin, of which the one that is missing stays, by X and Y."""
+        words = {letter: axes.pop(axis) for letter, axis in zip("@^", "XY", strict=True) if self.polar and axis in axes}
+        words |= {letter: axes.pop(letter) for letter in "@^" if letter in axes}
+        place = complex(*self.position[:2]) / self.unit
+        if not words:
+            return
+        word = "G16" if self.polar else "@"
+        if not axes.keys().isdisjoint("XY") or self.plane != 17 or (self.polar and self.incremental):
+            self.program.refuse(word, "a radius and an angle with X, Y, G18 or G19, or G16 with G91", lost=True)
+        elif len(words) < 2 and not abs(place) > 0:
+            self.program.refuse(word, "a radius or an angle alone at the origin", lost=True)
+        else:
+            radius, angle = words.get("@", abs(place)), math.radians(words.get("^", math.degrees(cmath.phase(place))))
+            if self.incremental:  # the radius and the angle grow
+                radius = abs(place) + words.get("@", 0.0)
+                angle = cmath.phase(place) + math.radians(words.get("^", 0.0))
+            end = cmath.rect(radius, angle) - (place if self.incremental else 0.0)
+            axes["X"], axes["Y"] = end.real, end.imag
 
     def _surplus(self, arc: dict) -> None:
         letter = next((letter for letter, value in arc.items() if value), "")
@@ -422,7 +450,7 @@ class Machine:
         """Drill the holes of a block along the axis of the plane: one hole, or several in a row with G91 and L or K."""
         self.drilled = True
         self.ends_contour("a drilling cycle")
-        if not axes:
+        if not axes and not self.pattern:
             self.program.refuse(f"G{kind:g}", "a drilling cycle without X, Y, Z or R", lost=True)
             return
         across = PLANES[self.plane][2]
@@ -446,12 +474,14 @@ class Machine:
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
             axes.clear()
             return
-        place = {axis: axes.pop(axis) for axis in "XYZ" if axis in axes}
+        place = {axis: axes.pop(axis) for axis in PLACES if axis in axes}
         if not repeats:  # the cycle is defined and drills nothing here
             self.program.count("L0", 1 + len(place))
         for _ in range(int(repeats)):
-            if not self._hole(self._end(dict(place)), cycle, across):
-                return
+            x, y, z = self._end(dict(place))
+            for hole in self.pattern or [0j]:
+                if not self._hole((x + hole.real, y + hole.imag, z), cycle, across):
+                    return
 
     def _hole(self, place: tuple[float, ...], cycle: Cycle, across: int) -> bool:
         word = f"G{cycle.kind}"

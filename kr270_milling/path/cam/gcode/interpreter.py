@@ -66,7 +66,7 @@ class Interpreter(Machine):
         """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
         return (
             self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
-            and self.shift is None and not self.side and self.contour is None
+            and self.shift is None and not self.side and not self.polar and self.contour is None
             and bool(self.feed) and not self.watched
         )  # fmt: skip
 
@@ -88,6 +88,7 @@ class Interpreter(Machine):
                 axes[letter] = value
         if "call" in groups or "L" in axes:
             self._call(groups, axes)
+        self.pattern = []
         if not groups.keys() <= MOVES:
             self._set(groups, axes)
         if "F" in axes:
@@ -100,7 +101,7 @@ class Interpreter(Machine):
             self.no_feed = (
                 f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
             )
-        if axes or groups:
+        if axes or groups or self.pattern:
             self.move(axes, groups.get("motion"), groups.get("cycle"))
             for letter, value in axes.items():
                 self._left(letter, value)
@@ -207,6 +208,8 @@ class Interpreter(Machine):
 
     def _set(self, groups: dict, axes: dict) -> None:
         unit = self.unit
+        if "I" in axes and "L" in axes:
+            self.pattern = self._pattern(groups, axes)
         for group in MODAL.keys() & groups.keys():
             setattr(self, group, MODAL[group][groups[group]])
         if self.unit != unit and (self.feed_word is not None or "F" in axes):
@@ -225,6 +228,11 @@ class Interpreter(Machine):
             self.change_tool(self.next_tool)
             if groups.get("tool") == 6:  # it stops the spindle: NIST RS274/NGC 3.6.3
                 self.turning, self.program.spindle_speed = 0, 0.0
+        if "polar" in groups:
+            self.polar = True
+        if "holes" in groups:
+            self.program.refuse("G72", "G72 without I, L and a cycle is a word of lathes; post for a mill", lost=True)
+            groups["refused"] = 72
         if "dwell" in groups:
             self._dwell(groups, axes)
         if "offset" in groups or "G15" in groups:
@@ -242,6 +250,26 @@ class Interpreter(Machine):
             if "S" in axes:
                 self.program.refuse("M19", "M19 with S is a speed or an angle", "write S in the line of M3 or M4")
             self._read_over("M19", axes, SILENT_M[19])
+
+    def _pattern(self, groups: dict, axes: dict) -> list[complex]:
+        """Return the holes of G70 (circle), G71 (arc) and G72 (row) of Haas, which drill the active cycle at L places.
+
+        I: radius or distance, J: angle of the first hole or of the row, K: angle between holes. Without I and L, or
+        without a cycle, G70 and G71 are other words.
+        """
+        word = groups.get("unit", groups.get("holes"))
+        if word not in (70, 71, 72) or not (self.cycle or "cycle" in groups) or self.plane != 17 or self.incremental:
+            return []
+        groups.pop("unit", groups.pop("holes", None))
+        groups.pop("claim", None)
+        radius, count = axes.pop("I") * self.unit, axes.pop("L")
+        first, step = axes.pop("J", 0.0), axes.pop("K", 0.0) if word == 71 else 360 / max(count, 1)
+        if not 1 <= count <= 1000 or count != int(count):
+            self.program.refuse(word_of("G", word), f"L{count:g} holes cannot be drilled", lost=True)
+            return []
+        if word == 72:
+            return [k * cmath.rect(radius, math.radians(first)) for k in range(int(count))]
+        return [cmath.rect(radius, math.radians(first + k * step)) for k in range(int(count))]
 
     def _compensate(self, word: float, axes: dict) -> None:
         """G40, G41 D, G42 D: the radius is that of G10 with D's number, else of the tool; G41.1 D: of the diameter D."""
@@ -333,6 +361,8 @@ class Interpreter(Machine):
         else:
             if word in ("G92.1", "G92.2", "G92.3"):
                 self._restore(value)
+            elif word == "G15":
+                self.polar = False
             elif word == "G69":
                 self._change(turn=1 + 0j, centre=0j)
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""

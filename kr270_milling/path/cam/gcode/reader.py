@@ -50,7 +50,7 @@ PIECE = re.compile(
     |(?P<macro>[\#\[\]<]\S*|O[ \t]*<\S*|R[0-9]*[ \t]*=\S*)
     |(?P<call>[A-Z_]{{2,}}[0-9_]*[ \t]*\([^()]*\))
     |(?P<assigned>[A-Z][A-Z0-9_]{{0,15}}[ \t]*=[ \t]*(?:(?:AC|IC|DC)[ \t]*\([ \t]*{NUMBER}[ \t]*\)|{NUMBER}|"[^"]*"))
-    |(?P<word>(?:,[ \t]*(?=[RC]))?[A-Z][ \t]*{NUMBER})
+    |(?P<word>(?:,[ \t]*(?=[RC]))?[A-Z@^][ \t]*{NUMBER})
     |(?P<name>[A-Z_]{{2,}}[A-Z0-9_]*(?![A-Z0-9_]*[ \t]*=))
     |(?P<expression>[A-Z][-+.]*(?:[ \t]*[\#\[\]<]|=)\S*)
     |(?P<bare>[A-Z][-+.]*(?![A-Z0-9]))
@@ -68,7 +68,7 @@ COMPUTED = re.compile(
 NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
 NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
 BLANK = re.compile(r"[ \t]+")
-LETTER = re.compile(r"[A-Z]")
+LETTER = re.compile(r"[A-Z@^]")
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
 LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
 SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
