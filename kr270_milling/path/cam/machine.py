@@ -6,8 +6,10 @@ Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP
 from __future__ import annotations
 
 import cmath
+import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points
 from kr270_milling.path.cam.contour import Stroke, planned
@@ -188,14 +190,16 @@ class Machine:
 
     # --- contours ---
 
-    def plan(self) -> Iterator[list[Stroke] | str | None]:
-        """Return what the moves of the first run become; the radius of a tool is that of its comment."""
-        strokes = self.contour if isinstance(self.contour, list) else []
-        radii = {tool.name: tool.diameter / 2 for tool in self.program.described_tools(self.unit)}
+    def look_ahead(self, run: Callable[[Any], None]) -> None:
+        """Plan the moves by a first run of the program; the radius of a tool is that of its comment."""
+        scout = copy.deepcopy(self)
+        strokes = scout.contour = []
+        run(scout)
+        radii = {tool.name: tool.diameter / 2 for tool in scout.program.described_tools(scout.unit)}
         for k, stroke in enumerate(strokes):
             if stroke is not None and math.isnan(stroke.radius):
                 strokes[k] = stroke._replace(radius=radii.get(stroke.tool, 0.0) or math.nan)
-        return iter(planned(strokes))
+        self.contour = iter(planned(strokes))
 
     @property
     def _place(self) -> tuple[float, ...]:

@@ -8,7 +8,6 @@ all at once. Without a unit word the unit is mm. A line with the sign of block s
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -116,10 +115,7 @@ class GcodeReader:
         """Up to the end of the program, or of the file."""
         program, cuts, read = self.program, 0, len(lines)
         if self.machine.contour is None and LOOKS_AHEAD.search("\n".join(lines)):
-            scout = copy.deepcopy(self.machine)
-            scout.contour = []
-            type(self)(scout.program, scout).read(lines)
-            self.machine.contour = scout.plan()
+            self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
         if has_flow("\n".join(lines)):
             flow = Flow(self.machine, self.variables, self.run_line, lines)
             flow.run()

@@ -113,7 +113,7 @@ UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or
 
 UNKNOWN_M = "it is not known; leave it out where it moves no axis"
 
-HEIDENHAIN = "a program of a Heidenhain control; post it as ISO (DIN) G-code"
+HEIDENHAIN = "a program of a Heidenhain control; give its file the ending .h"
 
 
 def word_of(letter: str, value: float) -> str:
