@@ -17,6 +17,7 @@ from kr270_milling.path.cam.comments import described_tool, operation_name
 from kr270_milling.path.cam.drilling import CLEARANCE, Cycle
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.machine import CHORD
+from kr270_milling.path.cam.readers import read_toolpath
 from kr270_milling.path.source_program import ProgramError
 
 START = "G0 X0 Y0 Z0\n"
@@ -374,14 +375,14 @@ def test_an_operation_is_named_and_no_comment_of_a_post_on_itself_or_on_a_part_o
 # --- One pocket as seven posts write it ---
 PROGRAMS = Path(__file__).parent / "programs"
 ALL = ("fusion_haas.nc", "fusion_grbl.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc",
-       "sinumerik.mpf", "haas.nc")  # fmt: skip
+       "sinumerik.mpf", "haas.nc", "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h")  # fmt: skip
 #: [mm], lengths of the pocket: down from 15, four circles of radius 4, of which three descend by 1; two rings; up again
 CIRCLES, RINGS = 3 * math.hypot(8 * math.pi, 1) + 8 * math.pi, 142 + 4 * math.pi
 LENGTH = 13 + CIRCLES + RINGS + math.pi / 2 + 15
 
 
 def read_dialect(name: str):
-    return read_gcode(PROGRAMS / name, tool="T1" if name == "haas.nc" else "")
+    return read_toolpath(PROGRAMS / name, tool="T1" if name == "haas.nc" else "")
 
 
 def cutting_points(path) -> np.ndarray:
@@ -403,7 +404,7 @@ def test_every_dialect_gives_the_same_path_features_speed_offset_and_tool(name):
     assert [feature.lower() for feature in path.features] == ["", "2d pocket1", "2d pocket1 finish"]
     program = path.program
     assert [round(speed * 30 / math.pi) for speed in program.spindle_speeds] == [5000]
-    assert program.work_offset == ("" if name == "linuxcnc.ngc" else "G54")
+    assert program.work_offset == ("" if name == "linuxcnc.ngc" or ".h" in name else "G54")
     assert program.tool == ("MILL_10" if name == "sinumerik.mpf" else "T1")
     if name not in ("linuxcnc.ngc", "sinumerik.mpf"):  # their comments do not describe the tool
         assert program.current.diameter == pytest.approx(0.010)

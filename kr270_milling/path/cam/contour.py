@@ -15,7 +15,9 @@ from typing import NamedTuple
 __all__ = ["Stroke", "planned"]
 
 NEAR = 1e-9  #: [m], rounding of a place
-STRAIGHT_ON = 0.05  #: [rad], a smaller turn is no corner and costs 0.13 % of the radius: LinuxCNC, TOLERANCE_CONCAVE_CORNER
+STRAIGHT_ON = (
+    0.05  #: [rad], a smaller turn is no corner and costs 0.13 % of the radius: LinuxCNC, TOLERANCE_CONCAVE_CORNER
+)
 FULL = 2 * math.pi
 FIT = "the tool does not fit into the corner before this move without a gouge; take a smaller tool"
 
@@ -90,9 +92,13 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
         if math.isnan(radius):
             reason = f"the radius of {stroke.tool or 'the tool'} is not known; write a comment with its diameter, ({stroke.tool or 'TOOL'} D=10)"
         elif stroke.centre is not None and side == stroke.sense and abs(stroke.end - stroke.centre) <= radius:
-            reason = f"the radius of the arc, {1e3 * abs(stroke.end - stroke.centre):.6g} mm, is not larger than the tool's"
+            reason = (
+                f"the radius of the arc, {1e3 * abs(stroke.end - stroke.centre):.6g} mm, is not larger than the tool's"
+            )
         elif last is None and (stroke.centre is not None or abs(stroke.end - stroke.start) <= radius):
-            reason = f"the compensation begins with a straight move longer than the radius of the tool, {1e3 * radius:g} mm"
+            reason = (
+                f"the compensation begins with a straight move longer than the radius of the tool, {1e3 * radius:g} mm"
+            )
         elif last is not None and (last.side, last.radius) != (side, radius):
             reason = "the compensation changes without G40"
         elif last is not None and radius:

@@ -26,11 +26,15 @@ __all__ = ["read_heidenhain"]
 
 BEGIN = re.compile(r"BEGIN PGM (.*?) ?(MM|INCH)")
 #: words of a block; a sign alone is the direction of a circle
-WORD = re.compile(rf"(FMAX|FAUTO|R0(?![0-9.])|RL|RR|DR|DL|IPA|IPR|PA|PR|MB|LA|I?[XYZABC]|[RFMST]) ?([-+]?(?:{NUMBER.pattern}|Q[0-9]+|MAX)|[-+])?")
+WORD = re.compile(
+    rf"(FMAX|FAUTO|R0(?![0-9.])|RL|RR|DR|DL|IPA|IPR|PA|PR|MB|LA|I?[XYZABC]|[RFMST]) ?([-+]?(?:{NUMBER.pattern}|Q[0-9]+|MAX)|[-+])?"
+)
 CONDITION = re.compile(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)")
 ASSIGNED = re.compile(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)")
 LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?)?")
-SILENT = re.compile(r"BLK FORM|TOOL DEF|STOP|CYCL DEF (?:247|32\.|9\.)|PLANE RESET|FN ?(?:14|16|18|29|37|38):|M ?0*[01]\Z")
+SILENT = re.compile(
+    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET|CYCL DEF (?:247|32\.|9\.)|PLANE RESET|FN ?(?:14|16|18|29|37|38):|M ?0*[01]\Z"
+)
 #: shifts, turns, planes that change nothing with zeros alone
 RESETS = re.compile(r"CYCL DEF (?:7|8|10|11|19)\.[0-9]+|PLANE SPATIAL|TRANS DATUM")
 ADVICE = {
@@ -145,7 +149,9 @@ class _Conversational(Machine):
             self._block("L", " " + text)
         else:
             known = next((name for name in ADVICE if text.startswith(name)), "")
-            self.program.refuse(short(text), "" if known else f"{short(text)!r} is not read", ADVICE.get(known, OTHERS), lost=True)
+            self.program.refuse(
+                short(text), "" if known else f"{short(text)!r} is not read", ADVICE.get(known, OTHERS), lost=True
+            )
         return index
 
     def _note(self, text: str) -> None:
@@ -179,7 +185,7 @@ class _Conversational(Machine):
         """Return the words of a block, and its M words."""
         words: dict[str, float] = {}
         functions: list[float] = []
-        place, text = 0, text.strip()
+        place, text = 0, text.strip().replace("F MAX", "FMAX").replace("F AUTO", "FAUTO")
         while place < len(text):
             match = WORD.match(text, place)
             if match is None:
@@ -215,7 +221,9 @@ class _Conversational(Machine):
         if turned := [number for number in functions if number in SPINDLE]:
             self.turning = SPINDLE[int(turned[-1])]
             self.program.spindle_speed = self.turning * self.speed
-        other = [number for number in functions if number not in M_WORDS and number not in (*SPINDLE, 2, 30, 91, 92, 99, 140)]
+        other = [
+            number for number in functions if number not in M_WORDS and number not in (*SPINDLE, 2, 30, 91, 92, 99, 140)
+        ]
         if other:
             word = word_of("M", other[0])
             advice = "post a 3-axis program" if other[0] == 128 else "leave it out where it moves no axis"
@@ -231,8 +239,11 @@ class _Conversational(Machine):
                 self.program.silent[word_of("M", number)] += 1
         if 91 in functions or 92 in functions:
             self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None])
-        elif words:
+        elif not words.keys() <= {"A", "B", "C"}:
             self._go(kind, words, rapid)
+        for axis in "ABC":
+            if words.get(axis, 1.0) == 0.0:
+                words.pop(axis)
         if words:
             raise _Refused(f"{kind} does not take {next(iter(words))}")
         if 99 in functions:
@@ -311,8 +322,14 @@ class _Conversational(Machine):
 
     def _tangent(self, kind: str, words: dict, axes: dict, start: complex) -> int:
         """CT continues in the direction of the move before it."""
-        end = [axes[axis] * self.unit if axis in axes else place for axis, place in zip("XY", (start.real, start.imag), strict=True)]
-        end = [value + (0.0 if self.absolute.get(axis, True) else place) for value, axis, place in zip(end, "XY", (start.real, start.imag), strict=True)]
+        end = [
+            axes[axis] * self.unit if axis in axes else place
+            for axis, place in zip("XY", (start.real, start.imag), strict=True)
+        ]
+        end = [
+            value + (0.0 if self.absolute.get(axis, True) else place)
+            for value, axis, place in zip(end, "XY", (start.real, start.imag), strict=True)
+        ]
         way = complex(*end) - start
         if self.heading is None or not abs(way) > 0:
             raise _Refused("CT needs a move in the xy plane before it and another end")

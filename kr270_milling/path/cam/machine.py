@@ -162,9 +162,7 @@ class Machine:
             return
         if cycle == 80:
             self.cycle = cycle = None
-        if cycle is not None or (
-            self.cycle is not None and (self.pattern or not axes.keys().isdisjoint(PLACES))
-        ):
+        if cycle is not None or (self.cycle is not None and (self.pattern or not axes.keys().isdisjoint(PLACES))):
             self._drill(cycle, axes)
         elif not axes.keys().isdisjoint(MOVING):
             self._move(axes)
