@@ -24,11 +24,13 @@ from kr270_milling.path.trajectory_csv import read_csv
 VALID = {
     ".nc": b"G21 G90 (a)\nG0 X0 Y0 Z0\nG1 X1 F100\nG2 X5 Y4 I4 J0\nG3 X0 Y0 R6\nG91 G20\nG1 X-.5 F4\nM30\n",
     ".apt": b"UNITS/MM\nGOTO/0,0,0\nFEDRAT/100,MMPM\nRAPID\nGOTO/1,2,3,0,0,1\nGOTO/1,$\n5,3\n$$ a\nFINI\n",
-    ".h": b"0 BEGIN PGM A MM\nTOOL DEF 1 R+2\nTOOL CALL 1 Z S9\nL X+0 Y+0 Z+5 FMAX M3\nL X+9 RL F100 ; a\nL X+20\nRND R3\n"
-    b"L Y+9\nCC X+15 Y+9\nC X+10 Y+9 DR+\nCR X+0 Y+9 R+5 DR-\nL IY-50 R0 FMAX\nEND PGM A MM\n",
+    ".h": b"0 BEGIN PGM A MM\nTOOL DEF 1 R+2\nTOOL CALL 1 Z S9\nL X+0 Y+0 Z+5 FMAX M3\n"
+    b"L X+9 RL F100 ; a\nL X+20\nRND R3\nL Y+9\nCC X+15 Y+9\nC X+10 Y+9 DR+\nCR X+0 Y+9 R+5 DR-\n"
+    b"L IY-50 R0 FMAX\nEND PGM A MM\n",
     ".csv": b"x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n0,0,0,0,0,180,1\n1,0,1,0,0,180,60\n",
 }
-WORDS = [b"L X+1", b"RL", b"FMAX", b"CC IX+1", b"C X+3 DR+", b"CT X+2 Y+1", b"CHF 1", b"Q1=+2", b"CYCL CALL", b"M91", b"~", b"CP",
+WORDS = [b"L X+1", b"RL", b"FMAX", b"CC IX+1", b"C X+3 DR+", b"CT X+2 Y+1", b"CHF 1", b"Q1=+2", b"CYCL CALL", b"M91",
+         b"~", b"CP IPA+90 DR+",
          b"G0", b"G1", b"G2", b"G3", b"G20", b"G91", b"X1", b"Y-2", b"Z.5", b"I1", b"J-1", b"R5", b"R-1e9", b"F100",
          b"F0", b"S1", b"M3", b"M30", b"\n", b" ", b"(a)", b"(", b";", b"%", b"GOTO/", b"0,0,0", b",1", b"FEDRAT/5",
          b"RAPID", b"$", b"$$ b", b"UNITS/INCHES", b"FINI", b"SPINDL/", b"nan", b"-inf", b"1e999", b"9" * 400,
@@ -58,11 +60,14 @@ CONVERSATIONAL = {
     "CC X+0 Y+5\nC X+0 Y+10 DR+\nCT X+0 Y+20\nCR X+10 Y+20 R-5 DR+": [(0, 10), (0, 20), (10, 20)],
     "CC X+10 Y+0\nCP IPA-90 DR-\nLP PR+5 PA+0\nCP IPA+450 IZ-2 DR+": [(10, 10), (15, 0), (10, 5, -2)],
     "L X+10\nCHF 2\nL Y+10": [8, (10, 2), (10, 10)],
-    "TOOL DEF 4 R+2\nTOOL CALL 4 Z\nL X+10 RL\nL X+20\nRND R6\nL Y+10\nL X+0 R0": [(10, 2), (14, 2), (18, 6), (18, 10), 0],
-    "CYCL DEF 203 X ~\nQ200=2 ;A ~\nQ201=-3 ~\nQ206=90 Q202=9 Q203=-1\nL X+5 FMAX M99\nL X+6 FMAX\nCYCL CALL": [(5, 0, -4), (6, 0, -4)],
+    "TOOL DEF 4 R+2\nTOOL CALL 4 Z\nL X+10 RL\nL X+20\nRND R6\nL Y+10\nL X+0 R0": [
+        (10, 2), (14, 2), (18, 6), (18, 10), 0],
+    "CYCL DEF 203 X ~\nQ200=2 ;A ~\nQ201=-3 ~\nQ206=90 Q202=9 Q203=-1\nL X+5 FMAX M99\nL X+6 FMAX\nCYCL CALL": [
+        (5, 0, -4), (6, 0, -4)],
     "L X+1 M128": "post a 3-axis program", "CYCL DEF 209 TAPPING": "CYCL DEF 200 and 203 are read",
     "CYCL DEF 7.1 X+5": "let the CAM output", "PLANE SPATIAL SPA0 SPB10": "post a 3-axis program",
-    "L X+10,5": "',5' is no word", "L X+1 Q": "is no word", "L X+Q9": "#9 has no value", "L X+5 RL": "radius of the tool",
+    "L X+10,5": "',5' is no word", "L X+1 Q": "is no word", "L X+Q9": "#9 has no value",
+    "L X+5 RL": "radius of the tool",
     "L X+5\nRND R2": "RND without a next move", "C X+5 DR+": "C needs CC", "CT X+5 Y+0": "needs a move in the xy plane",
     "CALL LBL 7": "LBL 7 is not in this program", "LBL 1\nCALL LBL 1": "more than 10 labels call one another",
     "APPR LT X+5 LEN5": "lead-ins and lead-outs", "CYCL CALL": "before CYCL DEF", "L A+5": "does not take A",

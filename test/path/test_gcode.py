@@ -85,7 +85,8 @@ REFUSED = [
     ("G84 Z-5 R1 F100", "G84: leave threads out"), ("G5 X1 Y1 I1 J1", "G5 takes X, Y, I, J, P and Q"),
     ("G173", "G173: it is not known"), ("G1 X1 A90 F100", "A90: post a 3-axis program"),
     ("TRAORI", "TRAORI: post a 3-axis program"), ("CYCLE81(10,0,2,-5)", "CYCLE81: let the CAM output the cycle"),
-    ("G1 X10 Y0,R2 F100", ",R without a next move"), ("G1 X10,A45 F100", "let the CAM output lines and arcs"), ("G1 X1", "without a feed"), ("G1 X1 F0", "zero feed"),
+    ("G1 X10 Y0,R2 F100", ",R without a next move"),
+    ("G1 X10,A45 F100", "let the CAM output lines and arcs"), ("G1 X1", "without a feed"), ("G1 X1 F0", "zero feed"),
     ("G1 X1 F-100", "F-100"), ("G1 XNaN F100", "XNAN"), ("G1 X F100", "X has no number"), ("G1 X1 E5 F100", "E5"),
     ("G1 X1 X2 F100", "X occurs twice"), ("G0 G1 X1 F100", "G1 contradicts"),
     *((f"G2 {words} F100", "does not close") for words in ("X10 Y0 I4 J0", "X10 Y0 R4.9", "X5 I0 J0")),
@@ -375,7 +376,8 @@ def test_an_operation_is_named_and_no_comment_of_a_post_on_itself_or_on_a_part_o
 # --- One pocket as seven posts write it ---
 PROGRAMS = Path(__file__).parent / "programs"
 ALL = ("fusion_haas.nc", "fusion_grbl.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc",
-       "sinumerik.mpf", "haas.nc", "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h")  # fmt: skip
+       "sinumerik.mpf", "haas.nc",
+       "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h")  # fmt: skip
 #: [mm], lengths of the pocket: down from 15, four circles of radius 4, of which three descend by 1; two rings; up again
 CIRCLES, RINGS = 3 * math.hypot(8 * math.pi, 1) + 8 * math.pi, 142 + 4 * math.pi
 LENGTH = 13 + CIRCLES + RINGS + math.pi / 2 + 15

@@ -90,15 +90,14 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
         first = stroke.beside(stroke.start, side, radius)
         reason = ""
         if math.isnan(radius):
-            reason = f"the radius of {stroke.tool or 'the tool'} is not known; write a comment with its diameter, ({stroke.tool or 'TOOL'} D=10)"
+            name = stroke.tool or "TOOL"
+            reason = f"the radius of the tool is not known; write its diameter in a comment, ({name} D=10)"
         elif stroke.centre is not None and side == stroke.sense and abs(stroke.end - stroke.centre) <= radius:
-            reason = (
-                f"the radius of the arc, {1e3 * abs(stroke.end - stroke.centre):.6g} mm, is not larger than the tool's"
-            )
+            size = 1e3 * abs(stroke.end - stroke.centre)
+            reason = f"the radius of the arc, {size:.6g} mm, is not larger than the radius of the tool"
         elif last is None and (stroke.centre is not None or abs(stroke.end - stroke.start) <= radius):
-            reason = (
-                f"the compensation begins with a straight move longer than the radius of the tool, {1e3 * radius:g} mm"
-            )
+            least = f"{1e3 * radius:g} mm"
+            reason = f"the compensation begins with a straight move longer than the radius of the tool, {least}"
         elif last is not None and (last.side, last.radius) != (side, radius):
             reason = "the compensation changes without G40"
         elif last is not None and radius:

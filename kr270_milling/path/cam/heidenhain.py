@@ -27,23 +27,24 @@ __all__ = ["read_heidenhain"]
 BEGIN = re.compile(r"BEGIN PGM (.*?) ?(MM|INCH)")
 #: words of a block; a sign alone is the direction of a circle
 WORD = re.compile(
-    rf"(FMAX|FAUTO|R0(?![0-9.])|RL|RR|DR|DL|IPA|IPR|PA|PR|MB|LA|I?[XYZABC]|[RFMST]) ?([-+]?(?:{NUMBER.pattern}|Q[0-9]+|MAX)|[-+])?"
+    r"(FMAX|FAUTO|R0(?![0-9.])|RL|RR|DR|DL|IPA|IPR|PA|PR|MB|LA|I?[XYZABC]|[RFMST]) ?"
+    rf"([-+]?(?:{NUMBER.pattern}|Q[0-9]+|MAX)|[-+])?"
 )
 CONDITION = re.compile(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)")
 ASSIGNED = re.compile(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)")
 LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?)?")
 SILENT = re.compile(
-    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET|CYCL DEF (?:247|32\.|9\.)|PLANE RESET|FN ?(?:14|16|18|29|37|38):|M ?0*[01]\Z"
+    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET|CYCL DEF (?:247|32\.|9\.)|PLANE RESET|FN ?(?:14|16|38):|M ?0*[01]\Z"
 )
 #: shifts, turns, planes that change nothing with zeros alone
 RESETS = re.compile(r"CYCL DEF (?:7|8|10|11|19)\.[0-9]+|PLANE SPATIAL|TRANS DATUM")
 ADVICE = {
-    "APPR": "let the CAM output lead-ins and lead-outs as L and C", "DEP": "let the CAM output lead-ins and lead-outs as L and C",
+    **dict.fromkeys(("APPR", "DEP"), "let the CAM output lead-ins and lead-outs as L and C"),
+    **dict.fromkeys(("CALL PGM", "SEL"), "post one program without calls of other files"),
     "CYCL DEF": "CYCL DEF 200 and 203 are read; let the CAM output other cycles as moves",
     "PLANE": "post a 3-axis program: the tool must be parallel to z of the workpiece",
-    "CALL PGM": "post one program without calls of other files", "SEL": "post one program without calls of other files",
     "TCH PROBE": "leave probing out of this program",
-}  # fmt: skip
+}
 OTHERS = "let the CAM output L, C, CR, CT, LP and CP"
 SPINDLE = {3: 1, 13: 1, 4: -1, 14: -1, 5: 0}
 #: M words that move nothing: those of G-code, rotary axes on the short way, errors of tools, look-ahead
@@ -149,9 +150,8 @@ class _Conversational(Machine):
             self._block("L", " " + text)
         else:
             known = next((name for name in ADVICE if text.startswith(name)), "")
-            self.program.refuse(
-                short(text), "" if known else f"{short(text)!r} is not read", ADVICE.get(known, OTHERS), lost=True
-            )
+            reason = "" if known else f"{short(text)!r} is not read"
+            self.program.refuse(short(text), reason, ADVICE.get(known, OTHERS), lost=True)
         return index
 
     def _note(self, text: str) -> None:
@@ -221,10 +221,7 @@ class _Conversational(Machine):
         if turned := [number for number in functions if number in SPINDLE]:
             self.turning = SPINDLE[int(turned[-1])]
             self.program.spindle_speed = self.turning * self.speed
-        other = [
-            number for number in functions if number not in M_WORDS and number not in (*SPINDLE, 2, 30, 91, 92, 99, 140)
-        ]
-        if other:
+        if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 140}]:
             word = word_of("M", other[0])
             advice = "post a 3-axis program" if other[0] == 128 else "leave it out where it moves no axis"
             self.program.refuse(word, advice=advice, lost=True)
@@ -322,14 +319,7 @@ class _Conversational(Machine):
 
     def _tangent(self, kind: str, words: dict, axes: dict, start: complex) -> int:
         """CT continues in the direction of the move before it."""
-        end = [
-            axes[axis] * self.unit if axis in axes else place
-            for axis, place in zip("XY", (start.real, start.imag), strict=True)
-        ]
-        end = [
-            value + (0.0 if self.absolute.get(axis, True) else place)
-            for value, axis, place in zip(end, "XY", (start.real, start.imag), strict=True)
-        ]
+        end = self._end({axis: axes[axis] for axis in "XY" if axis in axes})[:2]
         way = complex(*end) - start
         if self.heading is None or not abs(way) > 0:
             raise _Refused("CT needs a move in the xy plane before it and another end")
@@ -343,12 +333,14 @@ class _Conversational(Machine):
     def _centre_word(self, text: str) -> None:
         """CC X Y, CC IX IY from the place of the tool, CC alone: the place of the tool."""
         words, _ = self._words(text)
-        place = complex(*self.position[:2])
-        old = place if self.pole is None or not words else self.pole
-        values = [
-            words[axis] * self.unit if axis in words else here + words[f"I{axis}"] * self.unit if f"I{axis}" in words else before
-            for axis, here, before in zip("XY", (place.real, place.imag), (old.real, old.imag), strict=True)
-        ]  # fmt: skip
+        values = [*self.position[:2]]
+        for k, axis in enumerate("XY"):
+            if axis in words:
+                values[k] = words[axis] * self.unit
+            elif f"I{axis}" in words:
+                values[k] += words[f"I{axis}"] * self.unit
+            elif words and self.pole is not None:
+                values[k] = (self.pole.real, self.pole.imag)[k]
         if words.keys() - {"X", "Y", "IX", "IY"} or not all(map(math.isfinite, values)):
             raise _Refused("CC takes X and Y")
         self.pole = complex(*values)
@@ -382,7 +374,7 @@ class _Conversational(Machine):
         self.program.spindle_speed = self.turning * self.speed
 
     def _define(self, text: str) -> None:
-        """CYCL DEF 200 and 203: Q203 is the surface, Q200 above it the level R, Q201 the depth, Q204 the level after."""
+        """CYCL DEF 200 and 203: surface Q203, level R Q200 above it, depth Q201, level after the hole Q204."""
         values = {key: self._value(value) for key, value in re.findall(r"Q([0-9]+) ?= ?([-+]?[0-9.Q]+)", text)}
         for key in values.keys() & {"200", "201", "202", "203", "204", "206"}:
             self.variables.set(int(key), values[key])

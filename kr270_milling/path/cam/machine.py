@@ -218,9 +218,6 @@ class Machine:
         """Record a move in the first run; make what is planned for it in the second one."""
         first = isinstance(self.contour, list)
         stroke = self._stroke(start, end, dict(arc), dict(axes) if first else axes)
-        if not first and stroke is None and self.side:
-            reason = "G41 and G42 take straight moves and arcs in the xy plane from a known place, without G93"
-            self.program.refuse("G41", reason, lost=True)
         for letter in CORNERS:
             axes.pop(letter, None)
         result: list[Stroke] | str | None = None
@@ -232,10 +229,16 @@ class Machine:
             self.program.refuse(f"G{self.mode}", result, lost=True)
         elif stroke is None or result is None:
             self._plain(start, end, arc, axes)
+            if not first and self.side:
+                reason = "G41 and G42 take straight moves and arcs in the xy plane from a known place, without G93"
+                self.program.refuse("G41", reason, derived=True)
         else:
             mode, height = self.mode, start[2]
-            for part in result:
-                height = self._run_stroke(part, height)
+            try:
+                for part in result:
+                    height = self._run_stroke(part, height)
+            except ArcError as error:
+                self.program.refuse(f"G{mode}", str(error), derived=True)
             self.mode = mode
             self.beside = result[-1].end - stroke.end
 
@@ -254,6 +257,8 @@ class Machine:
         try:
             centre, turns = self._centre(start, end, arc, axes)
         except ArcError:
+            return None
+        if _misses(start, end, centre, _closing(start, centre)):
             return None
         return stroke._replace(centre=complex(*centre), sense=1 if self.mode == 3 else -1, turns=turns)
 

@@ -272,7 +272,7 @@ class Interpreter(Machine):
         return [cmath.rect(radius, math.radians(first + k * step)) for k in range(int(count))]
 
     def _compensate(self, word: float, axes: dict) -> None:
-        """G40, G41 D, G42 D: the radius is that of G10 with D's number, else of the tool; G41.1 D: of the diameter D."""
+        """G40, G41 D, G42 D: the radius that G10 gives to D, else that of the tool; G41.1 D: half of D."""
         self.side = {40: 0, 41: 1, 42: -1}[int(word)]
         number = axes.pop("D", self.edge)
         if word == int(word):
