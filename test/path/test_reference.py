@@ -75,7 +75,7 @@ REFUSED = {
     **dict.fromkeys(("G92 X5\nG52 X1", "G52 X1\nG92 X5", "G52 X1\nG92.1"), "controls differ|one work offset"),
     "G41 D1\nX10": "radius of the tool is not known",
     "G41.1 D4\nX2": "longer than the radius of the tool",
-    "G41.1 D4\nX9\nG3 X9 Y4 J2": "not larger than the tool's",
+    "G41.1 D4\nX9\nG3 X9 Y4 J2": "not larger than the radius of the tool",
     "G41.1 D4\nX9\nX8 Y1\nX0 Y0": "does not fit into the corner",
     "G41.1 D4\nX9\nG28 Z0": "a move home while G41",
     "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
@@ -140,6 +140,20 @@ def test_curves_are_bezier_curves_within_the_tolerance_of_arcs(tmp_path):
         way = curve[:, None] - start
         share = np.clip((way * np.conj(end - start)).real / np.abs(end - start) ** 2, 0, 1)
         assert np.abs(way - share * (end - start)).min(axis=1).max() < 2e-3
+
+
+@pytest.mark.parametrize("curve", [
+    "G5.2 P1 L3\nX10 Y10 P{w}\nX0 Y10 P1\nG5.3",
+    "G6.2 P3 K0 X10 Y0 R1\nK0 X10 Y10 R{w}\nK0 X0 Y10 R1\nK1\nK1\nK1",
+])  # fmt: skip
+def test_a_rational_curve_with_these_weights_is_a_quarter_circle(tmp_path, curve):
+    path = read_gcode(program(tmp_path, f"X10\n{curve}\n".format(w=math.sqrt(0.5)) + "G1 X-5"))
+    points = 1e3 * path.position[2:-1, :2]
+    np.testing.assert_allclose(np.hypot(*points.T), 10.0, atol=1e-9)
+    middle = (points[1:] + points[:-1]) / 2
+    assert 10 - np.hypot(*middle.T).min() < 2e-3 and points[-1] == pytest.approx((0, 10))
+    with pytest.raises(InputError, match="without its end"):
+        read_gcode(program(tmp_path, f"X10\n{curve.rpartition(chr(10))[0].format(w=1)}\nG1 X-5"))
 
 
 def test_a_row_of_straight_cuts_gives_the_path_of_its_blocks(tmp_path, monkeypatch):

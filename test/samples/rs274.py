@@ -151,7 +151,7 @@ class _Logged(Interpreter):
     def _feed_to(self, start, ends, length, curvature=0.0) -> None:
         rate = self._feed_rate(length) or 0.0
         super()._feed_to(start, ends, length, curvature)
-        kind = {2: "arc", 3: "arc", 5: "curve", 5.1: "curve"}.get(self.mode or 0, "straight")
+        kind = {2: "arc", 3: "arc", 5: "curve", 5.1: "curve", 5.2: "curve"}.get(self.mode or 0, "straight")
         kind = "straight" if self.drilled else kind
         end = tuple(1e3 * value for value in self.on_path(ends[-1]))
         self.moves.append(Move(kind, end, 1e3 * length, math.nan if self.feed_mode == 95 else 6e4 * rate))

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points
+from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points, nurbs_points
 from kr270_milling.path.cam.contour import Stroke, planned
 from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -29,6 +29,7 @@ PLACES = ("X", "Y", "Z", "@", "^")  #: @ and ^: radius and angle about the origi
 MOVING = (*PLACES, *CENTRES, "R", "CR")
 #: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
+NURBS = (5.2, 6.2)  #: rational B-splines: LinuxCNC with uniform knots, Fanuc with stated ones
 CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
@@ -48,6 +49,9 @@ class Machine:
         self.position: list[float] = [math.nan] * 3
         self.mode: float | None = None  #: 0 to 3, 5 and 5.1: a curve of degree 3 and 2
         self.leaving: complex | None = None  #: last control point of the curve before, from its end
+        self.nurbs: list[tuple[tuple[float, ...], float]] = []  #: points of a curve that is open, with their weights
+        self.knots: list[float] = []  #: of G6.2
+        self.order = 3
         self.incremental = False
         self.absolute_centre = False
         self.absolute: dict[str, bool] = {}  #: letters of this block that are absolute or not, whatever the mode
@@ -101,10 +105,18 @@ class Machine:
     # --- what moves no tool through material ---
 
     def set_mode(self, mode: float | None) -> None:
-        """G0 to G3, G5, G5.1, which end a cycle."""
+        """G0 to G3, G5, G5.1, G5.2, G6.2, which end a cycle; G5.3 ends the curve of G5.2."""
         if mode != self.mode:
             self.leaving = None
-        self.mode = mode if mode is None or mode == 5.1 else int(mode)
+        if self.nurbs and mode != self.mode:
+            if (self.mode, mode) == (5.2, 5.3):
+                inside = len(self.nurbs) - self.order + 1
+                self._nurbs([0.0] * self.order + [float(k) for k in range(1, inside)] + [float(inside)] * self.order)
+            else:
+                self.program.refuse(f"G{self.mode:g}", f"a curve of G{self.mode:g} without its end", lost=True)
+                self.nurbs, self.knots = [], []
+        self.mode = mode if mode is None or mode in (5.1, *NURBS) else int(mode)
+        self.mode = None if mode == 5.3 else self.mode
         self.cycle = None
 
     def set_feed_mode(self, mode: int) -> None:
@@ -164,6 +176,8 @@ class Machine:
             self.cycle = cycle = None
         if cycle is not None or (self.cycle is not None and (self.pattern or not axes.keys().isdisjoint(PLACES))):
             self._drill(cycle, axes)
+        elif self.mode in NURBS and axes:
+            self._control_point(axes)
         elif not axes.keys().isdisjoint(MOVING):
             self._move(axes)
 
@@ -450,6 +464,62 @@ class Machine:
             control = [a, a + first, b + self.leaving, b]
         points, length = curve_points(control, CHORD)
         return [(point.real, point.imag, start[2]) for point in points[:-1]] + [end], length, 0.0
+
+    def _control_point(self, axes: dict) -> None:
+        """A point of G5.2 with weight P and, first, order L, or of G6.2 with weight R, knot K and, first, order P."""
+        word, uniform = f"G{self.mode:g}", self.mode == 5.2
+        placed = not axes.keys().isdisjoint("XYZ")
+        if uniform and not self.nurbs:  # the curve begins where the tool is
+            self.nurbs = [(tuple(self.position), 1.0 if placed else axes.pop("P", 1.0))]
+            self.order = 3
+        order, knot = (
+            axes.pop("L" if uniform else "P", None) if not uniform or "L" in axes else None,
+            axes.pop("K", None),
+        )
+        weight = axes.pop("P" if uniform else "R", 1.0)
+        if not uniform:
+            axes.pop("Q", None)  # the way of interpolation
+        start = tuple(self.position)
+        if placed:
+            self.nurbs.append((self._end(axes), weight))
+        if order is not None:
+            self.order = int(order)
+        across = PLANES[self.plane][2]
+        if (
+            self.incremental or self.side or self.polar or not all(map(math.isfinite, start)) or start[2] == TOP
+            or not 2 <= self.order <= 30 or self.nurbs[-1:] and self.nurbs[-1][0][across] != start[across]
+            or (not uniform and (knot is None or not math.dist(self.nurbs[0][0], start) < CLOSING))
+        ):  # fmt: skip
+            reason = (
+                f"{word} needs absolute points in the plane, weights, the order and the knots, and starts at the tool"
+            )
+            self.program.refuse(word, reason, lost=True)
+            self.nurbs, self.knots = [], []
+        elif not uniform:
+            self.knots.append(knot)
+            if len(self.nurbs) >= self.order and len(self.knots) == len(self.nurbs) + self.order:
+                self._nurbs(self.knots)
+
+    def _nurbs(self, knots: list[float]) -> None:
+        """Cut along the curve that is open."""
+        first, second, across = PLANES[self.plane]
+        start = tuple(self.position)
+        try:
+            points, length = nurbs_points(
+                [complex(place[first], place[second]) for place, _ in self.nurbs],
+                [weight for _, weight in self.nurbs], knots, CHORD,
+            )  # fmt: skip
+        except ArcError as error:
+            self.program.refuse(f"G{self.mode:g}", str(error), lost=True)
+        else:
+            ends = []
+            for point in points:
+                place = [start[across]] * 3
+                place[first], place[second] = point.real, point.imag
+                ends.append(tuple(place))
+            self.position = list(ends[-1])
+            self._feed_to(start, ends, length)
+        self.nurbs, self.knots = [], []
 
     # --- cycles ---
 

@@ -68,7 +68,7 @@ SILENT_M: dict[float, str] = {
 G_GROUPS: dict[float, str] = {
     **{n: f"G{n:g}" for n in SILENT_G},
     **{word: name for name, words in MODAL.items() for word in words},
-    **dict.fromkeys((0, 1, 2, 3), "motion"),
+    **dict.fromkeys((0, 1, 2, 3, 5.2, 5.3, 6.2), "motion"),
     **dict.fromkeys(
         (73, 76, 80, 81, 82, 83, 85, 86, 89), "cycle"
     ),  # drilling and boring cycles, expanded; 80: their end
@@ -136,7 +136,7 @@ ADVICE = {
     ),
     **_each("G51 G51.1 G44 G100 G101 DIAMON DIAM90", DATUM),
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
-    **_each("G5.2 G5.3 G6 G6.1 G6.2 G6.3 G2.3 G3.3", CURVES),
+    **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
     **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
     **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
