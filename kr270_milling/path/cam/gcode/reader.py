@@ -71,7 +71,7 @@ LETTER = re.compile(r"[A-Z@^]")
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
 LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
 SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
-LOOKS_AHEAD = re.compile(r"G[ \t]*0*4[12](?![0-9])|,[ \t]*[RC]|RND|CH[RF]", re.I)  #: ``Machine.contour``
+OFFSET = re.compile(r"G[ \t]*0*4[12](?![0-9])")  #: the tool is beside the contour
 HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
@@ -114,9 +114,10 @@ class GcodeReader:
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
         program, cuts, read = self.program, 0, len(lines)
-        if self.machine.contour is None and LOOKS_AHEAD.search("\n".join(lines)):
+        text = "\n".join(lines).upper()
+        if self.machine.contour is None and (OFFSET.search(text) or any(word in text for word in CORNERS)):
             self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
-        if has_flow("\n".join(lines)):
+        if has_flow(text):
             flow = Flow(self.machine, self.variables, self.run_line, lines)
             flow.run()
             self.computed = self.computed or flow.jumped
