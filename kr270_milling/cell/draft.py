@@ -39,7 +39,7 @@ STRAIGHT = {
     "operations": "", "place": ON_DISPLAY.format(*PLACE), "offset": "of the workpiece",
     "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]",
     "name": "MILLING", "name_note": "yours: of the robot program",
-    "high": "[60.0, 20.0, 0.0]",
+    "high": "[60.0, 20.0, 0.0]", "spindle_on": "[]",
     "path": """\
       start_mm: [-8.0, 0.0]              # yours: a straight cut along +x; or give file: part.nc
       depth_of_cut_mm: 1.0               # yours
@@ -125,7 +125,7 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
     program = path.program
     stock = stock_of(path, _diameter(path) / 2e3)
     several = sum(bool(known.cuts) for known in program.tools) > 1
-    values = _common(path, stock) | {
+    values = _common(file, path, stock) | {
         "operations": _words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
         "name": _module_name(file),
         "tool": "    tool:\n" + TOOL.format(**_tool(path)),
@@ -148,7 +148,7 @@ def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
         keys = TOOL.format(**_tool(path))
         indented = "\n".join(f"  {line}" for line in keys.splitlines())
         entries.append(f"      {path.program.tool}:  # {label}\n{indented}")
-    values = _common(paths[0], stock) | {
+    values = _common(file, paths[0], stock) | {
         "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
         "tool": TOOLS + "\n".join(entries),
         "path": f"      file: {_quoted(file)}",
@@ -165,9 +165,10 @@ def _module_name(file: str) -> str:
     return (name if name[:1].isalpha() else f"P_{name}")[:longest_name].rstrip("_")
 
 
-def _common(path: Toolpath, stock: Box) -> dict:
-    """Values of a cell that do not depend on the tool."""
+def _common(file: str, path: Toolpath, stock: Box) -> dict:
+    """Values of a cell that do not depend on the tool; a KRL program states no speed of the spindle."""
     return {
+        "spindle_on": "[HALT]" if file.lower().endswith(".src") else "[]",
         "place": ON_DISPLAY.format(*map(_number, _place(stock))),
         "offset": path.program.work_offset or "the work offset",
         "low": _list(1e3 * stock.low),

@@ -91,6 +91,7 @@ class SourceProgram:
     spindle_speeds: tuple[float, ...] = ()  #: [rad/s], of the cutting moves, negative counterclockwise; 0 is left out
     feeds: tuple[float, ...] = ()  #: [m/s], of the cutting moves
     feed_units: tuple[str, ...] = ()  #: unit of the F words, such as "mm a minute"
+    external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts, of a KRL program
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[ReadOver, ...] = ()

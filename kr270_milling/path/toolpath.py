@@ -161,9 +161,9 @@ class PathBuilder:
         self.feature = 0  #: feature of the next moves
         self.spindle_speed = 0.0  #: [rad/s]
         self.drilling = False  #: True for moves of a drilling cycle
-        self.quaternion = TOOL_DOWN
+        self.quaternion: tuple[float, ...] = TOOL_DOWN
         self.last: tuple[float, float, float] | None = None  #: end of the last move
-        self._last_quaternion = TOOL_DOWN
+        self._last_quaternion: tuple[float, ...] = TOOL_DOWN
         self._blocks = array("d")
 
     def __len__(self) -> int:

@@ -197,7 +197,9 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
     spindle = f"{cell.tool.spindle_speed * 30.0 / np.pi:.6g} rpm, {cell.tool.rotation}"
     tool = _tool_in_flange(cell)
-    return krl.Setup(tool, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law)
+    fed = path_of(cell).fed
+    external = fed.toolpath.program.external if fed else (0.0,) * 6
+    return krl.Setup(tool, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law, external)
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:

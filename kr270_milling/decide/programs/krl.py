@@ -67,6 +67,7 @@ class Setup:
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
     acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
     jerk: float = 0.0  #: jerk of the time law [m/s3]
+    external: tuple[float, ...] = (0.0,) * 6  #: E1 to E6, as the program of the path has them during its cuts
 
 
 @dataclass(frozen=True)
@@ -171,10 +172,10 @@ def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[
     retract[2] = max(retract[2], 1e3 * setup.safe_z)
     start = setup.approaches[list(KINDS).index(kind)]
     above = [*(1e3 * start.position), *first[3:]]
-    home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles))}}}"]
+    home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles), setup.external)}}}"]
     return [
         *(home if program.home_angles.size else []),
-        f"DECL E6POS XAPPROACH={{{position_text(above, start.status, start.turn)}}}",
+        f"DECL E6POS XAPPROACH={{{position_text(above, start.status, start.turn, setup.external)}}}",
         f"DECL FRAME XP1={{{frame_text(first)}}}",
         f"DECL FRAME XRETRACT={{{frame_text(retract)}}}",
     ]

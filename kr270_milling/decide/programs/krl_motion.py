@@ -33,7 +33,6 @@ __all__ = [
 ]
 
 WIDEST = 100  #: characters of a comment line
-EXTERNAL_AXES = ",".join(f"E{i} 0.0" for i in range(1, 7))
 
 
 def number(value: float, digits: int) -> str:
@@ -53,14 +52,18 @@ def frame_text(row: Sequence[float] | np.ndarray) -> str:
     return ",".join(f"{name} {text}" for name, text in zip("XYZABC", texts, strict=True))
 
 
-def position_text(row: Sequence[float], status: int, turn: int) -> str:
-    """An E6POS."""
-    return f"{frame_text(row)},S {status},T {turn},{EXTERNAL_AXES}"
+def position_text(row: Sequence[float], status: int, turn: int, external: Sequence[float]) -> str:
+    """An E6POS; external: E1 to E6."""
+    return f"{frame_text(row)},S {status},T {turn},{_external_text(external)}"
 
 
-def axis_text(degrees: Sequence[float]) -> str:
-    """An E6AXIS."""
-    return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{EXTERNAL_AXES}"
+def axis_text(degrees: Sequence[float], external: Sequence[float]) -> str:
+    """An E6AXIS; external: E1 to E6."""
+    return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{_external_text(external)}"
+
+
+def _external_text(values: Sequence[float]) -> str:
+    return ",".join(f"E{i} {float(value)}" for i, value in enumerate(values, 1))
 
 
 def printable_ascii(text: str) -> str:

@@ -90,6 +90,7 @@ READERS: dict[str, PathReader] = {
     **dict.fromkeys((".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt"), GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
     ".h": PathReader("kr270_milling.path.cam.heidenhain", "read_heidenhain", ("tool", "feed")),
+    ".src": PathReader("kr270_milling.path.cam.krl.reader", "read_krl_program", ("tool", "feed")),
     ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
 }
 READERS |= {point.name.lower(): PathReader(point.module, point.attr) for point in registered("readers", READERS)}

@@ -1,0 +1,1 @@
+"""Robot programs in KRL as tool paths."""
