@@ -144,7 +144,7 @@ class Machine:
         self.ends_contour("a move home")
         if "Z" in axes:
             self.position[2] = TOP
-            self.go(self._place)
+            self.go(self.tip)
             self.beside = 0j
         for axis in axes:
             if axis != "Z":
@@ -214,7 +214,7 @@ class Machine:
         self.contour = iter(planned(strokes))
 
     @property
-    def _place(self) -> tuple[float, ...]:
+    def tip(self) -> tuple[float, ...]:
         """Return the place of the tool in coordinates of the program."""
         x, y, z = self.position
         return x + self.beside.real, y + self.beside.imag, z
@@ -583,7 +583,7 @@ class Machine:
             return (*point[:across], height, *point[across + 1 :])
 
         height = max(self.position[across], cycle.retract)
-        self.go(at(self._place, height))
+        self.go(at(self.tip, height))
         self.beside = 0j
         self.go(at(place, height))
         last = at(place, cycle.retract)
