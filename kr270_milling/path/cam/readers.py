@@ -128,7 +128,7 @@ def find_tool_path(name: str, beside: Path = Path()) -> Path:
 def read_path_file(
     path, tool: str = "", topic: str = "", feed: float = 0.0, offsets: Sequence[float] = ()
 ) -> Toolpath | TimedPath:
-    """Read G-code, APT/CL, a CSV of points or a recording; raise InputError with the line number, or RecordingError.
+    """Read a program, a CSV of points or a recording; raise InputError with the line number, or RecordingError.
 
     tool: "T1", of a program with several; topic: of a recording with several paths; feed [m/s]: for a file without
     feed, 0 for none; offsets [m]: x, y, z of the work offsets G54, G55 ... of G-code in the workpiece frame.
