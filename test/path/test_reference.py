@@ -83,6 +83,7 @@ REFUSED = {
     "G41.1 D4\nX9\nG5.1 X9 Y9 I2 J2": "straight moves and arcs",
     **dict.fromkeys(("@1 X2", "G18 @3 ^2", "G16 G91 X3"), "a radius and an angle"),
     "@5": "alone at the origin",
+    "G81 X1 Z-2 R1 L0\nG70 I5 L3": "not all known",
     "G70 I5 L3": "circle of holes on Haas",
     "X9,R20\nY9": ",R does not fit",
     "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",

@@ -193,12 +193,12 @@ def _meeting(one: Stroke, other: Stroke, side: int, radius: float, begin: comple
         way = FULL * abs(last - other.centre)
     if one.centre is not None and abs(begin - ends[0]) < NEAR:
         room = FULL * abs(ends[0] - one.centre)
-    found = []
+    places = []
     for place in _common(one, other, ends):
         back, ahead = one.length(place, ends[0]), other.length(ends[1], place)
         if -NEAR <= back <= room + NEAR and -NEAR <= ahead <= way + NEAR:
-            found.append((back, place))
-    return min(found, key=lambda row: row[0])[1] if found else None
+            places.append((back, place))
+    return min(places, key=lambda row: row[0])[1] if places else None
 
 
 def _common(one: Stroke, other: Stroke, ends: tuple[complex, complex]) -> list[complex]:

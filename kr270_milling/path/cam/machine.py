@@ -557,6 +557,8 @@ class Machine:
         place = {axis: axes.pop(axis) for axis in PLACES if axis in axes}
         if not repeats:  # the cycle is defined and drills nothing here
             self.program.count("L0", 1 + len(place))
+            for axis in place.keys() & AXES.keys():  # controls differ in whether the tool goes there
+                self.position[AXES[axis]] = math.nan
         for _ in range(int(repeats)):
             x, y, z = self._end(dict(place))
             for hole in self.pattern or [0j]:
