@@ -34,7 +34,7 @@ ENDS = {
     "G52 X4\nX1\nG52 X0\nX1": [5, 1],
     # around an outside corner, into an inside one, onto an arc, out
     "G41.1 D4\nX10\nX20\nY-10\nX30\nG40\nX50": [(10, 2), (20, 2), (22, 0), (22, -8), (30, -8), (50, -10)],
-    "G42.1 D4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
+    "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
     "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
@@ -79,6 +79,7 @@ REFUSED = {
     "G41.1 D4\nX9\nX8 Y1\nX0 Y0": "does not fit into the corner",
     "G41.1 D4\nX9\nG28 Z0": "a move home while G41",
     "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
+    "G41.1 D4\nX9\nG40\nZ5": "after the compensation is along z",
     "#1=41\nG#1 D1\nX5": "a number that is not computed",
     "G41.1 D4\nX9\nG5.1 X9 Y9 I2 J2": "straight moves and arcs",
     **dict.fromkeys(("@1 X2", "G18 @3 ^2", "G16 G91 X3"), "a radius and an angle"),

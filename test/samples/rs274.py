@@ -24,6 +24,7 @@ from kr270_milling.base.text import read_lines
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.reader import GcodeReader, changes_by_m6
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.source_program import ProgramTool
 
 RS274 = os.environ.get("RS274") or shutil.which("rs274") or ""
 NEAR = 3e-3  #: [mm] rs274 writes four decimals, also in inches
@@ -165,6 +166,7 @@ class _Logged(Interpreter):
 def ours(path) -> tuple[list[Move], str, bool]:
     """Return the moves of our interpreter, the sentence of a refusal, and whether the program goes home."""
     program = ProgramBuilder(str(path), "")
+    program.known |= {f"T{n}": ProgramTool(f"T{n}", diameter=1e-3 * n) for n in range(1, 100)}
     try:
         lines = read_lines(path)
         machine = _Logged(program, 0.0, changes_by_m6(lines), [0.0] * 27)

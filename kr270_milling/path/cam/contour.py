@@ -76,9 +76,12 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
             shift, last, tail = 0j, None, []
             continue
         side, radius, start = stroke.side, stroke.radius, stroke.start + shift
-        if not stroke.moves:
+        if not stroke.moves and shift and not side:
+            results[index] = "the first move after the compensation is along z, where controls differ; state X and Y"
+        elif not stroke.moves:
             result.append(stroke._replace(start=start, end=start))
             tail.append((index, len(result) - 1))
+        if not stroke.moves:
             continue
         if not side:
             if shift and stroke.centre is not None:

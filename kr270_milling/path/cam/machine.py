@@ -265,10 +265,9 @@ class Machine:
         known = all(map(math.isfinite, (*start, *end))) and start[2] != TOP
         if self.mode not in (0, 1, 2, 3) or self.plane != 17 or not known or (self.side and self.feed_mode == 93):
             return None
-        stroke = Stroke(
-            complex(*start[:2]), complex(*end[:2]), end[2], self.mode == 0, None, 0, 0,
-            self.side, self.radius, self.program.tool, corner,
-        )  # fmt: skip
+        side = -self.side if self.radius < 0 else self.side  # a negative radius is on the other side
+        stroke = Stroke(complex(*start[:2]), complex(*end[:2]), end[2], self.mode == 0, side=side, corner=corner)
+        stroke = stroke._replace(radius=abs(self.radius), tool=self.program.tool)
         if self.mode in (0, 1):
             return None if any(arc.values()) else stroke
         try:
