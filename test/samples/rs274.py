@@ -321,7 +321,7 @@ def _random_contour(rng: random.Random) -> list[str]:
     for k in range(rng.randint(2, 9)):
         heading += 0 if not k else rng.choice((0, 90, -90, rng.uniform(-170, 170), rng.uniform(-60, 60)))
         way, before = rng.uniform(9, 50), complex(x, y)
-        turn = rng.choice((0, 0, 90, -90, rng.uniform(-300, 300))) if k else 0
+        turn = rng.choice((0, 0, 90, -90, rng.uniform(-300, 300))) if k or rng.random() < 0.2 else 0
         chord = 2 * way * math.sin(math.radians(abs(turn) / 2)) or way
         step = chord * _turn(heading + turn / 2)
         x, y = round(x + step.real, 5), round(y + step.imag, 5)

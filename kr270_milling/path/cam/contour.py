@@ -98,7 +98,11 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
         elif stroke.centre is not None and side == stroke.sense and abs(stroke.end - stroke.centre) <= radius:
             size = 1e3 * abs(stroke.end - stroke.centre)
             reason = f"the radius of the arc, {size:.6g} mm, is not larger than the radius of the tool"
-        elif last is None and (stroke.centre is not None or abs(stroke.end - stroke.start) <= radius):
+        elif last is None and stroke.centre is not None and radius:
+            stroke = _entry(stroke, end)
+            reason = "" if stroke.centre is not None else "no arc leads to the place beside the end of this first move"
+            first = start
+        elif last is None and stroke.centre is None and abs(stroke.end - stroke.start) <= radius:
             least = f"{1e3 * radius:g} mm"
             reason = f"the compensation begins with a straight move longer than the radius of the tool, {least}"
         elif last is not None and (last.side, last.radius) != (side, radius):
@@ -128,6 +132,16 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
         result.append(stroke._replace(start=start, end=end))
         shift, last, begin = end - stroke.end, stroke, start
     return results
+
+
+def _entry(stroke: Stroke, end: complex) -> Stroke:
+    """Return an arc from the same place that ends beside its end in the same direction; without a centre: none does."""
+    across, way = end - stroke.end, end - stroke.start
+    towards = (across * way.conjugate()).real
+    centre = end - across * abs(way) ** 2 / (2 * towards) if towards else None
+    if centre is None or stroke.centre is None or ((centre - end) / (stroke.centre - stroke.end)).real <= 0:
+        return stroke._replace(centre=None)
+    return stroke._replace(centre=centre)
 
 
 def _rounded(strokes: Sequence[Stroke | None], results: list) -> list[tuple[int, Stroke | None]]:
