@@ -92,6 +92,7 @@ def test_a_conversational_program_leads_to_the_right_places_or_is_refused(tmp_pa
 
 def test_the_whole_examples_are_read_under_every_name_of_their_kind(tmp_path):
     kinds = {READERS[suffix]: data for suffix, data in VALID.items()}
+    kinds[READERS[".src"]] = (Path(__file__).parents[1] / "samples" / "krl" / "robodk.src").read_bytes()
     for suffix, reader in READERS.items():
         if reader.recorded:
             continue
