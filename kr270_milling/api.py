@@ -515,7 +515,7 @@ def stiffness(arm, **options) -> dict:
     Returns
     -------
     dict
-        Keys of ``stiffness --json``, see guide/json.md.
+        Keys of ``stiffness --json``, see guide/contributing/json.md.
 
     Examples
     --------
@@ -539,7 +539,7 @@ def identify(what: str, *files, **options) -> dict:
     Returns
     -------
     dict
-        Keys of ``identify --json``, see guide/json.md.
+        Keys of ``identify --json``, see guide/contributing/json.md.
 
     Examples
     --------
@@ -563,7 +563,7 @@ def compare(recording, cell, **options) -> dict:
     Returns
     -------
     dict
-        Keys of ``compare --json``, see guide/json.md.
+        Keys of ``compare --json``, see guide/contributing/json.md.
 
     Examples
     --------
@@ -605,10 +605,8 @@ def _scores_table(passes: Sequence[Pass], names: Sequence[str] = ()) -> TextTabl
 
 
 def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
-    require_extra("a figure", "", "plotly")
-    from plotly.subplots import make_subplots
-
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True)
+    title = ", ".join(f"{run.name}: max {run.max_deviation_um:.2f} um" for run in passes)
+    figure = figure_of(title, "", "").set_subplots(rows=2, cols=1, shared_xaxes=True)
     for run in passes:
         which = f" {run.name}" if len(passes) > 1 else ""
         series = dict(zip(COLUMNS[1:], series_rows(run.result, path_of(run.cell).target).T, strict=True))
@@ -620,7 +618,7 @@ def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
     figure.update_yaxes(title="deviation [um]", row=1, col=1)
     figure.update_yaxes(title="force [N]", row=2, col=1)
     figure.update_xaxes(title="time [s]", row=2, col=1)
-    return figure.update_layout(title=", ".join(repr(run)[1:-1] for run in passes))
+    return figure.update_layout(height=450)
 
 
 def _write_report(path, cell: Cell, passes: Sequence[Pass], title: str, **more) -> Path:

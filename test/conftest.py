@@ -144,7 +144,7 @@ def no_lines_of_progress():
 
 @pytest.fixture(scope="session", autouse=True)
 def every_json_answer():
-    """A key without a row in guide/json.md fails the test that runs the command."""
+    """A key without a row in guide/contributing/json.md fails the test that runs the command."""
     with every_answer_is_in_the_table():
         yield
 

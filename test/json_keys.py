@@ -1,4 +1,4 @@
-"""The table of the JSON keys, ``guide/json.md``: keys of answers and columns of records that have no row."""
+"""The table of JSON keys, ``guide/contributing/json.md``: keys of answers and columns of records that have no row."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kr270_milling.base.column import columns
 
-PAGE = Path(__file__).parents[1] / "kr270_milling" / "guide" / "json.md"
+PAGE = Path(__file__).parents[1] / "kr270_milling" / "guide" / "contributing" / "json.md"
 RECORD = re.compile(r"\[[^]]*\]\(#([a-z0-9-]+)\)")
 
 

@@ -14,8 +14,8 @@ SRC = [r"&ACCESS RVP", r"&REL 1", r"&PARAM EDITMASK = \*", r"DEF [A-Z]\w*\( \)",
        r"\$ORI_TYPE=#VAR", r"\$ADVANCE=3", rf"\$APO\.CDIS={NUMBER}",
        rf"\$(ACC|JERK)\.CP={NUMBER}", rf"\$(VEL|ACC)\.ORI[12]={NUMBER}", r"BAS\(#VEL_PTP,\d+\)",
        r"\$LOAD=\{M .*,CM \{X .*\}\}", r"PTP X(HOME|APPROACH)", r"LIN XRETRACT", r"WAIT SEC \d+\.\d", r"HALT",
-       r"\$OUT\[\d+\]=(TRUE|FALSE)", r"[A-Z]\w*\( \)", r"SPLINE", r"ENDSPLINE",
-       rf"SPL XP\d+ WITH \$VEL\.CP={NUMBER}", rf"\$VEL\.CP={NUMBER}", r"LIN XP\d+( C_DIS)?", r"END"]  # fmt: skip
+       r"\$OUT\[\d+\]=(TRUE|FALSE)", r"[A-Z]\w*\( \)", rf"SPLINE WITH \$VEL\.CP={NUMBER}", r"ENDSPLINE",
+       rf"SPL XP\d+( WITH \$VEL\.CP={NUMBER})?", rf"\$VEL\.CP={NUMBER}", r"LIN XP\d+( C_DIS)?", r"END"]  # fmt: skip
 DAT = [*SRC[:3], r"DEFDAT [A-Z]\w*", r";.*", r"EXT BAS \(BAS_COMMAND :IN,REAL :IN\)",
        rf"DECL FRAME XP\d+=\{{X {NUMBER},Y {NUMBER},Z {NUMBER},A {NUMBER},B {NUMBER},C {NUMBER}\}}",
        r"DECL FRAME XRETRACT=\{X .*\}", r"DECL E6AXIS XHOME=\{A1 .*,E6 0.0\}",
@@ -50,13 +50,13 @@ class Robot:
                 self.state[match[1]] = match[2]
             elif match := re.fullmatch(r"([A-Z]\w*)\( \)", line):
                 self.run(match[1])
-            elif line in ("SPLINE", "ENDSPLINE"):
+            elif line.partition(" ")[0] in ("SPLINE", "ENDSPLINE"):
                 assert in_block == (line == "ENDSPLINE")
-                in_block = line == "SPLINE"
+                in_block, of_block = not in_block, line.partition("=")[2]
                 if not in_block:
                     self.rests.append(self.points[-1][0])
             elif match := re.fullmatch(r"(LIN|SPL) XP(\d+)(.*)", line):
-                speed = match[3].partition("=")[2] or self.state.get("$VEL.CP", "0")
+                speed = match[3].partition("=")[2] or (of_block if in_block else self.state.get("$VEL.CP", "0"))
                 assert in_block == (match[1] == "SPL")
                 self.points.append((int(match[2]), frames[int(match[2])], float(speed)))
                 if match[1] == "LIN" and not match[3] and match[2] != "1":  # the approach ends there

@@ -3,18 +3,19 @@
 usage: python test/pages.py [PAGE...] [--update]
 
 The commands of a fenced ``sh`` block run in their order in the directory of the page, a new one with ``config`` in it.
-A comment in the line above the block changes that: ``<!-- not run: REASON -->``, or ``<!-- release: REASON -->`` for a
+Words behind ``sh``, which a page does not show, change that: ``sh not run: REASON``, or ``sh release: REASON`` for a
 block that takes long or needs other processes. This script runs the blocks for a release, the tests leave them out.
-A reason with "exit code 1" states that the commands end so.
+A reason with "exit code 1" states that the commands end so. A block that installs the package is not run: .ci/run and
+.ci/pages start with these commands of the README.
 
-A fenced block below ``<!-- output -->`` shows lines that the block of commands before it prints, in their order. A line
+A fenced ``output`` block shows lines that the block of commands before it prints, in their order. A line
 that ends in " ..." shows the beginning of a line; a line "..." replaces others. Numbers agree within 1 % or one unit
 of their last digit.
 
 The script runs the pages with the programs in the folder of this interpreter, prints the shown lines that were not
 printed, and ends with 1 if there are any. With ``--update`` it writes the printed lines into the pages instead, for
 each shown line the one that resembles it most, and names the lines that no printed line resembles. The table of keys
-between ``<!-- keys -->`` and ``<!-- end -->`` is written from the records that check a cell.
+is written from the records that check a cell.
 """
 
 from __future__ import annotations
@@ -34,18 +35,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
-    ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "kr270_milling/guide").glob("*.md")),
+    ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "kr270_milling/guide").rglob("*.md")),
     *sorted(page for folder in ("config", "kr270_milling", "test") for page in (ROOT / folder).rglob("README.md")),
 )  # fmt: skip
-FENCE = re.compile(r"(?:^<!-- ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```(\w*) ?([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(cat > (\S+) <<'EOF'\n(.*?)^EOF$|[^\n]+)\n?", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 CUT = " ..."
-#: names of blocks that other programs run
-NOT_HERE = {
-    "run command": "not run: .ci/pages starts with this command; the session's demo compares the lines",
-    "test command": "not run: .ci/run is this command",
-}
+KEYS = "| key | unit | range | default | meaning |\n"
 
 
 @dataclass
@@ -65,13 +62,14 @@ class Block:
 def blocks(page: Path) -> list[Block]:
     """The ``sh`` blocks of a page in their order, each with the outputs that follow."""
     made: list[Block] = []
-    for comment, language, text in FENCE.findall(page.read_text(encoding="utf-8")):
+    for language, words, text in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "sh":
-            comment = NOT_HERE.get(comment, comment)
-            mark, _, reason = comment.partition(":") if comment.startswith(("not run", "release")) else ("", "", "")
+            if "pip install" in text and not words:
+                words = "not run: .ci/run and .ci/pages run it; the lines are those of the demo"
+            mark, _, reason = words.partition(":")
             commands = [m[0].rstrip("\n") for m in COMMAND.finditer(text)]
             made.append(Block(page, [line for line in commands if not line.startswith("#")], mark, reason.strip()))
-        elif comment == "output":
+        elif language == "output":
             made[-1].shown.append(text)
     return made
 
@@ -190,7 +188,7 @@ def key_table() -> str:
     from kr270_milling.cell.keys import keys_of
     from kr270_milling.show.commands.cells import default_text
 
-    lines = ["| key | unit | range | default | meaning |", "| --- | --- | --- | --- | --- |"]
+    lines = [KEYS.rstrip(), "| --- | --- | --- | --- | --- |"]
     for key in keys_of():
         default = "required" if key["required"] else default_text(key["default"])
         texts = (text.replace("|", "or") for text in (key["unit"], key["range"], default, key["text"]))
@@ -212,7 +210,7 @@ def main(words: list[str]) -> int:
                 for block, printed in run_page(page, run_in_shell, release=True):
                     for shown in block.shown:
                         new, lost = updated(shown, printed) if update else (shown, differences(shown, printed))
-                        text = text.replace(f"<!-- output -->\n```\n{shown}```", f"<!-- output -->\n```\n{new}```")
+                        text = text.replace(f"```output\n{shown}```", f"```output\n{new}```")
                         for line in lost:
                             print(f"{page.relative_to(ROOT)}: is not printed: {line}")
                         failed += len(lost)
@@ -221,8 +219,8 @@ def main(words: list[str]) -> int:
                 failed += 1
             os.chdir(home)
             if update:
-                before, mark, after = text.partition("<!-- keys -->\n")
-                text = before + mark + (key_table() + after[after.index("<!-- end -->") :] if mark else "")
+                before, header, _ = text.partition(KEYS)
+                text = before + (key_table() if header else "")
                 page.write_text(text, encoding="utf-8")
     print(f"{failed} differences" if failed else "the pages show what is printed")
     return 1 if failed else 0

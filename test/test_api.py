@@ -5,6 +5,7 @@ from __future__ import annotations
 import pydoc
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -113,6 +114,8 @@ def test_the_notebooks_run_in_an_empty_folder_and_are_stored_without_outputs(tmp
     for cells in parts:
         shown = "".join(str(cell.outputs) for cell in cells)
         assert "_um" in shown and "text/html" in shown and "application/vnd.plotly" in shown
+        if shutil.which("chromium"):  # draws the image that a converted notebook keeps
+            assert "image/svg+xml" in shown
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)

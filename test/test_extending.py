@@ -16,17 +16,18 @@ import pytest
 from hostile import POSTURE, settings
 
 ROOT = Path(__file__).resolve().parents[1]
-GUIDE = ROOT / "kr270_milling/guide/extending.md"
+GUIDE = [ROOT / "kr270_milling/guide/contributing" / page for page in ("extending.md", "cam_language.md")]
 BLOCK = re.compile(r"^(New file|Change in) `([^`]+)`:\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OUTSIDE = "From a package of your own"
 MOST_FILES = {
     "A force law": 2, "A compensation method": 2, "A topic": 3, "A robot": 1, "A CAM dialect": 2, "A report column": 2,
+    "A conversational program": 2,
 }  # fmt: skip
 
 
 def recipe(title: str) -> list[tuple[str, str, str]]:
     """Kind, file and text of each edit of a section of the guide."""
-    sections = re.split(r"^## ", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    sections = re.split(r"^## ", "".join(page.read_text(encoding="utf-8") for page in GUIDE), flags=re.MULTILINE)
     (section,) = (text for text in sections if text.startswith(title + "\n"))
     return BLOCK.findall(section)
 
@@ -98,7 +99,7 @@ for kind, grid_step in ((Cut, 1e-5), (EngagementCut, 1e-4)):
 
 # the topic is in the table on the page, and its protocol publishes the record
 assert "rigid_pose" in {topic.name for topic in published_by("compliant_robot")}
-assert topic_table() in Path("kr270_milling/live/nodes/README.md").read_text(encoding="utf-8")
+assert topic_table() in Path("kr270_milling/guide/nodes.md").read_text(encoding="utf-8")
 cell = read_cell("paper.yaml", "path.length_mm=4")
 robot = RobotProtocol(cell)
 robot.reference = path_of(cell).target
@@ -114,6 +115,14 @@ try:
     read_toolpath("bad.xyz")
 except InputError as error:
     answers["bad.xyz"] = str(error)
+path = read_toolpath("slot.h")
+assert path.program.tool == "T1" and path.rapid.tolist() == [True, False, False, True]
+assert np.allclose(path.position[2:], [(0.015, 0, -5e-4), (0.015, 0, 0.01)]) and math.isclose(path.feed[2], 2 / 60)
+assert math.isclose(path.spindle_speed[2], 800 * math.pi / 3)
+try:
+    read_toolpath("bad.h")
+except InputError as error:
+    answers["bad.h"] = str(error)
 print(json.dumps(answers))
 """
 
@@ -161,6 +170,9 @@ def answers(copy) -> dict:
     (copy / "cuts.csv").write_text("\n".join(["feed_per_tooth_mm,depth_mm,width_mm,mode,fx_n,fy_n", *rows]) + "\n")
     (copy / "path.xyz").write_text("0 0 0 600\n10 0 0 600\n")
     (copy / "bad.xyz").write_text("0 0 0 600\n10 0 0\n")
+    program = re.search(r"```\n(0 BEGIN.*?)```", GUIDE[1].read_text(encoding="utf-8"), re.DOTALL)[1]
+    (copy / "slot.h").write_text(program)
+    (copy / "bad.h").write_text(program.replace("L X+15", "C X+15"))
     out = json.loads(python(copy, PROGRAM, json.dumps(COMMANDS), json.dumps([K_C, M_C, RATIO])))
     return {name: json.loads(text) if name in COMMANDS else text for name, text in out.items()}
 
@@ -181,7 +193,7 @@ def test_commands_take_law_method_robot_reader_and_column_and_the_verdict_scatte
     text = next((copy / "fitted").glob("*.yaml")).read_text(encoding="utf-8")
     assert "law: kienzle" in text and "force_coefficients" in text
     assert answers["my robot"]["compliance"] != answers["shipped robot"]["compliance"]
-    assert "line 2" in answers["bad.xyz"]
+    assert "line 2" in answers["bad.xyz"] and "line 5" in answers["bad.h"] and "no straight move" in answers["bad.h"]
     assert all(row["mean_size_um"] > 0 for row in answers["half"]["passes"])
 
 

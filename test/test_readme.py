@@ -11,6 +11,7 @@ from pages import PAGES, ROOT, blocks, differences, directory_of, key_table, run
 
 from kr270_milling.api import compensate
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.physics.compensation.methods import METHODS
@@ -19,11 +20,11 @@ from kr270_milling.show.commands.options import COMMANDS, make_parser
 
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 #: pages whose commands another test runs in the same way
-RUN_ELSEWHERE = {"kr270_milling/studies/identification/README.md": "test_identification_commands.py"}
+RUN_ELSEWHERE = {"kr270_milling/guide/identification.md": "test_identification_commands.py"}
 
 
 def shell_lines() -> list[str]:
-    return [line for text in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in text.splitlines()]
+    return [line for text in re.findall(r"```sh[^\n]*\n(.*?)```", TEXT, re.DOTALL) for line in text.splitlines()]
 
 
 def commands() -> list[str]:
@@ -50,6 +51,11 @@ def name_of(page) -> str:
 @pytest.mark.parametrize("words", commands())
 def test_every_command_is_one_that_the_program_takes(words):
     words = shlex.split(words, comments=True)
+    if len(words) == 1:  # its name in a sentence
+        words.append("--help")
+        with pytest.raises(SystemExit, match="0"):
+            make_parser().parse_args(words)
+        return
     assert make_parser().parse_args(words).command == words[0]
 
 
@@ -57,7 +63,7 @@ def test_commands_cells_topics_and_methods_of_the_pages_are_those_of_the_package
     assert {name for group in COMMANDS.values() for name in group} - {words.split()[0] for words in commands()} == set()
     named = {*re.findall(r"config/[\w.]+ml\b", TEXT), "config/fastdds.xml"}
     assert {str(p.relative_to(ROOT)) for p in ROOT.glob("config/*.[yx]*ml")} == named
-    assert topic_table() in (ROOT / "kr270_milling" / "live" / "nodes" / "README.md").read_text(encoding="utf-8")
+    assert topic_table() in (ROOT / "kr270_milling" / "guide" / "nodes.md").read_text(encoding="utf-8")
     named = [re.findall(r"`(\w+)`", names)[0] for names, _ in rows("method | what it does")]
     assert sorted(named) == sorted(name for name, method in METHODS.items() if method.recommended)
 
@@ -69,6 +75,14 @@ def test_every_link_leads_to_a_file_and_the_first_line_says_the_purpose(page):
         assert (page.parent / link).exists(), link
     assert text.startswith("# ") and text.splitlines()[2]
     assert page != PAGES[0] or text.count("\n") <= 120  # the README is short
+
+
+def test_the_first_screen_of_the_readme_has_picture_commands_python_and_limits_and_no_page_shows_marks():
+    lines = PAGES[0].read_text(encoding="utf-8").splitlines()[:60]
+    order = ["![", "demo --out out", "pytest", "```python", "**Supported**", "**Not supported**"]
+    places = [next(n for n, line in enumerate(lines) if part in line) for part in order]
+    assert places == sorted(places) and "<!--" not in TEXT
+    assert (ROOT / "kr270_milling/guide/slot.svg").stat().st_size < 100_000
 
 
 @pytest.mark.parametrize("block", [block for page in PAGES for block in blocks(page)], ids=str)
@@ -103,8 +117,8 @@ def test_a_shown_line_that_is_not_printed_is_named_and_brought_up_to_date():
 
 
 def test_the_key_reference_states_every_key():
-    page = (ROOT / "config/README.md").read_text(encoding="utf-8")
-    assert key_table() == re.search(r"<!-- keys -->\n(.*?)<!-- end -->", page, re.DOTALL)[1]
+    page = (ROOT / "kr270_milling/guide/contributing/keys.md").read_text(encoding="utf-8")
+    assert page.endswith("\n\n" + key_table())
 
 
 FROM_PYTHON = ROOT / "kr270_milling/guide/from_python.md"
@@ -139,8 +153,17 @@ def test_the_console_scripts_and_the_oldest_python_are_those_of_the_setup():
     assert 'python_requires=">=3.10"' in (ROOT / "setup.py").read_text() and "Python 3.10 to 3.13" in TEXT
     entries = re.findall(r'^(\w+) = "kr270_milling.live.nodes', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     nodes = TEXT[TEXT.index("# The nodes") :]
-    lines = re.search(r"```sh\n(.*?)```", nodes, re.DOTALL)[1].splitlines()
+    lines = re.search(r"```sh[^\n]*\n(.*?)```", nodes, re.DOTALL)[1].splitlines()
     assert sorted(shlex.split(line)[0] for line in lines) == sorted(entries)
+
+
+def test_the_conda_recipe_has_the_version_and_the_requirements_of_the_package():
+    page = (ROOT / "kr270_milling/guide/contributing/conda.md").read_text(encoding="utf-8")
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    needed = re.findall(r'"(.+?)"', re.search(r"^dependencies = \[(.*?)^\]", project, re.DOTALL | re.MULTILINE)[1])
+    run = re.search(r"  run:\n    - python >=3.10\n(.*?)  run_", page, re.DOTALL)[1]
+    assert re.findall(r"- (.+)", run.replace(" ", "").replace("-", "- ")) == [name.lower() for name in needed]
+    assert f'version: "{__version__}"' in page
 
 
 def test_the_nodes_have_the_parameters_that_are_set_by_hand(world, short_cell, tmp_path):

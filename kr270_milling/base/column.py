@@ -8,7 +8,7 @@ Terminal tables, JSON, CSV files and the report take their columns from there::
 
 The key of JSON is ``max_deviation_um``, the heading is ``largest deviation [µm]`` in the report and ``max [um]`` in the
 terminal. ``computed`` does the same for a property. ``as_dict`` makes the dictionary for JSON and CSV from them; the
-tables of ``guide/json.md`` are compared with the same columns.
+tables of ``guide/contributing/json.md`` are compared with the same columns.
 
 Tables print ``< 0.1`` for a deviation of a part (``least=CONVERGED``) that is smaller than what another grid changes.
 JSON and CSV have the number. ``Scores`` of a straight cut keep their digits, for comparison with Table 2 of the paper.

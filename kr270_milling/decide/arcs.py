@@ -2,6 +2,9 @@
 
 The tool runs without deflection through a coarse height map. At a place the map still holds the material of the last
 ``LAG`` of the path; a node of it at the distance y to the left of the feed is cut by a tooth at asin(y / R).
+
+The cells of ``physics.cutting.engagement`` are cut in part at the rim of the tool. There they keep the top of the
+stock, so that a deeper pass along the same wall would seem as deep as all passes together.
 """
 
 from __future__ import annotations

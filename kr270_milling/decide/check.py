@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,8 @@ from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
-from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
-from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
+from kr270_milling.decide.exchange_share import exchange_share
+from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
 from kr270_milling.decide.inputs import input_violations
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
@@ -42,13 +43,14 @@ class Checked:
 
     findings: tuple[Finding, ...] = column("findings")
     points: int = column("points")
-    ran: ScoredPass | None = column("")  #: the simulated pass; None: the arm cannot make it
     program: SourceProgram = column("")  #: contents of the file of the path beside its moves
-    stability: Stability | None = column("stability")  #: programmed path; None: the arm cannot follow it
-    residue: Residue | None = column("simulated_pass")
+    ran: ScoredPass | None = column("", default=None)  #: the simulated pass; None: the arm cannot make it
+    #: programmed path; None: the arm cannot follow it
+    stability: Stability | None = column("stability", default=None)
+    residue: Residue | None = column("simulated_pass", default=None)
     #: each rapid move through material; None: the arm cannot make the path
     rapid_moves: tuple[Finding, ...] | None = column("rapid_moves", default=None)
-    exchange: ExchangeShare | None = None  #: simulated pass
+    exchange: tuple[float, str] | None = None  #: largest correction of a predicted pose as a share, and its line
     #: each reversal, with its jump; None: no pass was simulated
     load_reversals: tuple[Finding, ...] | None = column("load_reversals", default=None)
     #: robot program; None: the arm cannot make the path
@@ -68,7 +70,7 @@ class Checked:
 
     @computed("largest_pose_correction_share")
     def _share(self) -> float | None:
-        return self.exchange.share if self.exchange else None
+        return self.exchange[0] if self.exchange else None
 
     @computed("read_over")
     def _words(self) -> list[dict]:
@@ -99,10 +101,10 @@ class Checked:
 
     def findings_lines(self) -> list[str]:
         """Return a line for each finding, and those about the whole path."""
-        read_over = [self.program.summary] if self.program.summary else []
-        stability = [part.text for part in (self.stability, self.residue, self.exchange, self.blocks) if part]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
-        return [*read_over, *findings, self.rapid_text, *stability]
+        statements = [part.text if part else "" for part in (self.stability, self.residue, self.blocks)]
+        statements.insert(2, self.exchange[1] if self.exchange else "")
+        return [*filter(None, (self.program.summary, *findings, self.rapid_text, *statements))]
 
     @computed("removed_by_rapid_moves_mm3")
     def rapid_volume_mm3(self) -> float | None:
@@ -126,7 +128,7 @@ def check(
     motion: str | None = None,
     ran: ScoredPass | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
-    more: Iterable[Violation] = (),
+    more: Iterable[Finding] = (),
 ) -> Checked:
     """Check the cell's own path, or a corrected one; motion: LIN or SPLINE.
 
@@ -140,58 +142,56 @@ def check(
     programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     results, joints = arm_violations(arm_of(cell), cell.limits, run)
-    stability = residue = rapid_moves = exchange = reversals = program_size = None
-    reachable = joints is not None and not any(v.kind == "joint limit" for v in results)
+    path = path_of(cell)
+    about: dict[str, Any] = {}  # what follows where the arm can make the path
+    reachable = joints is not None and not any(v.what == "joint limit" for v in results)
     del joints  # of a long program they take 100 MB
     if reachable and reference is None and fed is not None:
-        run = path_of(cell).target  # slowed down to what the joints can do
+        run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
-        target = path_of(cell).target
-        straight = run.velocity is None and target.velocity is not None
+        straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
-        results += _correction(cell, target, run, robot_program)
-        program_size = program_blocks(robot_program, target, run)
+        results += _correction(cell, path.target, run, robot_program)
+        about["blocks"] = program_blocks(robot_program, path.target, run)
         ran, cut = _cut(cell, run, ran, progress)
         results += cut
-        if ran:
-            jumps = load_reversals(arm_of(cell), path_of(cell), run, ran)
-            results += jumps
-            reversals = separate(path_of(cell), run, "load reversal", jumps)
-        rapid_moves = separate(path_of(cell), run, "rapid in material", cut)
+        about["ran"] = ran
+        about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             with progress("stability") as report:
-                stability = stability_statement(cell, report)
-            results += chatter_violations(stability, run.time)
-        residue = residue_of(cell, ran.result) if ran else None
+                about["stability"] = stability_statement(cell, report)
+            results += chatter_violations(about["stability"], run.time)
         if ran:
-            exchange = exchange_share(path_of(cell), ran)
-            results += exchange.violations()
-        if residue and residue.word == "grows":
-            if stability and stability.word_at(path_of(cell), residue.time) == "stable":
-                residue = dataclasses.replace(residue, word="remains")
-            point = int(np.clip(np.searchsorted(run.time, residue.time), 0, len(run) - 1)) + 1
-            kind = "growing vibration" if residue.word == "grows" else "remaining vibration"
-            results.append(violation(kind, residue.residue, residue.limit, point, percent=100 * residue.residue))
+            shown, more_findings = _of_pass(cell, run, ran, about.get("stability"))
+            results += more_findings
+            about |= shown
     program = fed.toolpath.program if fed else SourceProgram()
-    return Checked(
-        gathered(path_of(cell), run, results),
-        len(run),
-        ran if reachable else None,
-        program,
-        stability,
-        residue,
-        rapid_moves,
-        exchange,
-        reversals,
-        program_size,
-    )
+    return Checked(gathered(path, run, results), len(run), program, **about)
+
+
+def _of_pass(
+    cell: Cell, run: Trajectory, ran: ScoredPass, stability: Stability | None
+) -> tuple[dict[str, Any], list[Finding]]:
+    """Return reversals of the load, exchange and vibration of a simulated pass, as fields of ``Checked``; findings."""
+    path = path_of(cell)
+    jumps = load_reversals(arm_of(cell), path, run, ran)
+    share, text, findings = exchange_share(path, ran)
+    residue = residue_of(cell, ran.result)
+    if residue.word == "grows":
+        if stability and stability.word_at(path, residue.time) == "stable":
+            residue = dataclasses.replace(residue, word="remains")
+        point = int(np.clip(np.searchsorted(run.time, residue.time), 0, len(run) - 1)) + 1
+        kind = "growing vibration" if residue.word == "grows" else "remaining vibration"
+        findings.append(violation(kind, residue.residue, residue.limit, point, percent=100 * residue.residue))
+    reversals = tuple(placed(path, run, jump) for jump in jumps)
+    return {"load_reversals": reversals, "exchange": (share, text), "residue": residue}, [*jumps, *findings]
 
 
 def _cut(
     cell: Cell, run: Trajectory, ran: ScoredPass | None, progress: Callable
-) -> tuple[ScoredPass | None, list[Violation]]:
+) -> tuple[ScoredPass | None, list[Finding]]:
     """The pass along ``run``, simulated where it was not yet, and what it shows."""
     try:
         if ran is None:
@@ -200,18 +200,18 @@ def _cut(
                 ran = simulate(cell, run, "checked", report, most_rows=most_rows)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
-        failed = violation("deflection", error.deflection, FLIGHT, point, said=error)
+        failed = violation("deflection", error.deflection, FLIGHT, point, sentence=str(error))
     except DeflectionError as error:
-        failed = violation("joint deflection", error.deflection, error.limit, said=error)
+        failed = violation("joint deflection", error.deflection, error.limit, sentence=str(error))
     except (UnstableLoadError, EquilibriumError) as error:
-        failed = violation("load on the arm", error.load_factor, 1.0, said=error)
+        failed = violation("load on the arm", error.load_factor, 1.0, sentence=str(error))
     else:
         with progress("stock and fixtures"):
             return ran, cut_violations(cell, run, ran)
     return None, [failed, *contact_violations(cell, run)]
 
 
-def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Violation]:
+def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Finding]:
     if not np.array_equal(target.time_ns, run.time_ns):
         raise InputError("reference", f"its times are not those of the {len(target)} points of this cell's path")
     if run is target:

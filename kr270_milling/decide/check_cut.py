@@ -14,7 +14,7 @@ from kr270_milling.base.column import column
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
-from kr270_milling.decide.findings import Violation, stretches, violation, violations
+from kr270_milling.decide.findings import Finding, stretches, violation, violations
 from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map, with_profile
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
@@ -206,7 +206,7 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     return timed.toolpath.position_at(distance), time, block, step
 
 
-def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding]:
     """Check the simulated pass along ``run`` and the programmed path in the stock, by the points of ``run``."""
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
@@ -222,7 +222,7 @@ def spring_back(cell: Cell, ran: ScoredPass) -> float:
     return float(np.max(np.linalg.norm(result.deflection[cutting, :3], axis=1), initial=0.0))
 
 
-def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding]:
     torque = _by_points(run, ran, ran.result.torque)
     results = violations("spindle torque", torque, cell.limits.spindle_torque)
     return results + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
@@ -236,7 +236,7 @@ def _by_points(run: Trajectory, ran: ScoredPass, values: np.ndarray) -> np.ndarr
     return most
 
 
-def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding]:
     """Cutting speed, and the bending stress of the tool by the lateral force of the pass."""
     tool, results = cell.tool, []
     speed = tool.spindle_speed * tool.radius
@@ -250,7 +250,7 @@ def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     return results + violations("tool bending", _by_points(run, ran, stress), limit)
 
 
-def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
+def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Finding]:
     """Check the contacts along the programmed path: material at rapid, below the stock, fixtures.
 
     Where its rapid moves meet no material, the simulated pass ``ran`` decides: its rapid moves must not enter the
@@ -265,7 +265,7 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     return contacts + results
 
 
-def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violation], list[Violation]]:
+def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Finding], list[Finding]]:
     """Contacts of rapid moves without deflection, and the rest of what the tool meets."""
     low, high, radius = cell.stock.min, cell.stock.max, cell.tool.radii.max()
     below, flutes = cell.limits.below_stock, cell.tool.flute_length
@@ -300,7 +300,7 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violat
     return rapid_violations(run, met), results
 
 
-def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
+def _feed(cell: Cell, met: Engagement, points: np.ndarray) -> list[Finding]:
     """Programmed feeds per tooth, where the tool cuts, beyond what its maker or any maker gives."""
     tool, timed, source = cell.tool, path_of(cell).timed, "by what makers give for aluminium"
     programmed = path_of(cell).feed_rate if timed is None else timed.toolpath.feed[met.block]
@@ -333,7 +333,7 @@ def _points(run: Trajectory, met: Engagement) -> np.ndarray:
     return np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
 
 
-def rapid_violations(run: Trajectory, met: Engagement) -> list[Violation]:
+def rapid_violations(run: Trajectory, met: Engagement) -> list[Finding]:
     """Return a violation for each rapid move through material, by the points of ``run``: deepest contact, length of the
     contact, removed volume.
 
@@ -362,7 +362,7 @@ def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> 
     return np.hypot(*beside.T) < radius
 
 
-def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Violation]:
+def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Finding]:
     """Steep ways down into material, and ramps and helices whose core sinks deeper than makers allow.
 
     On a ramp of an angle a the core of a radius r is over a place of the floor for a way of 2 r, and sinks 2 r tan(a).

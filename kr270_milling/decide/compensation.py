@@ -15,7 +15,7 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import DIVERGED, Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import ENOUGH, Decision, decided
-from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.limits import Limit, limits
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
@@ -39,14 +39,14 @@ from kr270_milling.physics.motion.scores import Scores
 
 __all__ = [
     "NO_METHOD",
-    "JudgedCompensation",
+    "Compensated",
     "compensate",
     "limit_sentence",
 ]
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedCompensation:
+class Compensated:
     """Both passes and the decision on them."""
 
     original: ScoredPass  #: pass of the original program as written
@@ -57,10 +57,6 @@ class JudgedCompensation:
     checked: Checked  #: findings of the revised path
     decision: Decision
     motions: tuple[str, ...]  #: motions of the robot programs
-
-    def lines(self) -> list[str]:
-        """The decision and the findings, as terminal, manifest and programs print them."""
-        return [*self.decision.lines(), *self.checked.findings_lines(), self.checked.counts]
 
 
 def compensate(
@@ -73,7 +69,7 @@ def compensate(
     seed: int = 1,
     former: Trajectory | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
-) -> JudgedCompensation:
+) -> Compensated:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
@@ -115,7 +111,7 @@ def compensate(
     with progress("surfaces"):
         parts = () if path_of(cell).straight else assess_all(cell, (programmed, revised))
     limited = [
-        violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
+        violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, sentence=limit_sentence(p, by))
         for p in by.limited
     ]
     checked = check(
@@ -138,7 +134,7 @@ def compensate(
             rows = limits(cell, program, max(1, robots // DRAWN_OF))
     backlash = backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)
-    return JudgedCompensation(programmed, plan, revised, by, parts, checked, decision, motions)
+    return Compensated(programmed, plan, revised, by, parts, checked, decision, motions)
 
 
 def _no_gain(cell: Cell, former: Trajectory, planned: Trajectory) -> str:
@@ -172,7 +168,7 @@ CHOOSING_SEED = 1_000_003  #: of the robots that compare two programs, which nei
 DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
 
 
-def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Violation]:
+def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Finding]:
     """A violation where planned and written program differ by more than a share of the planned deviation.
 
     tolerance [m]: by which the points of the program may leave the planned path. After a step of the path by it, an

@@ -31,7 +31,6 @@ class Decision:
     compensated: Judgement = column("compensated")
     method: str = column("method")  #: that was run and is written; "none": the path as programmed
     stops: tuple[str, ...] = ()  #: sentences of the findings that forbid to run the path
-    warnings: int = 0
     verdict: Verdict | None = None  #: of plants that are not the model; None: not run
     #: where the method was chosen by ``best``
     comparison: MethodComparison | None = column("comparison", default=None)
@@ -146,5 +145,4 @@ def decided(
     if after.error > before.error:
         errors = f"{um_text(after.error)} against {um_text(before.error)}"
         notes.append(f"{method} makes the part worse than no compensation ({errors})")
-    warnings = checked.count("warning")
-    return Decision(before, after, method, stops, warnings, verdict, comparison, tuple(notes), backlash, limits)
+    return Decision(before, after, method, stops, verdict, comparison, tuple(notes), backlash, limits)

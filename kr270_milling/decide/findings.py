@@ -1,19 +1,19 @@
 """Findings: kind, place, value and limit of each violation, with advice.
 
-``KINDS`` describes every check once; checks make violations of it, and ``gathered`` makes findings of those. Terminal,
-JSON, report and the header of every robot program print the same findings.
+``KINDS`` describes every check once. Checks make a finding of each stretch that violates a limit; ``gathered`` joins
+those of a kind and adds their places. Terminal, JSON, report and manifest print the same findings.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kr270_milling.base.column import column
 from kr270_milling.cell.paths import CellPath
-from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
 
 __all__ = [
@@ -22,9 +22,8 @@ __all__ = [
     "Finding",
     "Kind",
     "Place",
-    "Violation",
     "gathered",
-    "separate",
+    "placed",
     "stretches",
     "violation",
     "violations",
@@ -42,16 +41,12 @@ SCALES = {"mm": 1e3, "um": 1e6, "mm3": 1e9, "deg": DEG, "deg/s": DEG, "deg/s^2":
 
 @dataclass(frozen=True)
 class Kind:
-    """A check. The sentence is a format string with the keys that ``violation`` names."""
+    """A check. The sentence is a format string with the keys that ``violation`` names; empty: the check gives it."""
 
     unit: str  #: unit of the shown value and limit
     sentence: str
     advice: str
     severity: str = "stop"
-
-    @property
-    def scale(self) -> float:
-        return SCALES.get(self.unit, 1.0)
 
 
 KINDS = {
@@ -82,7 +77,7 @@ KINDS = {
         "Check compliances and force law; then raise compensation.max_correction_mm."),
     "correction per tick": Kind("um", "the change of the correction per tick" + EXCEEDS,
         "Use method inverse, or raise compensation.max_change_per_tick_mm."),
-    "correction limited": Kind("um", "{said}",
+    "correction limited": Kind("um", "",
         "Lower the feed there, or raise the limit in section compensation.", "warning"),
     "written program": Kind("um",
         "the written program leaves {value:.3g} um, the plan {limit:.3g} um (largest deviation across the feed)",
@@ -130,9 +125,9 @@ KINDS = {
         "the largest correction of a predicted pose is {value:.1f} % of the {scale} at point {point}, more than "
         "{limit:g} %: the simulated pass says nothing",
         "Use a shorter exchange period or more exchange.iterations."),
-    "deflection": Kind("mm", "{said}", "Check force law, feed per tooth, compliances and masses."),
-    "joint deflection": Kind("deg", "{said}", "Check compliances and masses; the linear springs do not hold so far."),
-    "load on the arm": Kind("1", "{said}", "Check masses and compliances: the arm does not bear its own weight."),
+    "deflection": Kind("mm", "", "Check force law, feed per tooth, compliances and masses."),
+    "joint deflection": Kind("deg", "", "Check compliances and masses; the linear springs do not hold so far."),
+    "load on the arm": Kind("1", "", "Check masses and compliances: the arm does not bear its own weight."),
     "tool and grid": Kind("mm", "the grid step of {value:.4g} mm is coarse for a cutter of {diameter:.4g} mm diameter",
         "Check tool.diameter_mm, or lower stock.grid_step_um.", "warning"),
     "envelope": Kind("m", "the workpiece is {value:.4g} m from axis 1, the arm reaches {limit:.4g} m",
@@ -182,19 +177,38 @@ KINDS = {
 
 
 @dataclass(frozen=True)
-class Violation:
-    """A stretch of points that offend against one limit, named by the worst of them."""
+class Place:
+    """Place of a finding; None where it belongs to no point of the path."""
 
-    kind: str
-    point: int | None  #: number of the worst point, from 1 as in the robot program; None where it belongs to none
-    value: float  #: there, in SI units
-    limit: float
-    severity: str
-    sentence: str
-    subject: str = ""  #: which axis or singularity, if the kind concerns one of several
-    amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the sentence, units in their names
-    block: int | None = None  #: block of the tool path; None: that of the point
-    line: int | None = None  #: line of the program, for a finding that belongs to no point
+    point: int | None = None  #: number in the robot program, from 1
+    line: int | None = None  #: in the file of the tool path
+    feature: str | None = None  #: feature of the part
+    position_mm: tuple[float, float, float] | None = None  #: place of the tool tip, workpiece frame
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A stretch of points that violates a limit, or all such stretches of one kind, named by the worst of them."""
+
+    severity: str = column("severity")
+    what: str = column("what")  #: key of ``KINDS``
+    where: Place = column("where")
+    value: float = column("value")  #: at the worst place, in ``unit``
+    limit: float = column("limit")
+    unit: str = column("unit")
+    advice: str = column("advice")
+    sentence: str = column("sentence")
+    count: int = column("count")  #: stretches
+    amounts: dict[str, float] = column("amounts")  #: more numbers of the sentence, units in their names
+    subject: str = column("", default="")  #: which axis or singularity, if the kind concerns one of several
+    block: int | None = column("", default=None)  #: block of the tool path; None: that of the point
+
+    @property
+    def text(self) -> str:
+        """Return one line, as every output prints it."""
+        times = "" if self.count == 1 else f", and {self.count - 1} more of the kind"
+        line = "" if self.where.line is None else f" (line {self.where.line})"
+        return f"{self.sentence}{line}{times}. {self.advice}"
 
 
 def violation(
@@ -204,29 +218,26 @@ def violation(
     point: int | None = None,
     *,
     severity: str = "",
+    sentence: str = "",
     subject: str = "",
     block: int | None = None,
     line: int | None = None,
     amounts: dict[str, float] | None = None,
     **words,
-) -> Violation:
-    """value and limit in SI units; severity: default that of the kind; words, amounts: what else its sentence names.
+) -> Finding:
+    """Return a finding; value and limit in SI units; severity, sentence: default those of the kind.
 
-    block: of the tool path, default: the block that leads to the point; line: of the program.
+    point: the worst one; block: of the tool path, default: the block that leads to the point; line: of the program;
+    amounts: further numbers of the sentence, with their units in their names; words: what else it names.
     """
     known, amounts = KINDS[kind], amounts or {}
-    sentence = known.sentence.format(
-        value=value * known.scale,
-        limit=limit * known.scale,
-        unit=known.unit,
-        point=point,
-        subject=subject,
-        **amounts,
-        **words,
+    scale = SCALES.get(known.unit, 1.0)
+    value, limit = float(value) * scale, float(limit) * scale
+    sentence = sentence or known.sentence.format(
+        value=value, limit=limit, unit=known.unit, point=point, subject=subject, **amounts, **words
     )
-    return Violation(
-        kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts, block, line
-    )
+    severity, where = severity or known.severity, Place(point, line or None)
+    return Finding(severity, kind, where, value, limit, known.unit, known.advice, sentence, 1, amounts, subject, block)
 
 
 def violations(
@@ -238,8 +249,8 @@ def violations(
     worst: np.ndarray | None = None,
     points: np.ndarray | None = None,
     **words,
-) -> list[Violation]:
-    """Return a violation for each stretch of True in ``over`` (n,), named by its worst place.
+) -> list[Finding]:
+    """Return a finding for each stretch of True in ``over`` (n,), named by its worst place.
 
     value (n,) and limit, a number or (n,): of the places in SI units. over: default: value above limit, or NaN; worst
     (n,): is largest at the worst place, default: value, NaN the worst; points (n,): of the program, default 1 to n;
@@ -267,91 +278,33 @@ def stretches(flags: np.ndarray) -> list[list[int]]:
     return edges.reshape(-1, 2).tolist()
 
 
-@dataclass(frozen=True)
-class Place:
-    """Place of a finding; None where it belongs to no point of the path."""
-
-    point: int | None = None  #: number in the robot program, from 1
-    line: int | None = None  #: in the file of the tool path
-    feature: str | None = None  #: feature of the part
-    position_mm: tuple[float, float, float] | None = None  #: place of the tool tip, workpiece frame
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Findings of one kind, named by the worst of them."""
-
-    severity: str
-    what: str
-    where: Place
-    value: float  #: at the worst place, in ``unit``
-    limit: float
-    unit: str
-    advice: str
-    sentence: str  #: sentence of the worst violation
-    count: int = 1
-    amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the worst one, units in their names
-
-    @property
-    def text(self) -> str:
-        """Return one line, as every output prints it."""
-        times = "" if self.count == 1 else f", and {self.count - 1} more of the kind"
-        line = "" if self.where.line is None else f" (line {self.where.line})"
-        return f"{self.sentence}{line}{times}. {self.advice}"
-
-
-def gathered(path: CellPath, run: Trajectory, results: Iterable[Violation]) -> tuple[Finding, ...]:
-    """Return one finding for all violations of a kind, severity and subject, the worst severity first."""
-    groups: dict[tuple[str, str, str], list[Violation]] = {}
+def gathered(path: CellPath, run: Trajectory, results: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return one finding for all of a kind, severity and subject, with its place; the worst severity first."""
+    groups: dict[tuple[str, str, str], list[Finding]] = {}
     for result in results:
-        groups.setdefault((result.severity, result.kind, result.subject), []).append(result)
-    findings = [_finding(path, run, group) for group in groups.values()]
+        groups.setdefault((result.severity, result.what, result.subject), []).append(result)
+    findings = []
+    for group in groups.values():
+        worst = max(group, key=lambda f: np.inf if np.isnan(f.value) else abs(f.value - f.limit))
+        findings.append(replace(placed(path, run, worst), count=len(group)))
     return tuple(sorted(findings, key=lambda f: (SEVERITIES.index(f.severity), f.where.point or 0)))
 
 
-def separate(path: CellPath, run: Trajectory, kind: str, results: Iterable[Violation]) -> tuple[Finding, ...]:
-    """Return a finding for each violation of a kind, in the order of the path."""
-    return tuple(_finding(path, run, [result]) for result in results if result.kind == kind)
-
-
-def _finding(path: CellPath, run: Trajectory, group: Sequence[Violation]) -> Finding:
-    worst = max(group, key=lambda v: np.inf if np.isnan(v.value) else abs(v.value - v.limit))
-    kind = KINDS[worst.kind]
-    value, limit = worst.value * kind.scale, worst.limit * kind.scale
-    place = _place(path, run, worst)
-    return Finding(
-        worst.severity,
-        worst.kind,
-        place,
-        value,
-        limit,
-        kind.unit,
-        kind.advice,
-        worst.sentence,
-        len(group),
-        worst.amounts,
-    )
-
-
-def _place(path: CellPath, run: Trajectory, worst: Violation) -> Place:
-    """The place of a point of the program, of a block without a point, or of a line."""
-    fed, point, block = path.fed, worst.point, worst.block
+def placed(path: CellPath, run: Trajectory, finding: Finding) -> Finding:
+    """Return a finding with the place of its point, of a block without a point, or of its line."""
+    fed, point, block = path.fed, finding.where.point, finding.block
     if point is not None:
         position = run.position[min(point, len(run)) - 1]
     elif fed is not None and block is not None:
         position = fed.toolpath.position[block]
     else:
-        return Place(line=worst.line or None)
+        return finding
     x, y, z = (1e3 * v for v in position.tolist())
     if fed is None:
-        return Place(point, None, None, (x, y, z))
-    block = _block_to(fed, point or 1) if block is None else block
+        return replace(finding, where=Place(point, None, None, (x, y, z)))
+    if block is None:  # the block that leads to the point; where two blocks meet, the block that ends there
+        ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point or 1, len(fed.distance)) - 1]
+        same_place = 1e-9  # [m], rounding of distances along a path
+        block = int(np.clip(np.searchsorted(ends, distance - same_place), 1, len(ends) - 1))
     line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
-    return Place(point, line or None, feature or None, (x, y, z))
-
-
-def _block_to(fed: TimedPath, point: int) -> int:
-    """The block that leads to a point, counted from 1; where two blocks meet, the block that ends there."""
-    ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point, len(fed.distance)) - 1]
-    same_place = 1e-9  # [m], rounding of distances along a path
-    return int(np.clip(np.searchsorted(ends, distance - same_place), 1, len(ends) - 1))
+    return replace(finding, where=Place(point, line or None, feature or None, (x, y, z)))

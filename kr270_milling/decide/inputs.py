@@ -9,7 +9,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.path.cam.comments import AXIAL_KINDS
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import LinearEdgeLaw
@@ -23,12 +23,12 @@ BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist 
 MOST_OUTSIDE = 0.5  #: share of the cutting moves outside of the stock; leads and overlaps take less
 
 
-def input_violations(cell: Cell) -> list[Violation]:
+def input_violations(cell: Cell) -> list[Finding]:
     """Everything that is wrong or unlikely in the parameter file, and between the cell and its program."""
     return _unlikely_arm(cell) + _placement(cell) + _posture(cell) + _material(cell) + _program(cell)
 
 
-def _unlikely_arm(cell: Cell) -> list[Violation]:
+def _unlikely_arm(cell: Cell) -> list[Finding]:
     arm, mass = cell.arm, cell.mount.mass
     # [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2014]: 0.15 to 2.13)
     compliance = 1e-8, 1e-4
@@ -40,7 +40,7 @@ def _unlikely_arm(cell: Cell) -> list[Violation]:
     return findings + _mounting(cell)
 
 
-def _mounting(cell: Cell) -> list[Violation]:
+def _mounting(cell: Cell) -> list[Finding]:
     """A spindle that points into the arm or in a direction in which none is mounted, a tip behind the flange."""
     mount = cell.mount
     turn = float(np.arccos(np.clip(mount.pose.rotation[0, 2], -1.0, 1.0)))  # of z of tcp from x of flange
@@ -55,13 +55,13 @@ def _mounting(cell: Cell) -> list[Violation]:
     return findings
 
 
-def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Violation]:
+def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Finding]:
     """The first value that is not within the bounds."""
     over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
     return [violation(kind, values[k], bounds[int(values[k] > bounds[1])], number=k + 1) for k in over[:1]]
 
 
-def _placement(cell: Cell) -> list[Violation]:
+def _placement(cell: Cell) -> list[Finding]:
     """A workpiece out of reach, a grid that is too coarse for the tool."""
     widest_grid = 0.05  # of the tool's radius: with fewer nodes across a cut its force is noise
     arm, step, widest = cell.arm, cell.stock.grid_step, widest_grid * cell.tool.radius
@@ -75,7 +75,7 @@ def _placement(cell: Cell) -> list[Violation]:
     return findings
 
 
-def _posture(cell: Cell) -> list[Violation]:
+def _posture(cell: Cell) -> list[Finding]:
     """Joints outside the limits, or all so small that they must be radians."""
     q, arm = np.asarray(arm_of(cell).posture), cell.arm
     key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
@@ -99,7 +99,7 @@ def _published() -> tuple[float, float]:
     return min(values), max(values)
 
 
-def _material(cell: Cell) -> list[Violation]:
+def _material(cell: Cell) -> list[Finding]:
     """K_tc far from those of all published rows: a unit has slipped, or the material is another one."""
     law = cell.cutting.active
     if not isinstance(law, LinearEdgeLaw):
@@ -112,7 +112,7 @@ def _material(cell: Cell) -> list[Violation]:
     return [violation("force coefficient", value, low if value < low else high, low=1e-6 * low, high=1e-6 * high)]
 
 
-def _program(cell: Cell) -> list[Violation]:
+def _program(cell: Cell) -> list[Finding]:
     """Return contradictions between the cell and the program of ``path.file``."""
     fed = path_of(cell).fed
     if fed is None:
@@ -168,7 +168,7 @@ def _along_axis(cell: Cell, path: Toolpath) -> bool:
     return not (sideways & low & ~path.rapid[1:]).any()
 
 
-def _outside(cell: Cell, path: Toolpath) -> list[Violation]:
+def _outside(cell: Cell, path: Toolpath) -> list[Finding]:
     """Features whose cutting moves never pass over the stock, and a path that is outside of the stock mostly."""
     low, high, radius = cell.stock.min, cell.stock.max, float(cell.tool.radii.max())
     places = 100_000  # of a path, at most

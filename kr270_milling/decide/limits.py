@@ -21,7 +21,6 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import long_pass
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant, coarser, cores, perturbed
-from kr270_milling.cell.sections import Uncertainty
 from kr270_milling.decide.part.surface import SLOPE
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.imperfections import Imperfections
@@ -70,12 +69,12 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     if assumed.learned.size:  # a measured part ties the unknowns to each other
         return ()
     ran = Plant(model, model, Imperfections()).run(reference)
-    known = assumed.replace(
-        repeatability=0.0, **{key: _nothing(assumed, key) for keys, _ in UNKNOWNS.values() for key in keys}
-    )
+    values = {key: getattr(assumed, key) for keys, _ in UNKNOWNS.values() for key in keys}
+    nothing = {key: np.array([]) if isinstance(value, np.ndarray) else 0.0 for key, value in values.items()}
+    known = assumed.replace(repeatability=0.0, **nothing)
     drawn = []
     for name, (keys, _) in UNKNOWNS.items():
-        left = {key: getattr(assumed, key) for key in keys}
+        left = {key: values[key] for key in keys}
         if any(np.any(value) for value in left.values()):
             rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
             drawn += [(name, perturbed(other, rng)) for _ in range(count)]
@@ -87,10 +86,6 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     total = sum(size.values())
     rows = (Limit(name, value / total, UNKNOWNS[name][1]) for name, value in size.items() if total > 0.0)
     return tuple(sorted(rows, key=lambda row: -row.share))
-
-
-def _nothing(uncertainty: Uncertainty, key: str):
-    return np.array([]) if isinstance(getattr(uncertainty, key), np.ndarray) else 0.0
 
 
 def _change(model: Cell, robot: Cell, reference: Trajectory, ran: PassResult) -> float:

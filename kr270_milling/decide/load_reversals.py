@@ -11,7 +11,7 @@ from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import joint_gaps
-from kr270_milling.decide.findings import Finding, Violation, violation
+from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import tool_jumps
 from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
@@ -21,7 +21,7 @@ __all__ = ["backlash_statement", "load_reversals"]
 ARCSEC = math.pi / 648000  # [rad]
 
 
-def load_reversals(arm: PlacedArm, path: CellPath, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+def load_reversals(arm: PlacedArm, path: CellPath, run: Trajectory, ran: ScoredPass) -> list[Finding]:
     """Each change of a flank under weight, inertia of the path and the cut of the simulated pass, in the order of time.
 
     The gaps are those of a plant whose joints have ``arm.backlash``; see ``physics.motion.backlash``.

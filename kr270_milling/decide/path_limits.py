@@ -13,7 +13,7 @@ from kr270_milling.base.blocks import blocks
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.sections import Limits
-from kr270_milling.decide.findings import Violation, violation, violations
+from kr270_milling.decide.findings import Finding, violation, violations
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
 from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
@@ -25,7 +25,7 @@ __all__ = ["arm_violations", "corner_blending", "correction_per_tick", "correcti
 MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
 
-def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
+def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[list[Finding], np.ndarray | None]:
     """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
     arm = placed.arm
     results = _reach(placed, run)
@@ -36,14 +36,14 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
         joints = dataclasses.replace(placed, arm=unlimited).joints(run)
     except SingularityError as error:
         point = error.index[0] + 1
-        return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
+        return [violation("singularity", error.measure, 0.0, point, sentence=f"point {point}: {error}")], None
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
     results = _joint_limits(arm, joints) + _singularities(arm, limits, joints) + _flips(arm, joints)
     rates = _joint_rates(run.time, joints, arm.joint_speed_limit, arm.joint_acceleration_limit, at_rest)
     return results + rates, joints
 
 
-def _reach(placed: PlacedArm, run: Trajectory) -> list[Violation]:
+def _reach(placed: PlacedArm, run: Trajectory) -> list[Finding]:
     arm = placed.arm
     lost, nearest = np.zeros(len(run), bool), np.zeros(len(run))
     for part in blocks(len(run)):
@@ -55,7 +55,7 @@ def _reach(placed: PlacedArm, run: Trajectory) -> list[Violation]:
     return violations("reach", nearest, most, lost, worst=worst, least=least)
 
 
-def _joint_limits(arm: Arm, joints: np.ndarray) -> list[Violation]:
+def _joint_limits(arm: Arm, joints: np.ndarray) -> list[Finding]:
     results = []
     for axis, (low, high) in enumerate(zip(arm.joint_lower, arm.joint_upper, strict=True)):
         angle = joints[:, axis]
@@ -73,7 +73,7 @@ def _joint_limits(arm: Arm, joints: np.ndarray) -> list[Violation]:
     return results
 
 
-def _singularities(arm: Arm, limits: Limits, joints: np.ndarray) -> list[Violation]:
+def _singularities(arm: Arm, limits: Limits, joints: np.ndarray) -> list[Finding]:
     parts = [singularity_measures(arm, joints[part]) for part in blocks(len(joints))]
     measures = np.concatenate(parts) * [arm.a2 + arm.forearm, 1.0, 1.0]
     elbow, wrist = np.arcsin(np.minimum(measures[:, 1:], 1.0)).T
@@ -89,7 +89,7 @@ def _singularities(arm: Arm, limits: Limits, joints: np.ndarray) -> list[Violati
     return results
 
 
-def _flips(arm: Arm, joints: np.ndarray) -> list[Violation]:
+def _flips(arm: Arm, joints: np.ndarray) -> list[Finding]:
     status = np.concatenate([status_turn(arm, joints[part])[0] for part in blocks(len(joints))])
     return [
         violation("configuration flip", int(status[k]), int(status[k - 1]), k + 1, before=k)
@@ -97,13 +97,13 @@ def _flips(arm: Arm, joints: np.ndarray) -> list[Violation]:
     ]
 
 
-def _joint_rates(time, joints, speed_limit, acceleration_limit, at_rest: bool) -> list[Violation]:
+def _joint_rates(time, joints, speed_limit, acceleration_limit, at_rest: bool) -> list[Finding]:
     """Where a joint runs faster between two knots (named by the later one), or accelerates harder, than it may.
 
     time [s], (n,); joints [rad], (n, 6); limits [rad/s], [rad/s^2], (6,); at_rest: as for ``joint_rates``.
     """
     points = np.arange(1, len(joints) + 1)
-    results: tuple[list[Violation], ...] = [], []
+    results: tuple[list[Finding], ...] = [], []
     kinds = ("joint speed", speed_limit), ("joint acceleration", acceleration_limit)
     for axis in range(joints.shape[1]):
         rates = joint_rates(time, joints[:, axis : axis + 1], at_rest)
@@ -113,7 +113,7 @@ def _joint_rates(time, joints, speed_limit, acceleration_limit, at_rest: bool) -
     return [*results[0], *results[1]]
 
 
-def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
+def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Finding]:
     """Check the size of the correction [m] at a knot or at a tick on the way to it."""
     time_ns, shift, _ = offsets(original, revised, tick_ns)
     size = np.linalg.norm(revised.position - original.position, axis=1)
@@ -121,7 +121,7 @@ def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, lim
     return violations("correction size", size, limit)
 
 
-def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
+def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Finding]:
     """Check the change of the correction [m] from one tick to the next."""
     time_ns, shift, _ = offsets(original, revised, tick_ns)
     change = np.linalg.norm(np.diff(shift, axis=0), axis=1)
@@ -137,7 +137,7 @@ def _on_the_way(original: Trajectory, time_ns: np.ndarray, values: np.ndarray) -
 
 def corner_blending(
     original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5, points: np.ndarray | None = None
-) -> list[Violation]:
+) -> list[Finding]:
     """Check the share of the correction [m] at a point that the controller's blending of LIN motions rounds off.
 
     A parabola that leaves the corner's legs at the distance d, at most half a leg, misses the corner by d sin(t/2) / 2

@@ -18,7 +18,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.arcs import Arcs, arcs_along
-from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
 from kr270_milling.physics.motion.stability import DEEPEST, Lobe, Modes, has_uniform_pitch, stability_limit
 
@@ -123,7 +123,7 @@ def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None 
     return Stability(tuple(feature_limits(cell, progress=progress)), with_tool)
 
 
-def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation]:
+def chatter_violations(stability: Stability, time: np.ndarray) -> list[Finding]:
     """A stop for each feature above its limit, a warning for each within 20 % below; time: of the points [s], (n,)."""
     offences = [violation("stability not judged", 0.0, 0.0, shape=stability.shape)] if stability.shape else []
     for milled in stability.features:

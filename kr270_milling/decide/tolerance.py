@@ -7,7 +7,7 @@ the quantity is the largest path deviation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,12 +18,12 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
-from kr270_milling.decide.part.stations import Stations, stations_of
-from kr270_milling.decide.part.surface import IdealPart, ideal_part
+from kr270_milling.decide.part.stations import stations_of
+from kr270_milling.decide.part.surface import ideal_part
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "judge", "judge_part", "um_text"]
+__all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "gauge_of", "judge", "judge_part", "um_text"]
 
 SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
 NORMAL_ERROR = "largest surface error"  #: of a part that an end leaves that is not flat
@@ -75,29 +75,21 @@ def um_text(length: float) -> str:
     return f"{1e6 * length:.0f} um" if length >= 1e-3 else f"{1e6 * length:.3g} um"
 
 
-@dataclass(frozen=True, eq=False)
-class Gauge:
-    """Judges passes along the target of a cell, of that cell and of its plants: the same quantity for all."""
+Gauge = Callable[[PassResult], Judgement]  #: judges a pass along a target
 
-    cell: Cell
-    ideal: IdealPart | None  #: the part of a rigid arm; None: a straight cut
-    path: Stations | None = None  #: a pass of the target; None: a straight cut
 
-    @classmethod
-    def of(cls, cell: Cell) -> Gauge:
-        """Sweep the part of the rigid arm once."""
-        if path_of(cell).straight:
-            return cls(cell, None)
-        path = path_of(cell)
-        stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
-        along = stations_of(path, stamps)
-        return cls(cell, ideal_part(cell, along, path.target.sample(stamps)), along)
+def gauge_of(cell: Cell) -> Gauge:
+    """Return the function that judges passes along the target of a cell, of that cell and of its plants.
 
-    def measure(self, result: PassResult) -> Judgement:
-        """Judge one pass along the target; ``result.heights`` spares a sweep of the workpiece."""
-        if self.ideal is None:
-            return _judge_straight_cut(self.cell, result, _largest_deviation(self.cell, result))
-        return judge_part(self.cell.tolerances, assess_result(self.cell, "", result, self.ideal, self.path))
+    It sweeps the part of the rigid arm once. ``heights`` of a pass spare a sweep of its workpiece.
+    """
+    path = path_of(cell)
+    if path.straight:
+        return lambda result: _judge_straight_cut(cell, result, _largest_deviation(cell, result))
+    stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
+    along = stations_of(path, stamps)
+    ideal = ideal_part(cell, along, path.target.sample(stamps))
+    return lambda result: judge_part(cell.tolerances, assess_result(cell, "", result, ideal, along))
 
 
 def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:

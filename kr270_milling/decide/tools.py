@@ -16,7 +16,7 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import removal_of
 from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.check_cut import spring_back
-from kr270_milling.decide.compensation import JudgedCompensation
+from kr270_milling.decide.compensation import Compensated
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 
 __all__ = ["DecisionOnTools", "in_turn"]
@@ -62,7 +62,7 @@ class DecisionOnTools:
     tools: tuple[tuple[str, Decision], ...]  #: decisions by name of the tool, in the order of the program
 
     @classmethod
-    def of(cls, jobs: Sequence[tuple[Cell, JudgedCompensation]]) -> DecisionOnTools:
+    def of(cls, jobs: Sequence[tuple[Cell, Compensated]]) -> DecisionOnTools:
         """The decision on the compensations of all tools; jobs: as ``in_turn`` returns them."""
         return cls(tuple((cell.stage.tool, done.decision) for cell, done in jobs if cell.stage))
 

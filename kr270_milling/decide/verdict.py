@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from kr270_milling.cell.jobs import (
 )
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
-from kr270_milling.decide.tolerance import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge
+from kr270_milling.decide.tolerance import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
 from kr270_milling.physics.motion.dynamics import ArmModel
@@ -34,7 +35,9 @@ from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "MethodComparison",
            "Verdict", "alternatives", "coarser", "compare_methods", "cores", "judge_plants", "monte_carlo",
-           "plants_at_once", "drawn_errors", "run_sample"]  # fmt: skip
+           "drawn_errors", "run_sample"]  # fmt: skip
+
+Row = TypeVar("Row")
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -183,12 +186,26 @@ def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]
     return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
 
 
-def plants_at_once(cell: Cell) -> int:
-    """Number of plants that run at the same time: as many as there are cores, one where a pass is long.
+def _each_robot(
+    nominal: Cell, robots: int, seed: int, job: Callable[[int, Cell], Row], count: Callable[[int], object]
+) -> list[Row]:
+    """Draw robots and return the result of a job for each, in the order of drawing; count(done): after each robot.
 
-    A plant needs 0.5 GB an hour.
+    As many run at the same time as there are cores; one where a pass is long, because a robot needs 0.5 GB an hour.
     """
-    return 1 if long_pass(path_of(cell)) else cores()
+    rng, rows = np.random.default_rng(seed), []
+    drawn = [perturbed(nominal, rng) for _ in range(robots)]
+    alone = long_pass(
+        path_of(nominal)
+    )  # then in this thread, which uses the memory again that earlier passes gave back
+    pool = ThreadPoolExecutor(cores())
+    try:
+        for row in map(job, range(robots), drawn) if alone else pool.map(job, range(robots), drawn):
+            rows.append(row)
+            count(len(rows))
+    finally:  # after an interrupt only the robots that run are waited for
+        pool.shutdown(cancel_futures=True)
+    return rows
 
 
 def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
@@ -196,7 +213,7 @@ def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
     try:
         cuts = Plant(cell, plant)
         learned = compensated(cell, simulate(cell, plant=cuts), LEARNED, plant=cuts)
-        return gauge.measure(learned.result).error
+        return gauge(learned.result).error
     except MillingError:
         return np.nan
 
@@ -207,7 +224,7 @@ def monte_carlo(
     samples: int = SAMPLES,
     seed: int = 1,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
 ) -> Verdict:
@@ -220,33 +237,20 @@ def monte_carlo(
     """
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
-    progress = progress or (lambda *_: None)
     target, straight = path_of(cell).target, path_of(cell).straight
     nominal = cell if straight else coarser(cell)
-    threads = plants_at_once(nominal)
-    gauge = Gauge.of(nominal)
+    gauge = gauge_of(nominal)
     references = {method: revised, **(others or {})}
-    rng = np.random.default_rng(seed)
-    plants = [perturbed(nominal, rng) for _ in range(samples)]
-
     learning = FEWEST if others and straight else 0  # plants that also learn
 
     def work(number: int) -> int:
         return number + LEARNING * min(number, learning)
 
-    def run(k: int) -> tuple[np.ndarray, float | None]:
-        rows = run_sample(plants[k], target, (target, *references.values()), gauge)
-        return rows, _tracked(cell, plants[k], gauge) if k < learning else None
+    def run(k: int, plant: Cell) -> tuple[np.ndarray, float | None]:
+        rows = run_sample(plant, target, (target, *references.values()), gauge)
+        return rows, _tracked(cell, plant, gauge) if k < learning else None
 
-    drawn = []
-    pool = ThreadPoolExecutor(threads)
-    alone = threads == 1  # then in this thread, which uses the memory again that earlier passes gave back
-    try:
-        for row in map(run, range(samples)) if alone else pool.map(run, range(samples)):
-            drawn.append(row)
-            progress(work(len(drawn)), work(samples))
-    finally:  # after an interrupt only the plants that run are waited for
-        pool.shutdown(cancel_futures=True)
+    drawn = _each_robot(nominal, samples, seed, run, lambda done: progress(work(done), work(samples)))
     rows = np.stack([row for row, _ in drawn])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
     tracked = [value for _, value in drawn if value is not None]
@@ -307,20 +311,17 @@ def drawn_errors(
     references: Sequence[Trajectory],
     robots: int,
     seed: int,
-    count: Callable[[int], None] = lambda done: None,
+    count: Callable[[int], object] = lambda done: None,
 ) -> np.ndarray:
     """Errors [m] of drawn robots along references of a program, and their shares of the tolerance, (robots, k, 2).
 
     count(done): called after each robot.
     """
     nominal, target = coarser(cell), path_of(cell).target
-    gauge, rng, rows = Gauge.of(nominal), np.random.default_rng(seed), []
-    drawn = [perturbed(nominal, rng) for _ in range(robots)]
-    with ThreadPoolExecutor(plants_at_once(nominal)) as pool:
-        for row in pool.map(lambda robot: run_sample(robot, target, references, gauge), drawn):
-            rows.append(row)
-            count(len(rows))
-    return np.array(rows)
+    gauge = gauge_of(nominal)
+    return np.array(
+        _each_robot(nominal, robots, seed, lambda _, robot: run_sample(robot, target, references, gauge), count)
+    )
 
 
 def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge) -> np.ndarray:
@@ -338,7 +339,12 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
 
 
 def _errors(
-    plant: Cell, model: ArmModel, target: Trajectory, reference: Trajectory, number: int, gauge: Gauge
+    plant: Cell,
+    model: ArmModel,
+    target: Trajectory,
+    reference: Trajectory,
+    number: int,
+    gauge: Gauge,
 ) -> tuple[float, float]:
     """The error [m] of a pass, by its number, and its share of the tolerance; NaN where the plant is unstable."""
     cut = cut_of(plant)
@@ -349,6 +355,6 @@ def _errors(
     )  # fmt: skip
     if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
         return math.nan, math.nan
-    heights = None if gauge.ideal is None else cut.map_heights()[2]
-    judged = gauge.measure(dataclasses.replace(ran, heights=heights))
+    heights = None if path_of(plant).straight else cut.map_heights()[2]
+    judged = gauge(dataclasses.replace(ran, heights=heights))
     return judged.error, judged.share

@@ -1,4 +1,4 @@
-"""The verification book: a check is a test that also is a row of the table in ``test/book/README.md``.
+"""The verification book: a check is a test that also is a row of the table in ``guide/contributing/book.md``.
 
 A check is in the file of its subject. ``python -m pytest --book`` runs the checks alone and prints the table.
 """

@@ -20,10 +20,11 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.show.report.tables import TABLE_2
 
 FOLDER = Path(__file__).resolve().parent
+PAGE = FOLDER.parents[1] / "kr270_milling/guide/contributing/book.md"
 
 
 def committed() -> list[list[str]]:
-    lines = [line for line in (FOLDER / "README.md").read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
     return [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines[2:]]
 
 

@@ -22,7 +22,7 @@ from kr270_milling.decide import compensation
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.limits import Limit, limits
-from kr270_milling.decide.tolerance import SURFACE_ERROR, Gauge, Judgement, judge_part
+from kr270_milling.decide.tolerance import SURFACE_ERROR, Judgement, gauge_of, judge_part
 from kr270_milling.decide.tolerance import judge as tolerance_judge
 from kr270_milling.decide.verdict import (
     HELPS,
@@ -198,10 +198,10 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):
     cell = small_part(tmp_path, GCODE)
     ran = simulate(cell)
-    share = exchange_share(path_of(cell), ran)
+    share, _, findings = exchange_share(path_of(cell), ran)
     feed_per_tooth = path_of(cell).feed_rate / (cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth)
-    assert share.share == pytest.approx(ran.result.correction.max() / feed_per_tooth) and not share.violations()
-    strict = cell.replace(exchange=cell.exchange.replace(stop_correction=0.5 * share.share))
+    assert share == pytest.approx(ran.result.correction.max() / feed_per_tooth) and not findings
+    strict = cell.replace(exchange=cell.exchange.replace(stop_correction=0.5 * share))
     done = compensation.compensate(strict, "linear")
     assert done.decision.level == NO and "largest correction of a predicted pose" in done.decision.sentence
 
@@ -308,7 +308,7 @@ def test_frequencies_and_the_place_of_the_part_scatter_and_a_stated_share_moves_
 
 def test_a_certain_plant_is_the_model_and_gives_its_scores(cell, pair):
     (plant,) = draw(cell.replace(uncertainty=cell.uncertainty.replace(**CERTAIN)), 1)
-    rows = run_sample(plant, path_of(cell).target, [ran.reference for ran in pair], Gauge.of(cell))
+    rows = run_sample(plant, path_of(cell).target, [ran.reference for ran in pair], gauge_of(cell))
     assert rows[:, 0] == pytest.approx([ran.scores.max_deviation for ran in pair], rel=1e-9)
     assert np.isnan(rows[:, 1]).all()
 
@@ -355,7 +355,7 @@ def test_the_plants_of_a_tool_path_are_measured_by_the_walls_and_floors_of_their
     """A plant that is the model leaves its largest wall or floor error and its share of the tolerance."""
     cell = small_part(tmp_path, GCODE, "part.wall_tolerance_um=30", "part.floor_tolerance_um=10")
     ran = simulate(cell)
-    judged, gauge, target = tolerance_judge(cell, ran), Gauge.of(cell), path_of(cell).target
+    judged, gauge, target = tolerance_judge(cell, ran), gauge_of(cell), path_of(cell).target
     (row,) = run_sample(cell, target, [target], gauge)
     assert row == pytest.approx([judged.error, judged.error / judged.tolerance], rel=1e-9)
     assert row[0] != pytest.approx(ran.scores.max_deviation, rel=0.01)  # another quantity
@@ -370,7 +370,7 @@ def test_a_coarser_grid_keeps_to_half_the_feed_per_tooth_and_to_the_deviation(tm
     fine = cell.replace(stock=cell.stock.replace(grid_step=10 * UM))
     assert coarser(fine).stock.grid_step == pytest.approx(30 * UM)
     rows = [
-        run_sample(c, path_of(cell).target, [path_of(cell).target], Gauge.of(c))[0, 0] for c in (fine, coarser(cell))
+        run_sample(c, path_of(cell).target, [path_of(cell).target], gauge_of(c))[0, 0] for c in (fine, coarser(cell))
     ]
     assert rows[1] == pytest.approx(rows[0], rel=0.02)
 

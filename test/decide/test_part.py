@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface
 from kr270_milling.decide.part.stations import Stations, deviations, stations_of
-from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
+from kr270_milling.decide.part.surface import MARK, remaining_walls
 from kr270_milling.decide.part.workpiece import write_part
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.motion.dynamics import discretise
@@ -65,8 +66,8 @@ def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_give
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     np.testing.assert_array_equal(heights_at(cut, points).reshape(z.shape), z)
     swept = dataclasses.replace(ran, result=dataclasses.replace(ran.result, heights=None))
-    differ = np.abs(part.surface.floors.error - assess(cell, swept).surface.floors.error)
-    assert np.nanquantile(differ, 0.999) <= part.surface.floor_resolution
+    differ = np.abs(part.floors.error - assess(cell, swept).floors.error)
+    assert np.nanquantile(differ, 0.999) <= part.floor_resolution
 
 
 # --- Directions, distances and features along a pass ---
@@ -164,10 +165,10 @@ def planned(cell):
 
 
 def errors(cell, shift, feature: str = ""):
-    """Surface errors where the tool is shifted by (3,) [m], everywhere or in one feature."""
+    """Errors of floors and walls where the tool is shifted by (3,) [m], everywhere or in one feature."""
     path, target = planned(cell)
     shifted = path.feature == path.features.index(feature) if feature else np.full(len(target), True)
-    return surface(cell, path, target, target + shifted[:, None] * shift)
+    return surface(cell, path, target, target + shifted[:, None] * shift, ideal_part(cell, path, target))
 
 
 @pytest.fixture(scope="module")
@@ -179,16 +180,16 @@ def slot(tmp_path_factory):
 def test_a_shift_moves_each_wall_by_its_part_along_the_normal_and_each_floor_by_its_part_along_the_spindle(
     cell, shift_um
 ):
-    result, step = errors(cell, UM * np.array(shift_um)), cell.stock.level_step
-    assert len(np.unique(np.round(np.arctan2(*result.walls.normal.T), 2))) > 50  # straight sides, a corner, an arc
-    across = UM * result.walls.normal @ np.array(shift_um[:2])
-    np.testing.assert_allclose(result.walls.error, across, atol=1e-10 if across.any() else 1e-12)
-    assert np.unique(result.floors.feature[np.isfinite(result.floors.error)]).tolist() == [1, 2]
-    np.testing.assert_allclose(result.floors.errors(), UM * shift_um[2], atol=1e-9 * step + 1e-15)
+    (floors, walls), step = errors(cell, UM * np.array(shift_um)), cell.stock.level_step
+    assert len(np.unique(np.round(np.arctan2(*walls.normal.T), 2))) > 50  # straight sides, a corner, an arc
+    across = UM * walls.normal @ np.array(shift_um[:2])
+    np.testing.assert_allclose(walls.error, across, atol=1e-10 if across.any() else 1e-12)
+    assert np.unique(floors.feature[np.isfinite(floors.error)]).tolist() == [1, 2]
+    np.testing.assert_allclose(floors.errors(), UM * shift_um[2], atol=1e-9 * step + 1e-15)
 
 
 def test_walls_of_a_slot_stand_a_radius_beside_the_path_with_its_depth(slot):
-    walls = errors(slot, np.zeros(3)).walls
+    _, walls = errors(slot, np.zeros(3))
     np.testing.assert_allclose(np.abs(walls.position[:, 1]), RADIUS, atol=1e-9)
     np.testing.assert_allclose(walls.normal, -np.sign(walls.position[:, 1:2]) * [0.0, 1.0], atol=1e-9)
     np.testing.assert_allclose(walls.height, 1 * MM, atol=2 * slot.stock.level_step)
@@ -204,7 +205,8 @@ def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
     path, target = planned(fine)
     time = np.arange(len(target)) * path_of(fine).clock.period
     shake = 8 * UM * np.sin(2 * np.pi * 63.0 * time)  # comes round between the teeth, which pass at 200 Hz
-    result = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
+    ideal = ideal_part(fine, path, target)
+    _, result = surface(fine, path, target, target + shake[:, None] * [0, 1, 0], ideal)
     cut = machined(cut_of(fine), target + shake[:, None] * [0, 1, 0], path_of(fine).clock)
     x, low, high = profile(cut)
     left = result.normal[:, 1] < 0
@@ -219,7 +221,7 @@ def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
 
 def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
     rough = HEAD + "(rough)\nG0 X-28 Y2.6 Z-1\nG1 X28 F3000\nG0 Z2\n(finish)\nG0 X-28 Y2 Z2\nG0 Z-1\nG1 X28\nG0 Z2\n"
-    result = errors(small_cell(tmp_path, rough), [0, -50 * UM, 0], "rough").walls
+    _, result = errors(small_cell(tmp_path, rough), [0, -50 * UM, 0], "rough")
     below = result.normal[:, 1] > 0  # the side where the finishing pass took more
     assert set(result.feature[below]) == {2}  # unnamed, rough, finish
     np.testing.assert_allclose(result.error[below], 0.0, atol=1e-12)
@@ -228,7 +230,7 @@ def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
 
 def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put_material_back(tmp_path):
     two = HEAD + "(upper)\nG0 X-28 Y0 Z-1\nG1 X28 F3000\nG0 Z2\n(lower)\nG0 X-28 Z2\nG0 Z-2\nG1 X28\nG0 Z2\n"
-    result = errors(small_cell(tmp_path, two), [0, 20 * UM, 0], "lower").walls
+    _, result = errors(small_cell(tmp_path, two), [0, 20 * UM, 0], "lower")
     left, upper = result.normal[:, 1] < 0, result.feature == 1  # unnamed, upper, lower
     cusp = (0.25 * MM) ** 2 / (8 * RADIUS)  # the teeth of the lower pass need not meet the marks of the upper one
     cases = ((left & upper, -20, cusp), (left & ~upper, -20, 0), (~left & upper, 0, 0), (~left & ~upper, 20, 0))
@@ -245,14 +247,14 @@ def test_a_ramp_leaves_its_own_slope_and_an_oblique_shift_its_vertical_part(tmp_
     inner = np.abs(ideal.x) < 14 * MM
     slope = np.polyfit(ideal.x[inner], ideal.height[inner, middle], 1)[0]
     assert slope == pytest.approx(-0.4 / 56, rel=2e-2)
-    error = surface(cell, path, target, target + [0, 0, 10 * UM], ideal).floors.errors()
-    assert np.mean(error) == pytest.approx(10 * UM, rel=0.02)
+    floors, _ = surface(cell, path, target, target + [0, 0, 10 * UM], ideal)
+    assert np.mean(floors.errors()) == pytest.approx(10 * UM, rel=0.02)
 
 
 def test_a_plunge_owns_the_floor_it_ends_on_and_heights_beside_the_stock_are_not_known(tmp_path):
     cell = small_cell(tmp_path, HEAD + "(hole)\nG0 X5 Y5 Z2\nG1 Z-1 F600\nG0 Z2\n(slot)\nG0 X-28 Y-8\nG0 Z-1\nG1 X28\n")
     path, target = planned(cell)
-    floors = errors(cell, np.zeros(3)).floors
+    floors, _ = errors(cell, np.zeros(3))
     hole = path.features.index("hole")
     place = np.argwhere(floors.feature == hole)
     assert len(place) > 500
@@ -269,11 +271,13 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
     other, mine, radius = 60, 1, 0.01
     normal = np.array([[0.0, 1.0]] * other + [[1.0, 0.0]] * mine)
     centre = np.column_stack([-radius * normal, np.full(other + mine, -1e-3)])  # all teeth point at the origin
-    marks = Marks(centre, normal, np.full(61, radius), np.zeros(61, np.int64), np.full(61, 0.5))
+    marks = np.zeros(61, MARK)
+    marks["centre"], marks["normal"], marks["radius"], marks["share"] = centre, normal, radius, 0.5
     path = Stations(
         np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",), np.zeros(2, bool)
     )
-    walls = remaining_walls(IdealWalls(marks, np.array([60]), np.array([1e-3])), path, np.full((2, 3), 1e-5), 1e-9)
+    ideal = SimpleNamespace(marks=marks, staying=np.array([60]), wall_height=np.array([1e-3]), level=1e-9)
+    walls = remaining_walls(ideal, path, np.full((2, 3), 1e-5))
     np.testing.assert_allclose(walls.error, [-1e-5])  # the wall is cut 10 um too deep
 
 

@@ -109,10 +109,10 @@ def test_walls_and_floors_belong_to_the_last_tool_that_passes_there(tmp_path):
     tools = {"T1": {"diameter_mm": 20, "teeth": 2}, "T2": SMALL}
     (first, roughed), (second, finished) = run_in_turn(tool_cells(tmp_path, program, tools))
     before, after = assess(first, roughed), assess(second, finished)
-    assert not before.surface.walls.error.size and after.surface.walls.error.size
-    assert assess(first.replace(stage=None), roughed).surface.walls.error.size
+    assert not before.walls.error.size and after.walls.error.size
+    assert assess(first.replace(stage=None), roughed).walls.error.size
     for part, low, high in ((before, -15.0, -10.4), (after, -10.4, -4.4)):
-        floors = part.surface.floors
+        floors = part.floors
         own = 1e3 * floors.y[np.isfinite(floors.error).any(axis=0)]
         assert own.min() == pytest.approx(low, abs=0.4) and own.max() == pytest.approx(high, abs=0.4)
         assert low - 0.05 < own.min() and own.max() < high + 0.05

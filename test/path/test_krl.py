@@ -57,7 +57,7 @@ def moves_of(draw) -> tuple[list[str], list[tuple[float, ...]]]:
             lines.append(f"LIN {{{','.join(f'{k} {v}' for k, v in zip('XYZ', (x, y, z), strict=True) if k in keys)}}}")
             place = [v if k in keys else p for k, v, p in zip("XYZ", (x, y, z), place, strict=True)]
         elif kind == "REL":
-            lines.append(f"SLIN_REL {{X {x},Z {z}}}")
+            lines.append(f"SLIN_REL {{X {x},Z {z}}} #BASE")
             place = [place[0] + x, place[1], place[2] + z]
         elif kind == "FRAME":
             angle = draw(st.sampled_from([0, 90, 180, -90]))
@@ -123,6 +123,7 @@ def test_an_arc_with_a_stated_angle_has_its_length_and_keeps_its_radius(tmp_path
 
 
 REFUSED = [
+    ("LIN_REL {X 1} #TOOL", "is no expression"),
     ("LIN P7", "P7 has no value"),
     ("LIN {A1 0,A2 -90}", "not to angles of the axes"),
     ("LIN {X 0,Y 0,Z 0,E1 10}", "E1 moves in a cut"),

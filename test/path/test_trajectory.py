@@ -149,6 +149,6 @@ def test_a_stop_is_one_for_correction_program_and_check_whatever_rounding_left_o
 def test_what_creeps_and_straight_lines_through_the_knots_do_not_stand():
     run = corner(2 * AT_REST)
     assert not run.standing.any() and not resting_segments(run).any()
-    assert [violation.point for violation in rounded_off(2 * AT_REST)] == [STOP + 1]
+    assert [violation.where.point for violation in rounded_off(2 * AT_REST)] == [STOP + 1]
     run = corner()
     assert not run.with_position(run.position).standing.any()

@@ -13,7 +13,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.part.stations import Stations, deviations, stations_of
-from kr270_milling.decide.part.surface import IdealPart, Surface, ideal_part, surface
+from kr270_milling.decide.part.surface import Floors, IdealPart, Walls, ideal_part, surface
 from kr270_milling.physics.motion.milling_pass import PassResult
 
 __all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all", "assess_result"]
@@ -67,7 +67,13 @@ class PartAssessment:
     force: np.ndarray  #: magnitude of the mean over each period [N], (n + 1,)
     torque: np.ndarray  #: torque of the spindle [N m], (n + 1,)
     power: np.ndarray  #: [W], (n + 1,)
-    surface: Surface = column("*")
+    floors: Floors
+    walls: Walls
+    floor_resolution: float = column("floor_resolution_um", 1e6)  #: [m]
+
+    @computed("wall_points")
+    def wall_points(self) -> int:
+        return int(self.walls.error.size)
 
     @computed("features")
     def rows(self) -> tuple[FeatureRow, ...]:
@@ -80,11 +86,11 @@ class PartAssessment:
         return self._row("whole part", np.ones(self.cutting.size, bool), None)
 
     def _row(self, name: str, here: np.ndarray, feature: int | None) -> FeatureRow:
-        mine, left = self.cutting & here, self.surface
+        mine = self.cutting & here
         normal = np.abs(self.deviation[mine, 1])
-        wall = np.abs(left.walls.error if feature is None else left.walls.error[left.walls.feature == feature])
-        errors, none = np.abs(left.floors.errors(feature)), np.zeros(0)
-        floor, curved = (none, errors) if left.floors.curved else (errors, none)
+        wall = np.abs(self.walls.error if feature is None else self.walls.error[self.walls.feature == feature])
+        errors, none = np.abs(self.floors.errors(feature)), np.zeros(0)
+        floor, curved = (none, errors) if self.floors.curved else (errors, none)
         quantile = 0.95
         return FeatureRow(
             name=name,
@@ -123,6 +129,7 @@ def assess_result(
 ) -> PartAssessment:
     """Assess the series of a pass along the path of a cell, also of a plant that is not the cell."""
     path = path or stations_of(path_of(cell), result.time_ns)
+    ideal = ideal or ideal_part(cell, path, result.target)
     return PartAssessment(
         name,
         path,
@@ -131,7 +138,8 @@ def assess_result(
         np.linalg.norm(result.wrench[:, :3], axis=1),
         result.torque,
         result.torque * cell.tool.spindle_speed,
-        surface(cell, path, result.target, result.actual, ideal, result.heights),
+        *surface(cell, path, result.target, result.actual, ideal, result.heights),
+        2.0 * ideal.level + cell.stock.floor_tolerance,
     )
 
 

@@ -18,7 +18,6 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
-from kr270_milling.base.column import column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.cell.stage import Removal, cleared, swept
@@ -26,7 +25,7 @@ from kr270_milling.decide.part.stations import Stations
 from kr270_milling.decide.part.workpiece import heights_at, machined
 from kr270_milling.physics.cutting import CutModel, Stock, Tool
 
-__all__ = ["Floors", "IdealPart", "IdealWalls", "Marks", "Surface", "Walls", "ideal_part", "remaining_walls", "surface"]
+__all__ = ["MARK", "Floors", "IdealPart", "Walls", "ideal_part", "remaining_walls", "surface", "tooth_tips"]
 
 SLOPE = 0.02  #: a steeper floor is a wall
 STEEP = 2.75  #: assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
@@ -35,35 +34,16 @@ CHUNK = 5_000  #: marks at once, with the neighbours of each 25 kB
 CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
 
 
-@dataclass(frozen=True, eq=False)
-class Marks:
-    """m passages of a tooth by the left or right of the path of a rigid arm, in the order of time for each side."""
-
-    centre: np.ndarray  #: centre of the rigid tool tip [m], (m, 3)
-    normal: np.ndarray  #: direction in which the tooth points, into the material, (m, 2)
-    radius: np.ndarray  #: radius of the tooth [m], (m,)
-    period: np.ndarray  #: number of the exchange period, (m,)
-    share: np.ndarray  #: elapsed fraction of that period, (m,)
-
-    def __len__(self) -> int:
-        return self.period.size
-
-    @property
-    def point(self) -> np.ndarray:
-        """Tip of the rigid tool's tooth [m], (m, 2)."""
-        return self.centre[:, :2] + self.radius[:, None] * self.normal
-
-    def __getitem__(self, chosen) -> Marks:
-        return Marks(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
-
-
-@dataclass(frozen=True, eq=False)
-class IdealWalls:
-    """The marks of a rigid arm's tool, and which of them are still walls in the end."""
-
-    marks: Marks  #: all below the stock's top
-    staying: np.ndarray  #: indices of those on a wall that stays, (k,)
-    height: np.ndarray  #: height of the wall [m], (k,)
+#: passage of a tooth by the left or right of the path of a rigid arm
+MARK = np.dtype(
+    [
+        ("centre", float, 3),  # of the rigid tool tip [m]
+        ("normal", float, 2),  # direction in which the tooth points, into the material
+        ("radius", float),  # of the tooth [m]
+        ("period", np.int64),  # number of the exchange period
+        ("share", float),  # elapsed fraction of that period
+    ]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +57,8 @@ class Walls:
     feature: np.ndarray  #: index into the features of the path, (m,)
 
 
-def marks(tool: Tool, path: Stations, period: float, rigid: np.ndarray) -> Marks:
-    """All marks of a pass with tool centres (n + 1, 3) [m] every ``period`` [s]."""
+def marks(tool: Tool, path: Stations, period: float, rigid: np.ndarray) -> np.ndarray:
+    """All marks, MARK, of a pass with tool centres (n + 1, 3) [m] every ``period`` [s]; for each side by time."""
     heading = np.unwrap(path.heading)
     first, last = heading[:-1], heading[1:]
     corner = np.abs(last - first) > CORNER  # there the path turns at once to its new direction
@@ -94,47 +74,53 @@ def marks(tool: Tool, path: Stations, period: float, rigid: np.ndarray) -> Marks
             rows.append((k, share, np.full(k.size, radius), np.full(k.size, side)))
     k, share, radius, sides = (np.concatenate(column) for column in zip(*rows, strict=True))
     order = np.lexsort((k + share, -sides))
-    k, share, radius, sides = k[order], share[order], radius[order], sides[order]
-    centre = rigid[k] + share[:, None] * (rigid[k + 1] - rigid[k])
+    k, share, sides = k[order], share[order], sides[order]
     along = first[k] + share * (last[k] - first[k]) + sides * np.pi / 2
-    return Marks(centre, np.column_stack([np.cos(along), np.sin(along)]), radius, k, share)
+    hits = np.empty(k.size, MARK)
+    hits["centre"] = rigid[k] + share[:, None] * (rigid[k + 1] - rigid[k])
+    hits["normal"] = np.column_stack([np.cos(along), np.sin(along)])
+    hits["radius"], hits["period"], hits["share"] = radius[order], k, share
+    return hits
 
 
-def ideal_walls(cut: CutModel, hits: Marks) -> IdealWalls:
-    """Return the marks that remain as walls on the finished workpiece of the rigid arm."""
-    stock, beyond = cut.stock, 2.0 * cut.stock.grid_step
-    hits = hits[hits.centre[:, 2] < stock.max[2] - cut.params.level_step]
-    outside = heights_at(cut, hits.point + beyond * hits.normal)
+def tooth_tips(hits: np.ndarray) -> np.ndarray:
+    """Places of the teeth of a rigid tool [m], (m, 2), at marks."""
+    return hits["centre"][:, :2] + hits["radius"][:, None] * hits["normal"]
+
+
+def _staying(cut: CutModel, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the marks that remain as walls on the finished workpiece of the rigid arm, and the height of each."""
+    beyond = 2.0 * cut.stock.grid_step
+    outside = heights_at(cut, tooth_tips(hits) + beyond * hits["normal"])
     with np.errstate(invalid="ignore"):  # NaN: beside the stock
-        here = outside > hits.centre[:, 2] + 2.0 * cut.params.level_step
+        here = np.flatnonzero(outside > hits["centre"][:, 2] + 2.0 * cut.params.level_step)
     staying = hits[here]
-    inside = heights_at(cut, staying.point - beyond * staying.normal)
-    inside = np.fmin(inside, staying.centre[:, 2])
-    return IdealWalls(hits, np.flatnonzero(here), outside[here] - inside)
+    inside = heights_at(cut, tooth_tips(staying) - beyond * staying["normal"])
+    return here, outside[here] - np.fmin(inside, staying["centre"][:, 2])
 
 
-def _not_passed(after: CutModel, walls: IdealWalls) -> IdealWalls:
-    """The walls that no later tool passes; after: what the later tools alone leave of an uncut stock."""
-    staying = walls.marks[walls.staying]
+def _not_passed(after: CutModel, staying: np.ndarray) -> np.ndarray:
+    """Mask of the marks that no later tool passes; after: what the later tools alone leave of an uncut stock."""
     stays = np.ones(len(staying), bool)
     for side in (-2.0, 2.0):  # grid nodes into the cut, and into the wall
-        beside = heights_at(after, staying.point + side * after.stock.grid_step * staying.normal)
+        beside = heights_at(after, tooth_tips(staying) + side * after.stock.grid_step * staying["normal"])
         with np.errstate(invalid="ignore"):  # NaN: beside the stock
-            stays &= ~(beside <= staying.centre[:, 2] + 2.0 * after.params.level_step)
-    return IdealWalls(walls.marks, walls.staying[stays], walls.height[stays])
+            stays &= ~(beside <= staying["centre"][:, 2] + 2.0 * after.params.level_step)
+    return stays
 
 
-def remaining_walls(ideal: IdealWalls, path: Stations, error: np.ndarray, level: float) -> Walls:
-    """The walls of the finished part, given actual minus target tool centres (n + 1, 3) [m]; level [m] of the grid."""
-    hits = ideal.marks
-    k, staying = hits.period, hits[ideal.staying]
-    moved = (error[k] + hits.share[:, None] * (error[k + 1] - error[k]))[:, :2]
-    position = np.column_stack([staying.point, staying.centre[:, 2]])
-    missed = -_reach(hits, moved, staying, np.einsum("kd,kd->k", moved[ideal.staying], staying.normal), 2.0 * level)
-    return Walls(position, -staying.normal, ideal.height, missed, path.feature[staying.period])
+def remaining_walls(ideal: IdealPart, path: Stations, error: np.ndarray) -> Walls:
+    """The walls of the finished part, given actual minus target tool centres (n + 1, 3) [m]."""
+    hits, k = ideal.marks, ideal.marks["period"]
+    staying = hits[ideal.staying]
+    moved = (error[k] + hits["share"][:, None] * (error[k + 1] - error[k]))[:, :2]
+    own = np.einsum("kd,kd->k", moved[ideal.staying], staying["normal"])
+    missed = -_reach(hits, moved, staying, own, 2.0 * ideal.level)
+    position = np.column_stack([tooth_tips(staying), staying["centre"][:, 2]])
+    return Walls(position, -staying["normal"], ideal.wall_height, missed, path.feature[staying["period"]])
 
 
-def _reach(hits: Marks, error: np.ndarray, staying: Marks, own: np.ndarray, level: float) -> np.ndarray:
+def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.ndarray, level: float) -> np.ndarray:
     """Return the reach of the teeth beyond that of rigid ones at each staying mark [m], (k,).
 
     error (m, 2) [m]: shifts of the teeth. own: reach of the tooth of the mark itself [m], (k,); it counts
@@ -143,25 +129,26 @@ def _reach(hits: Marks, error: np.ndarray, staying: Marks, own: np.ndarray, leve
     out = np.array(own)
     if not out.size:
         return out
-    tree = cKDTree(hits.point)
+    tree = cKDTree(tooth_tips(hits))
     deepest = 20e-6  # [m]; marks this much deeper than their neighbours still are weighed against them
-    bound = float(np.sqrt(2.0 * hits.radius.max() * deepest))
+    bound = float(np.sqrt(2.0 * hits["radius"].max() * deepest))
     neighbours = 48  # at most; a tool that rests marks one place with every tooth
     parallel = 0.98  # cosine between normals of one wall
     for first in range(0, out.size, CHUNK):
         mine = staying[first : first + CHUNK]
-        _, near = tree.query(mine.point, k=min(neighbours, len(hits)), distance_upper_bound=bound)
+        place, normal = tooth_tips(mine), mine["normal"]
+        _, near = tree.query(place, k=min(neighbours, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
         exists = near < len(hits)
         near = np.where(exists, near, 0)
         theirs = hits[near]
-        same = exists & (np.einsum("mkd,md->mk", theirs.normal, mine.normal) > parallel)
-        same &= theirs.centre[..., 2] <= mine.centre[:, None, 2] + level  # a higher pass does not touch the wall here
-        away = theirs.centre[..., :2] - mine.point[:, None]
-        across = away[..., 0] * mine.normal[:, None, 1] - away[..., 1] * mine.normal[:, None, 0]
-        arc = np.sqrt(np.maximum(theirs.radius**2 - across**2, 0.0))
-        rigid = np.einsum("mkd,md->mk", away, mine.normal) + arc
-        moved = rigid + np.einsum("mkd,md->mk", error[near], mine.normal)
+        same = exists & (np.einsum("mkd,md->mk", theirs["normal"], normal) > parallel)
+        same &= theirs["centre"][..., 2] <= mine["centre"][:, None, 2] + level  # a higher pass does not touch it
+        away = theirs["centre"][..., :2] - place[:, None]
+        across = away[..., 0] * normal[:, None, 1] - away[..., 1] * normal[:, None, 0]
+        arc = np.sqrt(np.maximum(theirs["radius"] ** 2 - across**2, 0.0))
+        rigid = np.einsum("mkd,md->mk", away, normal) + arc
+        moved = rigid + np.einsum("mkd,md->mk", error[near], normal)
         farthest = [np.where(same, reach, -np.inf).max(axis=1) for reach in (moved, rigid)]
         known = same.any(axis=1)
         out[first : first + CHUNK][known] = farthest[0][known] - farthest[1][known]
@@ -186,19 +173,6 @@ class Floors:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
-    """Surfaces of the part after a pass."""
-
-    floors: Floors
-    walls: Walls
-    floor_resolution: float = column("floor_resolution_um", 1e6)  #: [m]
-
-    @computed("wall_points")
-    def wall_points(self) -> int:
-        return int(self.walls.error.size)
-
-
-@dataclass(frozen=True, eq=False)
 class IdealPart:
     """The part of a rigid arm: thinned, so that a large workpiece takes little memory."""
 
@@ -206,7 +180,9 @@ class IdealPart:
     y: np.ndarray  #: [m], (b,)
     height: np.ndarray  #: [m], (a, b)
     owner: np.ndarray  #: index of the feature that made each floor, (a, b); -1: none
-    walls: IdealWalls
+    marks: np.ndarray  #: MARK, below the top of the stock
+    staying: np.ndarray  #: indices of the marks on a wall that stays, (k,)
+    wall_height: np.ndarray  #: height of the wall there [m], (k,)
     level: float  #: level step of the height map [m]
     thinning: int
     unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool
@@ -223,9 +199,9 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
     x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level, float(cell.stock.max[2]))
     passages = marks(cell.tool, path, path_of(cell).clock.period, target)
-    if not cell.tool.has_flat_end:  # its sides are part of the surface
-        passages = passages[:0]
-    walls = ideal_walls(cut, passages)
+    below = passages["centre"][:, 2] < cell.stock.max[2] - level
+    passages = passages[below & cell.tool.has_flat_end]  # the sides of another end are part of the surface
+    staying, wall_height = _staying(cut, passages)
     if cell.stage:
         radius = float(cell.tool.radii.max())
         mine = swept((Removal(cell.stage.tool, radius, target, target, cutter=cell.tool),), cell.stock, False)
@@ -233,11 +209,13 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
         if cell.stage.later:
             after = cleared(cell.stage.later, cell.stock, False)
             owner = np.where(after.map_heights()[2] <= height + 2.0 * level, -1, owner)
-            walls = _not_passed(after, walls)
+            stays = _not_passed(after, passages[staying])
+            staying, wall_height = staying[stays], wall_height[stays]
     unjudged = _drilled(x, y, height, target[path.drilling], cell.tool.radius, 2.0 * level)
     if cell.stage:
         unjudged |= owner < 0
-    return IdealPart(x, y, height, owner, walls, level, cut.map_thinning, unjudged)
+    thinning = cut.map_thinning
+    return IdealPart(x, y, height, owner, passages, staying, wall_height, level, thinning, unjudged)
 
 
 def surface(
@@ -245,23 +223,20 @@ def surface(
     path: Stations,
     target: np.ndarray,
     actual: np.ndarray,
-    ideal: IdealPart | None = None,
+    ideal: IdealPart,
     heights: np.ndarray | None = None,
-) -> Surface:
+) -> tuple[Floors, Walls]:
     """Surface errors of a pass with tool centres ``actual`` where ``target`` was wanted, (n + 1, 3) [m].
 
-    ideal: the part that the target itself leaves; heights (a, b) [m]: of the pass's own finished workpiece. Each is
+    ideal: the part that the target itself leaves; heights (a, b) [m]: of the pass's own finished workpiece, which is
     made by a sweep where it is not known already.
     """
-    ideal = ideal_part(cell, path, target) if ideal is None else ideal
-    walls = remaining_walls(ideal.walls, path, actual - target, ideal.level)
+    walls = remaining_walls(ideal, path, actual - target)
     if heights is None or heights.shape != ideal.height.shape:
         heights = machined(cut_of(cell), actual, path_of(cell).clock).map_heights()[2]
-    largest = float(np.abs(actual - target)[:, :2].max(initial=0.0))
-    floors = _floors(cell.stock, ideal, heights, largest)
     if not cell.tool.has_flat_end:
-        floors = _curved(cell.stock, ideal, heights)
-    return Surface(floors, walls, 2.0 * ideal.level + cell.stock.floor_tolerance)
+        return _curved(cell.stock, ideal, heights), walls
+    return _floors(cell.stock, ideal, heights, float(np.abs(actual - target)[:, :2].max(initial=0.0))), walls
 
 
 def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) -> Floors:

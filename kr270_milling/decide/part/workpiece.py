@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.files import write_files
-from kr270_milling.physics.cutting import CutModel, Stock
+from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.periods import Clock
@@ -78,14 +78,11 @@ def _thinning(cut: CutModel) -> int:
     fine = 0.25e-3  # [m]
     thinning = max(1, round(fine / cut.stock.grid_step))
     most_triangles = 4_000_000  # 200 MB
-    while _most_triangles(cut.stock, thinning) > most_triangles:
+    while True:
+        x, y = (-(-n // thinning) + 2 for n in cut.stock.nodes)
+        if 2 * x * y + 6 * (x + y) <= most_triangles:
+            return thinning
         thinning = math.ceil(1.1 * thinning)
-    return thinning
-
-
-def _most_triangles(stock: Stock, thinning: int) -> int:
-    x, y = (-(-n // thinning) + 2 for n in stock.nodes)
-    return 2 * x * y + 6 * (x + y)
 
 
 def _triangles(x: np.ndarray, y: np.ndarray, z: np.ndarray, bottom: float) -> np.ndarray:

@@ -5,6 +5,7 @@ The manifest beside them says which file goes where, and in which order to try t
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shutil
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -18,7 +19,6 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import JOINT_NAMES, TOOL0, Pose, quaternion_from_rotation
 from kr270_milling.base.units import seconds
-from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.cell.models import arm_of, path_of
@@ -35,8 +35,8 @@ __all__ = [
     "OLDER",
     "RSI_TICKS_NS",
     "as_commanded",
+    "notes_of",
     "set_aside",
-    "source_of",
     "time_law",
     "write_joint_table",
     "write_manifest",
@@ -129,24 +129,26 @@ def write_programs(
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     suffix = cell.stage.suffix if cell.stage else ""
     program = cell.krl if released else cell.krl.replace(name=f"{NOT_RELEASED}{suffix}")
-    heading = krl.Heading(__version__, date, source, method, decision)
     named = f"{method}{suffix}"
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
-    setup, origin = _setup(cell, *commanded), source_of(path_of(cell), len(original))
+    setup = dataclasses.replace(
+        _setup(cell, *commanded), date=date, source_hash=source, method=method, decision=decision
+    )
+    notes = notes_of(path_of(cell), len(original))
     files: dict[str, list[Path]] = {}
     programs: list[tuple[str, str, int]] = []
     limits: list[str] = []
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, heading, origin)
+        written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, notes)
         files[f"krl_{motion.lower()}"] = written
         programs.append((motion, folder.name, len(written)))
         limits = limits or krl.time_statements(program.replace(motion=motion), setup)
     if rsi and motions is not None:
         folder = place / f"rsi_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        limit, lines = cell.compensation.max_correction, heading.lines(program, "ORG", commanded[0])
+        limit, lines = cell.compensation.max_correction, setup.heading(program, "ORG", commanded[0])
         files["rsi_context"] = write_rsi_context(folder, program, setup, limit, rsi, lines)
     tick_ns = cell.compensation.tick_ns
     tick_ns = tick_ns if tick_ns in RSI_TICKS_NS else RSI_TICKS_NS[-1]
@@ -202,7 +204,7 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     return krl.Setup(tool, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law, external)
 
 
-def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
+def _approach(cell: Cell, run: Trajectory, safe_z: float) -> tuple[np.ndarray, int, int]:
     """Above the first point, a little beside it where an axis would be at zero: its sign, the bit of T, would be
     left to rounding, and a controller that finds the other sign looks for the axis a whole turn away.
 
@@ -218,7 +220,7 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
         except (ReachError, JointLimitError, SingularityError) as error:
             raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
         status, turn = status_turn(cell.arm, joints)
-        approaches.append(krl.Approach(above[0] + [*shift, 0.0], int(status), int(turn)))
+        approaches.append((above[0] + [*shift, 0.0], int(status), int(turn)))
         if np.abs(joints).min() > AT_ZERO:
             return approaches[-1]
     return approaches[0]
@@ -257,10 +259,10 @@ def _turning(program: Program, run: Trajectory) -> str:
     return f"the tool turns at up to {most[0]:.3g} deg/s and {most[1]:.3g} deg/s2 in the plan{slower}"
 
 
-def source_of(path: CellPath, count: int) -> krl_motion.Source | None:
-    """Line and feature of each knot; None without a program."""
+def notes_of(path: CellPath, count: int) -> list[str]:
+    """Return line and feature of each knot as comments; empty without a program."""
     lines, features = path.knot_source
-    return krl_motion.Source(lines, features) if len(lines) == count else None
+    return krl_motion.knot_notes(lines, features) if len(lines) == count else []
 
 
 def write_rsi_table(

@@ -112,17 +112,14 @@ def write_gcode(
         f"sha256 of the source {jobs[0][0].path.sha256}",
         *decision,
     ]
-    lines[source.head : source.head] = [source.comment.format(line) for note in notes for line in _comment(note)]
+    texts = [printable_ascii(note).replace("(", "[").replace(")", "]") for note in notes]
+    lines[source.head : source.head] = [  # the first word shows a reader that they name no operation and no tool
+        source.comment.format(f"part program: {line}") for text in texts for line in textwrap.wrap(text, WIDEST)
+    ]
     data = file.read_bytes()
     newline = "\r\n" if b"\r\n" in data[:4096] else "\n"
     write_files({path: [newline.join(lines).encode(encoding_of(data))]})
     return path, [plan.compared(path) for plan in plans]
-
-
-def _comment(note: str) -> list[str]:
-    """Lines of a comment; its first word shows a reader that they name no operation and no tool."""
-    text = printable_ascii(note).replace("(", "[").replace(")", "]")
-    return [f"part program: {line}" for line in textwrap.wrap(text, WIDEST)]
 
 
 @dataclass(frozen=True, eq=False)

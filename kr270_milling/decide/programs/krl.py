@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,9 +23,9 @@ import numpy as np
 
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.base.version import __version__
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs.krl_motion import (
-    Source,
     axis_text,
     comments,
     frame_row,
@@ -34,11 +35,12 @@ from kr270_milling.decide.programs.krl_motion import (
     number,
     point_speeds,
     position_text,
+    shortest,
 )
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["Approach", "Heading", "Setup", "filled", "time_statements", "trajectory_hash", "write_krl"]
+__all__ = ["Setup", "filled", "time_statements", "trajectory_hash", "write_krl"]
 
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
@@ -46,21 +48,14 @@ EXTERNAL = (";FOLD EXTERNAL DECLARATIONS", "EXT BAS (BAS_COMMAND :IN,REAL :IN)",
 
 
 @dataclass(frozen=True, eq=False)
-class Approach:
-    """The E6POS that a PTP from home leads to, at the safe height above the first point."""
-
-    position: np.ndarray  #: [m], (3,), in $BASE
-    status: int  #: S
-    turn: int  #: T
-
-
-@dataclass(frozen=True, eq=False)
 class Setup:
-    """Data of the cell that the controller needs beside the points."""
+    """What a program needs beside the points; the date is a text, so that the same input gives the same files."""
 
     tool: Pose  #: tcp in $FLANGE, whose z points out of the flange ($TOOL)
     base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
-    approaches: tuple[Approach, Approach]  #: names of the original and of the compensated program
+    #: E6POS of the original and of the compensated program to which a PTP from home leads, at the safe height above the
+    #: first point: position in $BASE [m], (3,), S and T
+    approaches: Sequence[tuple[np.ndarray, int, int]]
     safe_z: float  #: [m], height of the retract in the workpiece frame
     load_mass: float = 0.0  #: [kg], spindle and tool
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
@@ -68,32 +63,25 @@ class Setup:
     acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
     jerk: float = 0.0  #: jerk of the time law [m/s3]
     external: tuple[float, ...] = (0.0,) * 6  #: E1 to E6, as the program of the path has them during its cuts
-
-
-@dataclass(frozen=True)
-class Heading:
-    """The header of every file; the date as text, so that the same input gives the same files."""
-
-    version: str
-    date: str
+    date: str = ""
     source_hash: str = ""  #: SHA-256 of the recording or the tool path
     method: str = ""  #: of the compensation
     decision: str = ""  #: its level; the manifest has sentence, findings and time law
 
     def __post_init__(self):
-        for text in (self.version, self.date, self.source_hash, self.method, self.decision):
+        for text in (self.date, self.source_hash, self.method, self.decision):
             if not re.fullmatch(r"[ -~]{0,100}", text):
                 raise TrajectoryError(f"{text[:100]!r} is not allowed in the header of a program")
 
-    def lines(self, program: Program, kind: str, run: Trajectory) -> list[str]:
-        """Five comment lines."""
+    def heading(self, program: Program, kind: str, run: Trajectory) -> list[str]:
+        """Return the five comment lines of the header of every file."""
         decision = f"decision {self.decision}: see MANIFEST.txt" if self.decision else "see MANIFEST.txt"
         return comments(
             [
                 f"{KINDS[kind]}, points 1 to {len(run)}, {program.motion}"
                 + (f", method {self.method}" * (kind == "CMP")),
                 "SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
-                f"kr270_milling {self.version}, {self.date}, {decision}",
+                f"kr270_milling {__version__}, {self.date}, {decision}",
                 f"sha256 of this trajectory {trajectory_hash(run)}",
                 f"sha256 of its source {self.source_hash or 'not given'}",
             ]
@@ -114,34 +102,33 @@ def write_krl(
     setup: Setup,
     original: Trajectory,
     revised: Trajectory,
-    heading: Heading,
-    source: Source | None = None,
+    notes: Sequence[str] = (),
 ) -> list[Path]:
     """Write all modules of both programs, or none; returns their paths.
 
-    source: line and feature of each knot, for comments. Raises TrajectoryError for trajectories of different knots,
+    notes: of ``knot_notes``. Raises TrajectoryError for trajectories of different knots,
     and for more points than the modules can hold.
     """
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
-    source = source or Source(np.zeros(len(original), int), ("",) * len(original))
+    notes = notes or [""] * len(original)
     points, stops = point_numbers(program, original, revised), original.standing
-    notes = {kind: heading.lines(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
+    heads = {kind: setup.heading(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
     head, foot = _head_and_foot(program, setup)
     frame_lines = 20  # of a module beside heading, templates and motions
-    most = program.line_limit - frame_lines - max(map(len, notes.values())) - len(head) - len(foot)
+    most = program.line_limit - frame_lines - max(map(len, heads.values())) - len(head) - len(foot)
     if most < 20:
         raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
-    pieces = modules_of(program, points, stops, source, most)
+    pieces = modules_of(program, points, stops, notes, most)
     files: dict[Path, list[str]] = {}
     for kind, run in (("ORG", original), ("CMP", revised)):
         speed = point_speeds(program, run, points)
-        moves = [motion_lines(program, points, piece, speed, stops, source) for piece in pieces]
+        moves = [motion_lines(program, points, piece, speed, stops, notes) for piece in pieces]
         frames = [_frames(run, points[slice(*piece)]) for piece in pieces]
         modules = _modules(f"{program.name}_{kind}", moves, frames, [head, foot, _places(program, setup, kind, run)])
         for name, (src, dat) in modules.items():
-            files[Path(directory) / f"{name}.src"] = [*HEAD, f"DEF {name}( )", *notes[kind], *src, "END"]
-            files[Path(directory) / f"{name}.dat"] = [*HEAD, f"DEFDAT {name}", *notes[kind], *EXTERNAL, *dat, "ENDDAT"]
+            files[Path(directory) / f"{name}.src"] = [*HEAD, f"DEF {name}( )", *heads[kind], *src, "END"]
+            files[Path(directory) / f"{name}.dat"] = [*HEAD, f"DEFDAT {name}", *heads[kind], *EXTERNAL, *dat, "ENDDAT"]
     write_files({path: (line + "\n" for line in lines) for path, lines in files.items()}, newline="\r\n")
     return list(files)
 
@@ -163,19 +150,19 @@ def _rows(run: Trajectory) -> np.ndarray:
 
 def _frames(run: Trajectory, numbers: np.ndarray) -> list[str]:
     rows = _rows(run)
-    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k])}}}" for k in numbers.tolist()]
+    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k], shortest)}}}" for k in numbers.tolist()]
 
 
 def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[str]:
     """Home, approach, first point and retract."""
     first, retract = _rows(run)[[0, -1]]
     retract[2] = max(retract[2], 1e3 * setup.safe_z)
-    start = setup.approaches[list(KINDS).index(kind)]
-    above = [*(1e3 * start.position), *first[3:]]
+    position, status, turn = setup.approaches[list(KINDS).index(kind)]
+    above = [*(1e3 * position), *first[3:]]
     home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles), setup.external)}}}"]
     return [
         *(home if program.home_angles.size else []),
-        f"DECL E6POS XAPPROACH={{{position_text(above, start.status, start.turn, setup.external)}}}",
+        f"DECL E6POS XAPPROACH={{{position_text(above, status, turn, setup.external)}}}",
         f"DECL FRAME XP1={{{frame_text(first)}}}",
         f"DECL FRAME XRETRACT={{{frame_text(retract)}}}",
     ]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 import textwrap
 import unicodedata
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -19,17 +19,18 @@ from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
     "WIDEST",
-    "Source",
     "axis_text",
     "comments",
     "frame_row",
     "frame_text",
+    "knot_notes",
     "modules_of",
     "motion_lines",
     "number",
     "point_speeds",
     "position_text",
     "printable_ascii",
+    "shortest",
 ]
 
 WIDEST = 100  #: characters of a comment line
@@ -41,14 +42,20 @@ def number(value: float, digits: int) -> str:
     return text.removeprefix("-") if not text.strip("-0.") else text
 
 
+def shortest(value: float, digits: int) -> str:
+    """As ``number``, without zeros at the end."""
+    text = number(value, digits)
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
 def frame_row(pose: Pose) -> np.ndarray:
     """X, Y, Z [mm], A, B, C [deg], (..., 6)."""
     return np.concatenate([pose.position * 1e3, np.degrees(abc_from_rotation(pose.rotation))], axis=-1)
 
 
-def frame_text(row: Sequence[float] | np.ndarray) -> str:
-    """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5."""
-    texts = [number(v, 4 if i < 3 else 5) for i, v in enumerate(row)]
+def frame_text(row: Sequence[float] | np.ndarray, text: Callable[[float, int], str] = number) -> str:
+    """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5; text: ``number`` or ``shortest``."""
+    texts = [text(v, 4 if i < 3 else 5) for i, v in enumerate(row)]
     return ",".join(f"{name} {text}" for name, text in zip("XYZABC", texts, strict=True))
 
 
@@ -80,22 +87,19 @@ def comments(texts: Iterable[str]) -> list[str]:
 GAUSS = np.polynomial.legendre.leggauss(4)
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
-    """Sources of the n knots."""
-
-    line: np.ndarray  #: in the file of the tool path, (n,), 0: none
-    feature: tuple[str, ...]  #: feature of the part, (n,), "": none
-
-    def comment(self, k: int, before: int) -> list[str]:
-        """The comment before point k, where line or feature are not those of the point before."""
-        if (self.line[k], self.feature[k]) == (self.line[before], self.feature[before]) or not self.line[k]:
-            return []
-        name = printable_ascii(self.feature[k])[:WIDEST]
-        return [f"; line {self.line[k]}" + f" ({name})" * bool(name)]
+def knot_notes(lines: Sequence[int] | np.ndarray, features: Sequence[str]) -> list[str]:
+    """Return line and feature of each knot as a comment, (n,); empty for line 0."""
+    names = {feature: printable_ascii(feature)[:WIDEST] for feature in set(features)}
+    named = {feature: f" ({name})" if name else "" for feature, name in names.items()}
+    return [f"; line {n}{named[feature]}" if n else "" for n, feature in zip(lines, features, strict=True)]
 
 
-def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: Source, most: int) -> list:
+def _note(notes: Sequence[str], k: int, before: int) -> list[str]:
+    """The comment before point k, where it is not that of the point before."""
+    return [notes[k]] if notes[k] and notes[k] != notes[before] else []
+
+
+def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, notes: Sequence[str], most: int) -> list:
     """Ranges of points after the first, [from, to), one for each module of ``most`` lines; they end at stops if near.
 
     Raises TrajectoryError for more points than the modules of a main module can hold.
@@ -104,7 +108,7 @@ def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: 
     for i in range(1, len(points)):
         stop = bool(stops[points[i]])
         lines += 2 if program.motion == "LIN" else 1 + 2 * stop
-        lines += len(source.comment(points[i], points[i - 1]))
+        lines += len(_note(notes, points[i], points[i - 1]))
         if lines > most - 4 or (stop and lines > 0.75 * most):
             pieces.append((start, i + 1))
             start, lines = i + 1, 0
@@ -118,19 +122,26 @@ def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: 
     return pieces
 
 
-def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, source: Source) -> list[str]:
+def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, notes: Sequence[str]) -> list[str]:
     """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module."""
     lines: list[str] = []
-    first, end = piece
-    rests = True
-    for i in range(first, end):
-        k, starts, rests = int(points[i]), rests, bool(stops[points[i]]) or i == end - 1
-        feed, comment = f"$VEL.CP={number(speed[i], 3)}", source.comment(k, points[i - 1])
+    feeds = [f"$VEL.CP={shortest(value, 3)}" for value in speed[slice(*piece)]]
+    rests = stops[points[slice(*piece)]].copy()
+    rests[-1] = True
+    begin, usual = 0, ""
+    for i, (feed, rest) in enumerate(zip(feeds, rests, strict=True)):
+        k = int(points[piece[0] + i])
+        comment = _note(notes, k, points[piece[0] + i - 1])
         if program.motion == "LIN":
-            blend = "" if rests or not program.blend_distance else " C_DIS"
-            lines += [*comment, feed, f"LIN XP{k + 1}{blend}"]
-        else:
-            lines += [*["SPLINE"] * starts, *comment, f"SPL XP{k + 1} WITH {feed}", *["ENDSPLINE"] * rests]
+            blend = "" if rest or not program.blend_distance else " C_DIS"
+            lines += [*comment, *[feed] * (feed != usual), f"LIN XP{k + 1}{blend}"]
+            usual = feed
+            continue
+        if i == begin:  # of a block, whose segments have its usual speed where they state none
+            usual = Counter(feeds[i : i + int(np.argmax(rests[i:])) + 1]).most_common(1)[0][0]
+            lines.append(f"SPLINE WITH {usual}")
+        lines += [*comment, f"SPL XP{k + 1}" + f" WITH {feed}" * (feed != usual), *["ENDSPLINE"] * bool(rest)]
+        begin = i + 1 if rest else begin
     return lines
 
 

@@ -47,7 +47,9 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed:
     """Halve the stretches between fixed knots until the error is in the tolerance; return indices into ``knots``."""
     time, chosen = runs[0].time_ns[knots], np.flatnonzero(fixed)
     while True:
-        middle = _middles(time, chosen)
+        middle = (time[chosen[1:]] + time[chosen[:-1]]) // 2
+        later = np.searchsorted(time, middle)
+        middle = later - (time[later] - middle > middle - time[later - 1])  # the knot nearest to the middle
         inside = (middle > chosen[:-1]) & (middle < chosen[1:])
         split = inside & (_errors(program, runs, knots[chosen]) > program.tolerance)
         if not split.any():
@@ -145,13 +147,6 @@ def _near(spacing, original, revised, k, before):
     return min(apart, np.sqrt(np.sum((revised[k] - revised[before]) ** 2))) < spacing
 
 
-def _middles(time: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return the knot nearest to the middle of each stretch between two chosen knots."""
-    middle = (time[chosen[1:]] + time[chosen[:-1]]) // 2
-    later = np.searchsorted(time, middle)
-    return later - (time[later] - middle > middle - time[later - 1])
-
-
 def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.ndarray:
     """Return the largest distance [m] of a knot from its place on the program, of each stretch between points."""
     stops, number = runs[0].standing[points], np.arange(len(runs[0]))
@@ -164,11 +159,8 @@ def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.
         np.maximum.at(worst, stretch, np.linalg.norm(place - run.position, axis=1))
         if np.any(run.quaternion != run.quaternion[0]):
             turned = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
-            np.maximum.at(worst, stretch, lever * _angle(turned.sample_orientation(run.time_ns), run.quaternion))
+            first, other = turned.sample_orientation(run.time_ns), run.quaternion
+            sign = np.where(np.sum(first * other, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+            angle = 2.0 * np.linalg.norm(first - sign * other, axis=1)  # [rad], small
+            np.maximum.at(worst, stretch, lever * angle)
     return worst
-
-
-def _angle(first: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the small angle [rad], (n,), between quaternions (n, 4)."""
-    sign = np.where(np.sum(first * other, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-    return 2.0 * np.linalg.norm(first - sign * other, axis=1)

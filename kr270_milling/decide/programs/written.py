@@ -5,30 +5,30 @@ The times of the points are those of the assumed time law: a program has speeds,
 
 from __future__ import annotations
 
+import re
 import tempfile
+from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, commanded_joints, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.programs import krl
-from kr270_milling.decide.programs.files import as_commanded, source_of, timed_by_cell
-from kr270_milling.decide.programs.krl_reader import read_krl
+from kr270_milling.decide.programs.files import as_commanded, notes_of, timed_by_cell
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["SOFTER", "motion_of", "softer_pass", "written_pass", "written_trajectory"]
+__all__ = ["SOFTER", "read_krl", "softer_pass", "written_pass", "written_trajectory"]
 
 SOFTER = 0.8  #: share of the acceleration of the second time law
 NOWHERE = Pose(np.zeros(3), np.eye(3))
-
-
-def motion_of(cell: Cell, planned: Trajectory) -> str:
-    """SPLINE or LIN: LIN for straight lines along a cell's path."""
-    return "LIN" if planned.velocity is None else cell.krl.motion
+CALL = re.compile(r"([A-Z]\w*)\( \)")
+MOTION = re.compile(r"(SPL|LIN) XP(\d+)( C_DIS)?(?: WITH .*)?")
+FRAME = re.compile(r"DECL FRAME XP(\d+)=\{X (.*),Y (.*),Z (.*),A (.*),B (.*),C (.*)\}")
 
 
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
@@ -36,20 +36,20 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     commanded = planned
     if not cell.compensation.sag_compensated:
         commanded = as_commanded(cell, planned, commanded_joints(cell, planned))
-    start = krl.Approach(planned.position[0], 0, 0)
+    start = planned.position[0], 0, 0
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
     setup = krl.Setup(NOWHERE, NOWHERE, (start, start), 0.0, acceleration=law[0], jerk=law[1])
     program = cell.krl.replace(motion=motion, name="WRITTEN")
     path, target = path_of(cell), path_of(cell).target
     with tempfile.TemporaryDirectory() as folder:
-        krl.write_krl(folder, program, setup, target, commanded, krl.Heading("", ""), source_of(path, len(planned)))
-        read = read_krl(folder, "WRITTEN_CMP")
-    k = read.number - 1
-    position = planned.position[k] + read.pose.position - commanded.position[k]
+        krl.write_krl(folder, program, setup, target, commanded, notes_of(path, len(planned)))
+        number, pose, stops = read_krl(folder, "WRITTEN_CMP")
+    k = number - 1
+    position = planned.position[k] + pose.position - commanded.position[k]
     quaternion = planned.quaternion[k]
     if commanded is planned:
-        quaternion = quaternion_from_rotation(read.pose.rotation)
-    return _as_run(planned, target, k, position, quaternion, read.stops, read.spline)
+        quaternion = quaternion_from_rotation(pose.rotation)
+    return _as_run(planned, target, k, position, quaternion, stops, motion == "SPLINE")
 
 
 def _as_run(
@@ -76,7 +76,8 @@ def written_pass(
     cell: Cell, planned: ScoredPass, motion: str | None = None, plant: Plant | None = None, progress=None
 ) -> ScoredPass:
     """The pass of the written program of a planned pass; ``reference`` stays that of the plan, knot by knot."""
-    written = written_trajectory(cell, planned.reference, motion or motion_of(cell, planned.reference))
+    motion = motion or ("LIN" if planned.reference.velocity is None else cell.krl.motion)
+    written = written_trajectory(cell, planned.reference, motion)
     ran = simulate(cell, written, planned.name, progress, plant)
     return ScoredPass(planned.name, planned.reference, ran.result, ran.scores, ran.record)
 
@@ -109,3 +110,44 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
         points = controller_motion(points, path_of(other).target, stops)
     most_rows = 2**19  # rows of the series of that pass; only its scores are used
     return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=most_rows)
+
+
+def read_krl(directory, main: str) -> tuple[np.ndarray, Pose, np.ndarray]:
+    """Read the modules ``main``.src and .dat, and those that it calls, in the order of the motion.
+
+    Returns the numbers of the points, (p,), from 1, their poses in $BASE, and where the robot stops, (p,); the first
+    point is the end of the approach. Raises InputError for a point without a frame and for mixed motions.
+    """
+    numbers: list[int] = []
+    frames: list[list[float]] = []
+    stops: list[bool] = []
+    kinds: set[str] = set()
+
+    def run(module: str) -> None:
+        own = _frames(Path(directory, f"{module}.dat"))
+        path = Path(directory, f"{module}.src")
+        for line in path.read_text(encoding="ascii").splitlines():
+            if match := CALL.fullmatch(line):
+                run(match[1])
+            elif line == "ENDSPLINE":
+                stops[-1] = True
+            elif match := MOTION.fullmatch(line):
+                number = int(match[2])
+                if number not in own:
+                    raise InputError(path, f"the point XP{number} has no frame in {module}.dat")
+                kinds.update({match[1]} if numbers else ())  # the approach is LIN in both programs
+                numbers.append(number)
+                frames.append(own[number])
+                stops.append(not numbers[1:] or (match[1] == "LIN" and not match[3]))
+
+    run(main)
+    if len(kinds) != 1:
+        raise InputError(main, "the path must have SPL motions or LIN motions, at least one and not both")
+    rows = np.array(frames)
+    return np.array(numbers), Pose.from_abc(rows[:, :3] * 1e-3, np.radians(rows[:, 3:])), np.array(stops)
+
+
+def _frames(path: Path) -> dict[int, list[float]]:
+    """Number -> X, Y, Z [mm], A, B, C [deg]."""
+    matches = map(FRAME.fullmatch, path.read_text(encoding="ascii").splitlines())
+    return {int(match[1]): [float(value) for value in match.groups()[1:]] for match in matches if match}

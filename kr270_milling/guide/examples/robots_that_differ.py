@@ -4,4 +4,5 @@ from kr270_milling import compensate, read_cell, verdict
 
 cell = read_cell("paper.yaml", "path.length_mm=40", "stock.max_mm=[40, 12, 0]")
 reference = compensate(cell, "robust").compensated.reference
-print(verdict(cell, reference, samples=8))
+judged = verdict(cell, reference, samples=8)
+print(judged)

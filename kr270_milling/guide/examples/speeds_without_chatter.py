@@ -3,5 +3,6 @@
 from kr270_milling import read_cell, stability
 
 cell = read_cell("test_piece_tool_modes.yaml")
-for row in stability(cell, range(6000, 12001, 2000)).to_frame().to_dict("records"):
+lobes = stability(cell, range(6000, 12001, 1000))
+for row in lobes.to_frame().to_dict("records"):
     print({key: round(value, 3) if isinstance(value, float) else value for key, value in row.items()})

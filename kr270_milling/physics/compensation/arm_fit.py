@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
 __all__ = ["Evidence", "Identified", "fit_arm"]
@@ -38,16 +39,16 @@ class Evidence:
 class Identified:
     """The fitted values; modes that the passes do not show are missing."""
 
-    gain: float  #: gain of the tool's response to the reference
-    compliance_factor: float  #: on the static compliance of the model
-    frequency_hz: tuple[float, ...]
-    damping_ratio: tuple[float, ...]
-    mode: tuple[int, ...]  #: numbers of these modes in the model, from 1
+    gain: float = column("gain")  #: gain of the tool's response to the reference
+    compliance_factor: float = column("compliance_factor")  #: on the static compliance of the model
+    frequency_hz: tuple[float, ...] = column("")
+    damping_ratio: tuple[float, ...] = column("")
+    mode: tuple[int, ...] = column("")  #: numbers of these modes in the model, from 1
 
-    def as_dict(self) -> dict:
+    @computed("modes")
+    def _modes(self) -> list[dict]:
         rows = zip(self.mode, self.frequency_hz, self.damping_ratio, strict=True)
-        modes = [{"mode": m, "frequency_hz": f, "damping_ratio": z} for m, f, z in rows]
-        return {"gain": self.gain, "compliance_factor": self.compliance_factor, "modes": modes}
+        return [{"mode": m, "frequency_hz": f, "damping_ratio": z} for m, f, z in rows]
 
 
 class _Problem:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.column import column
+
 __all__ = ["UNBOUNDED", "Bounds", "Limited", "describe", "limit_change"]
 
 
@@ -25,13 +27,13 @@ UNBOUNDED = Bounds()
 class Limited:
     """Neighbouring knots whose correction was limited; points are counted from 1, as in the robot program."""
 
-    kind: str  #: "size" or "change"
-    first: int  #: point
-    last: int  #: point
-    worst: int  #: point that lost most
-    time: float  #: [s], of the worst one
-    wanted: float  #: [m], size of the correction there
-    missing: float  #: [m], how much of it is not made
+    kind: str = column("kind")  #: "size" or "change"
+    first: int = column("first")  #: point
+    last: int = column("last")  #: point
+    worst: int = column("worst")  #: point that lost most
+    time: float = column("time_s")  #: [s], of the worst one
+    wanted: float = column("wanted_um", 1e6)  #: [m], size of the correction there
+    missing: float = column("missing_um", 1e6)  #: [m], the part of it that is left out
 
     @property
     def feed_share(self) -> float:

@@ -97,7 +97,7 @@ def run_compensate(args) -> Answer:
         if learned:
             notes = [f"learned by kr270_milling {__version__} from measured parts", *learned.lines()]
             file = write_include(draft / LEARNED_FILE, learned_keys(learned.cell), notes)
-            values |= learned.as_dict() | {"learned_file": str(final(file))}
+            values |= as_dict(learned) | {"learned_file": str(final(file))}
         if older := set_aside(args.out):
             print(f"programs of an earlier run moved to {Path(args.out, OLDER)}: {', '.join(older)}", file=sys.stderr)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args, reached)
@@ -152,11 +152,11 @@ def _values(cell, result) -> dict:
     """Return the values for ``--json`` without the files."""
     original, revised = result.original, result.revised
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
-    values |= {k: v for k, v in revised.row().items() if k != "name"}
+    values |= as_dict(revised.scores)
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     values["planned_max_deviation_um"] = 1e6 * result.planned.scores.max_deviation
     values["time_law"] = time_law(path_of(cell))
-    values["original"] = {k: v for k, v in original.row().items() if k != "name"}
+    values["original"] = as_dict(original.scores)
     values["passes"] = [scored.row() for scored in (original, revised)]
     values |= _correction(cell, revised, result.by)
     values["features"] = {part.name: part.table() for part in result.parts}
@@ -168,23 +168,11 @@ def _values(cell, result) -> dict:
 def _correction(cell, revised, by) -> dict:
     """Return the size of the correction and the parts that a limit removed."""
     size = np.linalg.norm(revised.reference.position - path_of(cell).target.position, axis=1)
-    limited = [
-        {
-            "kind": part.kind,
-            "first": part.first,
-            "last": part.last,
-            "worst": part.worst,
-            "time_s": part.time,
-            "wanted_um": 1e6 * part.wanted,
-            "missing_um": 1e6 * part.missing,
-            "sentence": limit_sentence(part, by),
-        }
-        for part in by.limited
-    ]
+    limited = [as_dict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
     values = {"largest_correction_um": 1e6 * float(size.max()), "limited": limited}
     if by.errors[1:]:
         values["remaining_errors_um"] = [1e6 * error for error in by.errors]
-    values["identified"] = by.identified and by.identified.as_dict()
+    values["identified"] = by.identified and as_dict(by.identified)
     values["note"] = by.note or None
     if not by.chosen.smooth:
         values["chord_error_um"] = 1e6 * chord_error(path_of(cell).target)

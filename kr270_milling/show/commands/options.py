@@ -475,7 +475,7 @@ def _add_rsi(parser) -> None:
     _example(
         parser,
         "rsi out --host 192.168.1.10 --port 49152",
-        note=("It ends when the robot is silent for 1 s. This host is not a real-time system: see live/rsi/README.md."),
+        note=("It ends when the robot is silent for 1 s. This host is not a real-time system: see guide/rsi.md."),
     )
     add = parser.add_argument
     add("file", metavar="DIR|FILE.csv", help="directory of compensate, or its table rsi_offsets_*.csv")

@@ -122,11 +122,11 @@ def report_text(
         features=None if path.straight else texts.feature_table(parts),
         more=[texts.typographic(t) for t in tables if t.rows],
         details=texts.details(passes),
-        inputs=texts.input_rows(cell.arm, robot.joints[0]),
+        inputs=texts.input_rows(cell.arm, robot["joints"][0]),
         warning=texts.warning(path, passes),
         assumptions=assumptions(cell, paper),
         configuration=[(key, texts.shown(value, key)) for key, value in flatten(cell).items()],
         charts=charts,
-        has_source=bool(pictures.source),
+        has_source=bool(pictures["source"]),
         data=page.to_json(data),
     )

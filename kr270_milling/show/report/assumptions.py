@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import NamedTuple
 
 import jinja2
 import numpy as np
@@ -19,17 +18,9 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot.mass import MODELS
 
-__all__ = ["Assumption", "assumptions", "model_frequencies"]
+__all__ = ["assumptions", "model_frequencies"]
 
 TEXT = Path(__file__).parent / "page" / "assumptions.txt"
-
-
-class Assumption(NamedTuple):
-    """Row of the table."""
-
-    point: str
-    value: str
-    reason: str
 
 
 def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
@@ -44,13 +35,16 @@ def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     return frequencies
 
 
-def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
-    """Return the assumptions of this cell; with ``paper`` also those about the paper's text and Table 2."""
+def assumptions(cell: Cell, paper: bool) -> list[tuple[str, ...]]:
+    """Return point, value and reason of each assumption of this cell.
+
+    paper: also those about the paper's text and Table 2.
+    """
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
-    rows = [Assumption(*texts) for texts in cell.cutting.active.assumptions(path_of(cell).feed_rate / passing)]
+    rows: list[tuple[str, ...]] = list(cell.cutting.active.assumptions(path_of(cell).feed_rate / passing))
     modes = model_frequencies(cell).items()
     jinja2.Template(TEXT.read_text(encoding="utf-8"), undefined=jinja2.StrictUndefined).render(
-        row=lambda *texts: rows.append(Assumption(*map(str, texts))),
+        row=lambda *texts: rows.append(tuple(map(str, texts))),
         cell=cell,
         paper=paper,
         passing=passing,

@@ -1,9 +1,11 @@
-"""The pictures that are linked by place: everything that is known at each station of the passes, and the part."""
+"""The pictures that are linked by place: everything that is known at each station of the passes, and the part.
+
+The dictionaries are for the scripts of the page: arrays by station, lengths in mm, errors in um, forces in N.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,56 +16,18 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.part import PartAssessment
 from kr270_milling.show.report.charts import envelope_index, stations
 
-__all__ = ["Linked", "PartSurface", "StationSeries", "SurfaceErrors", "SourceLine", "linked", "part_surface"]
+__all__ = ["linked", "part_surface"]
 
 LONGEST = 160  #: characters of a source line
 MOST_LINES = 4000  #: lines of the source; a longer source is cut to the lines with a station
 
 
-@dataclass(frozen=True, eq=False)
-class StationSeries:
-    """Series of a pass at the stations, (k,) each; NaN beyond its end."""
-
-    name: str
-    side: np.ndarray  #: deviation to the left of the path [um]
-    height: np.ndarray  #: deviation upwards [um]
-    force: np.ndarray  #: magnitude of the mean over an exchange period [N]
-    correction: np.ndarray  #: reference minus target, to the left of the path [um]
-    lift: np.ndarray  #: the same, upwards [um]
-
-
-@dataclass(frozen=True)
-class SourceLine:
-    number: int  #: from 1
-    text: str
-
-
-@dataclass(frozen=True, eq=False)
-class Linked:
-    """k stations of the target in the order of time, and every pass there."""
-
-    time: np.ndarray  #: [s], (k,)
-    distance: np.ndarray  #: along the path [mm], (k,)
-    x: np.ndarray  #: position of the target, workpiece frame [mm], (k,)
-    y: np.ndarray
-    z: np.ndarray
-    line: np.ndarray  #: line of the source, (k,); 0: none
-    point: np.ndarray  #: number in the robot program, from 1, (k,): the knot that comes next
-    feature: np.ndarray  #: index into ``features``, (k,)
-    features: tuple[str, ...]
-    cutting: np.ndarray  #: (k,) 0 or 1: material is removed in some pass, within a revolution
-    scored: np.ndarray  #: (k,) 0 or 1: the tool cuts and is fully engaged
-    passes: tuple[StationSeries, ...]
-    source: tuple[SourceLine, ...]
-    source_name: str
-
-
 def linked(
     programmed: CellPath, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
-) -> Linked:
-    """Thin the passes to their common stations; the largest deviation and force of every pass are among them.
+) -> dict:
+    """Thin the passes to their k common stations; the largest deviation and force of every pass are among them.
 
-    program: text of the tool path file, if the file is missing.
+    program: text of the tool path file, if the file is missing. Series of a pass are NaN beyond its end.
     """
     result, part = max(zip((p.result for p in passes), parts, strict=True), key=lambda both: len(both[0].time_ns))
     time_ns, target, path = result.time_ns, result.target, part.path
@@ -78,22 +42,26 @@ def linked(
     chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
     engaged, knots = result.time >= programmed.full_engagement - 1e-9, programmed.target.time_ns
     line = programmed.line_at(time_ns)
-    return Linked(
-        time=time_ns[chosen] * 1e-9,
-        distance=path.distance[chosen] * 1e3,
-        x=target[chosen, 0] * 1e3,
-        y=target[chosen, 1] * 1e3,
-        z=target[chosen, 2] * 1e3,
-        line=line[chosen],
-        point=np.clip(np.searchsorted(knots, time_ns[chosen]), 0, knots.size - 1) + 1,
-        feature=path.feature[chosen],
-        features=tuple(path.features),
-        cutting=_joined(cutting, programmed)[chosen].astype(np.int64),
-        scored=(cutting & engaged)[chosen].astype(np.int64),
-        passes=tuple(StationSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
-        source=_source(programmed.path.file, line[chosen], program),
-        source_name=programmed.path.file_name,
-    )
+    names = "side", "height", "force", "correction", "lift"  # of the rows of ``_series``
+    return {
+        "time": time_ns[chosen] * 1e-9,
+        "distance": path.distance[chosen] * 1e3,
+        "x": target[chosen, 0] * 1e3,
+        "y": target[chosen, 1] * 1e3,
+        "z": target[chosen, 2] * 1e3,
+        "line": line[chosen],  # of the source; 0: none
+        "point": np.clip(np.searchsorted(knots, time_ns[chosen]), 0, knots.size - 1) + 1,  # the knot that comes next
+        "feature": path.feature[chosen],  # index into ``features``
+        "features": path.features,
+        "cutting": _joined(cutting, programmed)[chosen].astype(np.int64),  # in some pass, within a revolution
+        "scored": (cutting & engaged)[chosen].astype(np.int64),  # the tool cuts and is fully engaged
+        "passes": [
+            {"name": p.name, **dict(zip(names, rows[:, chosen], strict=True))}
+            for p, rows in zip(passes, series, strict=True)
+        ],
+        "source": _source(programmed.path.file, line[chosen], program),
+        "source_name": programmed.path.file_name,
+    }
 
 
 def _joined(cutting: np.ndarray, programmed: CellPath) -> np.ndarray:
@@ -103,70 +71,48 @@ def _joined(cutting: np.ndarray, programmed: CellPath) -> np.ndarray:
 
 
 def _series(scored: ScoredPass, part: PartAssessment) -> np.ndarray:
-    """The rows of StationSeries at all times of the pass, (5, n)."""
+    """Deviation to the left of the path and upwards, force, and correction to the left and upwards, (5, n)."""
     shift = scored.result.reference - scored.result.target
     across = np.sum(shift[:, :2] * part.path.left, axis=1)
     _, side, height = part.deviation.T * 1e6
     return np.stack([side, height, part.force, across * 1e6, shift[:, 2] * 1e6])
 
 
-def _source(file: str, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
+def _source(file: str, used: np.ndarray, program: str | None) -> list[dict]:
     """Return the lines of the tool path file or its text: all of a short file, else the used lines."""
     if not used.any():
-        return ()
+        return []
     if program is None:
         try:
             program = Path(file).read_text(encoding="utf-8", errors="replace")
         except OSError:  # it was attached to a recording
-            return ()
+            return []
     lines = program.splitlines()
     wanted = range(1, len(lines) + 1) if len(lines) <= MOST_LINES else np.unique(used[used > 0]).tolist()
-    return tuple(SourceLine(n, lines[n - 1][:LONGEST]) for n in wanted if n <= len(lines))
+    return [{"number": n, "text": lines[n - 1][:LONGEST]} for n in wanted if n <= len(lines)]
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceErrors:
-    """Errors that one pass leaves; positive: material is left standing."""
-
-    name: str
-    floor: np.ndarray  #: [um], (b, a), rows along y; NaN: no floor
-    wall: np.ndarray  #: [um], (w,), at the walls of PartSurface
-
-
-@dataclass(frozen=True, eq=False)
-class PartSurface:
-    """The part as machined, thinned for a picture; axes of the workpiece frame [mm]."""
-
-    x: np.ndarray  #: (a,)
-    y: np.ndarray  #: (b,)
-    z: np.ndarray  #: height of the part, (b, a)
-    wall_x: np.ndarray  #: (w,)
-    wall_y: np.ndarray
-    wall_z: np.ndarray  #: height of the upper edge
-    passes: tuple[SurfaceErrors, ...]
-
-
-def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
-    """The surfaces of all passes on one thinned grid; each cell shows its largest floor error."""
-    floors, walls = parts[0].surface.floors, parts[0].surface.walls
+def part_surface(parts: Sequence[PartAssessment]) -> dict:
+    """The surfaces of all passes on one thinned grid, rows along y; each cell shows its largest floor error."""
+    floors, walls = parts[0].floors, parts[0].walls
     share = max(1, -(-max(floors.height.shape) // 120))  # nodes of the part's map along its longer side
     x, y = (np.nanmean(_blocks(axis[None], 1, share), axis=-1)[0] * 1e3 for axis in (floors.x, floors.y))
     height = np.nanmean(_blocks(floors.height, share, share), axis=-1) * 1e3
-    errors = [part.surface.walls.error for part in parts]
+    errors = [part.walls.error for part in parts]
     same = [error for error in errors if error.size == walls.error.size]
     chosen = np.unique(np.concatenate([envelope_index(error, 400) for error in same]))
     wall_x, wall_y, wall_z = walls.position[chosen].T * 1e3
     top = wall_z + walls.height[chosen] * 1e3
     unknown = np.full(chosen.size, np.nan)
-    passes = tuple(
-        SurfaceErrors(
-            part.name,
-            _largest(_blocks(part.surface.floors.error, share, share)).T * 1e6,
-            error[chosen] * 1e6 if error.size == walls.error.size else unknown,
-        )
+    passes = [
+        {
+            "name": part.name,
+            "floor": _largest(_blocks(part.floors.error, share, share)).T * 1e6,  # NaN: no floor
+            "wall": error[chosen] * 1e6 if error.size == walls.error.size else unknown,
+        }
         for part, error in zip(parts, errors, strict=True)
-    )
-    return PartSurface(x, y, height.T, wall_x, wall_y, top, passes)
+    ]
+    return {"x": x, "y": y, "z": height.T, "wall_x": wall_x, "wall_y": wall_y, "wall_z": top, "passes": passes}
 
 
 def _blocks(values: np.ndarray, rows: int, columns: int) -> np.ndarray:

@@ -260,7 +260,7 @@ def machined_profile(parts: Sequence[PartAssessment]) -> list[Chart]:
     for title, normal in (("left wall", -1.0), ("right wall", 1.0)):
         curves = []
         for number, part in enumerate(parts):
-            walls = part.surface.walls
+            walls = part.walls
             rows = np.flatnonzero(walls.normal[:, 1] * normal > 0.5)
             rows = rows[np.argsort(walls.position[rows, 0])]
             if rows.size:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 
@@ -26,7 +27,18 @@ def figure_of(title: str, x: str, y: str):
     import plotly.graph_objects as go
 
     figure = go.Figure(layout=dict(template="plotly_white", colorway=COLOURS, height=380))
+    figure._ipython_display_ = partial(_show, figure)
     return figure.update_layout(title=micro(title), xaxis_title=micro(x), yaxis_title=micro(y))
+
+
+def _show(figure) -> None:
+    """Show a figure in a notebook, with a static image for converters of notebooks (nbconvert) that run no script."""
+    import plotly.io
+
+    try:
+        plotly.io.show(figure, renderer=f"{plotly.io.renderers.default}+svg")
+    except (RuntimeError, ValueError):  # without Kaleido, or without the browser that it starts
+        plotly.io.show(figure)
 
 
 def points(title: str, x: str, y: str, series: dict, lines: tuple[str, ...] = (), style: dict | None = None):

@@ -52,12 +52,9 @@ def fixed_text(value: float | None, digits: int, least: float = 0.0) -> str:
 
 def micro(text: str) -> str:
     """Return a text with the signs of typography: µm, µrad, mm³ and ±."""
-    text = re.sub(r"(?:(?<=\d )|(?<=/))(mm|m|s)[23]\b", _raised, text)
+    raised = {"2": "²", "3": "³"}
+    text = re.sub(r"(?:(?<=\d )|(?<=/))(mm|m|s)([23])\b", lambda unit: unit[1] + raised[unit[2]], text)
     return re.sub(r"\bu(?=m\b|rad\b)", "µ", text).replace("+-", "±")
-
-
-def _raised(unit: re.Match) -> str:
-    return unit[1] + {"2": "²", "3": "³"}[unit[0][-1]]
 
 
 def shown(value, key: str = "") -> str:
@@ -188,5 +185,5 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
 def warning(path: CellPath, passes: Sequence[ScoredPass]) -> str:
     """Return a sentence about the pass with the coarsest exchange if the exchange was too coarse, else ""."""
     shares = [(scored.name, exchange_share(path, scored)) for scored in passes]
-    name, worst = max(shares, key=lambda item: item[1].share)
-    return f"pass {name}: {worst.text}" if worst.share > worst.warn else ""
+    name, (share, text, _) = max(shares, key=lambda item: item[1][0])
+    return f"pass {name}: {text}" if share > path.exchange.warn_correction else ""

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from kr270_milling.base.column import computed
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import specs
 from kr270_milling.physics.cutting import LAWS, ForceLaw
@@ -75,7 +76,8 @@ class LawFit:
         linear = LAWS[self.law].design(self.cuts) is not None
         return float(np.sqrt(np.nanmean(self.residuals**2))) if linear else self.lateral_rms
 
-    def as_dict(self) -> dict:
+    @computed("*")
+    def _coefficients(self) -> dict:
         """Values and half widths in units of the parameter file."""
         keys = LAWS[self.law].result_keys()
         scale = np.array([spec.scale for spec in specs(LAWS[self.law])])

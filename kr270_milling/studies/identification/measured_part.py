@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.column import column
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import long_pass
@@ -78,39 +79,29 @@ SAMPLES, SAMPLE_SEED = 200, 1_000_002  #: robots that show an unknown before and
 class Learned:
     """The cell after the measured parts, and what they show."""
 
-    cell: Cell
-    rows: tuple[tuple[str, str, float, float, float, float], ...]  #: name, unit, mean and deviation before and after
-    left_out: tuple[str, ...]  #: sentences on places that contradict the others
-    residual: float  #: root mean square of measured minus explained errors [m]
-    expected: float  #: root mean square of the stated errors of measurement and model [m]
+    cell: Cell = column("")
+    rows: tuple[dict, ...] = column("learned")  #: name, unit, mean and deviation before and after
+    left_out: tuple[str, ...] = column("left_out")  #: sentences on places that contradict the others
+    residual: float = column("residual_um", 1e6)  #: root mean square of measured minus explained errors [m]
+    #: root mean square of the stated errors of measurement and model [m]
+    expected: float = column("expected_um", 1e6)
 
     @property
-    def identified(self) -> list[tuple[str, str, float, float, float, float]]:
+    def identified(self) -> list[dict]:
         """Rows of the unknowns that the places show, the best first."""
-        rows = [row for row in self.rows if row[5] < KNOWN * row[3]]
-        return sorted(rows, key=lambda row: row[5] / row[3])
+        rows = [row for row in self.rows if row["sigma"] < KNOWN * row["sigma_before"]]
+        return sorted(rows, key=lambda row: row["sigma"] / row["sigma_before"])
 
     def lines(self) -> list[str]:
         """Lines for the terminal and the manifest."""
-        rest = [row[0] for row in self.rows if row[3] > 0.0 and row[5] >= KNOWN * row[3]]
-        lines = [
-            f"learned: {name}: {mean:.3g} +- {sigma:.2g} -> {after:.3g} +- {left:.2g}{unit}"
-            for name, unit, mean, sigma, after, left in self.identified
-        ]
+        shown = self.identified
+        rest = [row["name"] for row in self.rows if row["sigma_before"] > 0.0 and row not in shown]
+        line = "learned: {name}: {mean_before:.3g} +- {sigma_before:.2g} -> {mean:.3g} +- {sigma:.2g}{unit}"
+        lines = [line.format(**row) for row in shown]
         if rest:
             lines.append(f"not shown by these places: {', '.join(rest)}")
         fit = f"{1e6 * self.residual:.1f} um are left (measurement and model: {1e6 * self.expected:.1f} um)"
         return [*lines, f"measured places: {fit}", *self.left_out]
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        keys = ("name", "unit", "mean_before", "sigma_before", "mean", "sigma")
-        return {
-            "learned": [dict(zip(keys, row, strict=True)) for row in self.rows],
-            "left_out": list(self.left_out),
-            "residual_um": 1e6 * self.residual,
-            "expected_um": 1e6 * self.expected,
-        }
 
 
 def read_part(path) -> WallPlaces:
@@ -414,7 +405,7 @@ def quantities(cell: Cell, robot: Cell) -> dict[str, tuple[str, float]]:
     }
 
 
-def _compared(before: Cell, after: Cell) -> tuple[tuple[str, str, float, float, float, float], ...]:
+def _compared(before: Cell, after: Cell) -> tuple[dict, ...]:
     """Mean and deviation of each unknown before and after, from drawn robots; without those that do not scatter."""
     tables = []
     for cell in (before, after):
@@ -424,8 +415,10 @@ def _compared(before: Cell, after: Cell) -> tuple[tuple[str, str, float, float, 
     for name, (unit, _) in tables[0][0].items():
         drawn = [np.array([row[name][1] for row in table]) for table in tables]
         if drawn[0].std() > 1e-9 * max(1.0, abs(float(drawn[0].mean()))):
-            before_after = [(float(values.mean()), float(values.std())) for values in drawn]
-            rows.append((name, unit, *before_after[0], *before_after[1]))
+            row: dict = {"name": name, "unit": unit}
+            for suffix, values in zip(("_before", ""), drawn, strict=True):
+                row |= {f"mean{suffix}": float(values.mean()), f"sigma{suffix}": float(values.std())}
+            rows.append(row)
     return tuple(rows)
 
 

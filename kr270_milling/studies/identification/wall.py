@@ -16,7 +16,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
 from kr270_milling.cell.plant import coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import IdealWalls, ideal_part, remaining_walls
+from kr270_milling.decide.part.surface import ideal_part, remaining_walls, tooth_tips
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.studies.identification.comparison import LinearFit, line_through
@@ -100,30 +100,31 @@ class PredictedPlaces:
         stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
         self.measured, self._path = measured, stations_of(path, stamps)
         self._ideal = ideal_part(cell, self._path, path.target.sample(stamps))
-        walls = self._ideal.walls
-        staying = walls.marks[walls.staying]
+        staying = self._ideal.marks[self._ideal.staying]
         if not len(staying) and not measured.floor.all():
             raise InputError(measured.path, "the pass of the cell leaves no wall that could be compared")
         self.normal = np.zeros((len(measured.error), 3))  #: out of the material
-        tree, self._near = (cKDTree(staying.point) if len(staying) else None), []
+        tree, self._near = (cKDTree(tooth_tips(staying)) if len(staying) else None), []
         for k in range(len(measured.error)):
-            near = self._floor(k) if measured.floor[k] else self._wall(k, tree, staying.centre[:, 2])
+            near = self._floor(k) if measured.floor[k] else self._wall(k, tree, staying["centre"][:, 2])
             self._near.append(near)
-            self.normal[k] = (0.0, 0.0, 1.0) if measured.floor[k] else (*-staying.normal[near].mean(axis=0), 0.0)
+            self.normal[k] = (0.0, 0.0, 1.0) if measured.floor[k] else (*-staying["normal"][near].mean(axis=0), 0.0)
         on_walls = [near for near, floor in zip(self._near, measured.floor, strict=True) if not floor]
         used = np.unique(np.concatenate([np.zeros(0, int), *on_walls]))
-        self._walls = IdealWalls(walls.marks, walls.staying[used], walls.height[used])
+        self._used = dataclasses.replace(
+            self._ideal, staying=self._ideal.staying[used], wall_height=self._ideal.wall_height[used]
+        )
         self._near = [
             n if floor else np.searchsorted(used, n) for n, floor in zip(self._near, measured.floor, strict=True)
         ]
 
     def _wall(self, k: int, tree: cKDTree, bottom: np.ndarray) -> np.ndarray:
         """Indices of the nearest points of the walls, at the height of the place where that is given."""
-        z, walls = self.measured.height[k], self._ideal.walls
+        z, height = self.measured.height[k], self._ideal.wall_height
         distance, near = tree.query(self.measured.place[k], k=min(8 * NEAR, bottom.size), distance_upper_bound=FARTHEST)
         near = np.atleast_1d(near)[np.isfinite(np.atleast_1d(distance))]
         if np.isfinite(z):
-            near = near[(bottom[near] - 1e-5 <= z) & (z <= bottom[near] + walls.height[near] + 1e-5)]
+            near = near[(bottom[near] - 1e-5 <= z) & (z <= bottom[near] + height[near] + 1e-5)]
         if not near.size:
             self._refuse(k, f"is farther than {1e3 * FARTHEST:g} mm from every wall that the cell leaves")
         return near[:NEAR]
@@ -146,7 +147,7 @@ class PredictedPlaces:
 
     def errors(self, result: PassResult) -> np.ndarray:
         """Errors [m], (n,), of a pass; with places on floors it needs ``result.heights``."""
-        walls = remaining_walls(self._walls, self._path, result.actual - result.target, self._ideal.level).error
+        walls = remaining_walls(self._used, self._path, result.actual - result.target).error
         rise = np.zeros(0) if result.heights is None else (result.heights - self._ideal.height).ravel()
         pairs = zip(self._near, self.measured.floor, strict=True)
         return np.array([np.median(rise[near]) if floor else walls[near].mean() for near, floor in pairs])

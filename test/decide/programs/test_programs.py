@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +20,7 @@ from splines import spline
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import find_file
+from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import commanded_joints, compensated, simulate
 from kr270_milling.cell.models import arm_of, path_of
@@ -33,12 +33,11 @@ from kr270_milling.decide.programs.files import (
     write_programs,
     write_rsi_table,
 )
-from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
-from kr270_milling.decide.programs.krl_motion import Source
-from kr270_milling.decide.programs.krl_reader import read_krl
+from kr270_milling.decide.programs.krl import Setup, trajectory_hash, write_krl
+from kr270_milling.decide.programs.krl_motion import knot_notes
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.decide.programs.rsi_context import rsi_address
-from kr270_milling.decide.programs.written import softer_pass, written_pass, written_trajectory
+from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.controller_motion import block_ends, controller_motion
 from kr270_milling.path.timing import Timing, time_path
@@ -46,11 +45,11 @@ from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.physics.robot import BARE
 
 
-def setup(*runs: Trajectory) -> Setup:
+def setup(*runs: Trajectory, **more) -> Setup:
     mount = Pose.from_abc([0.0, 0.0, 0.25], np.radians([0.0, 90.0, 0.0]))
     base = Pose.from_abc([1.0, -1.6, 0.3], np.radians([30.0, 1.0, -2.0]))
-    approaches = tuple(Approach(np.array([*run.position[0, :2], 0.05]), 2, 35) for run in runs)
-    return Setup(mount, base, approaches, 0.05, 12.0, (0.0, 0.01, 0.1))
+    approaches = [(np.array([*run.position[0, :2], 0.05]), 2, 35) for run in runs]
+    return Setup(mount, base, approaches, 0.05, 12.0, (0.0, 0.01, 0.1), date="2025-06-01", **more)
 
 
 def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
@@ -67,9 +66,7 @@ def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
 
 
 def write(directory, program: Program, original, revised, **more) -> list[Path]:
-    return write_krl(
-        directory, program, setup(original, revised), original, revised, Heading("1.2.3", "2025-06-01", **more)
-    )
+    return write_krl(directory, program, setup(original, revised, **more), original, revised)
 
 
 def assert_recovered(robot: Robot, run: Trajectory) -> None:
@@ -157,7 +154,7 @@ def test_the_five_lines_of_the_head_state_version_date_decision_source_and_hash(
     for kind, run, word in (("ORG", pair[0], "original"), ("CMP", pair[1], "compensated")):
         for suffix in ("src", "dat"):
             text = (tmp_path / f"MILLING_{kind}.{suffix}").read_text()
-            for piece in (trajectory_hash(run), "abc", "2025-06-01", "1.2.3", word, "SIMULATION RESULT", "T1"):
+            for piece in (trajectory_hash(run), "abc", "2025-06-01", __version__, word, "SIMULATION RESULT", "T1"):
                 assert piece in text
             lines = text.splitlines()[4:9]
             assert all(line.startswith("; ") for line in lines) and lines[-1] == "; sha256 of its source abc"
@@ -182,8 +179,8 @@ def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_
 def test_a_name_of_an_operation_is_one_line_of_ascii(tmp_path, sign):
     run = swaying(20)[0]
     name = f"Tasche \u00dc1{sign}HALT {sign} \u2205"
-    source = Source(np.arange(20) + 1, (name,) * 20)
-    write_krl(tmp_path, Program(tolerance=0.0), setup(run, run), run, run, Heading("1.2.3", "2025-06-01"), source)
+    notes = knot_notes(range(1, 21), (name,) * 20)
+    write_krl(tmp_path, Program(tolerance=0.0), setup(run, run), run, run, notes)
     text = (tmp_path / "MILLING_CMP.src").read_bytes()
     assert not set(text) - {*range(32, 127), 10, 13} and len(text.splitlines()) == text.count(b"\r\n")
     gap = b" " if sign.isspace() else b""
@@ -223,8 +220,8 @@ def test_the_program_starts_and_ends_at_home_with_the_spindle_on_in_between(tmp_
 @pytest.mark.parametrize("lines", [(), ("HALT",)])
 def test_the_program_halts_where_the_operator_starts_the_spindle(tmp_path, lines):
     run = swaying(20)[0]
-    spindle = dataclasses.replace(setup(run, run), spindle="8000 rpm, clockwise")
-    write_krl(tmp_path, OWN.replace(spindle_on=lines), spindle, run, run, Heading("1.2.3", "2025-06-01"))
+    spindle = setup(run, run, spindle="8000 rpm, clockwise")
+    write_krl(tmp_path, OWN.replace(spindle_on=lines), spindle, run, run)
     steps = Robot(tmp_path, "MILLING_CMP").steps
     halt = steps.index("HALT")
     assert "start the spindle by hand (8000 rpm, clockwise)" in steps[halt - 1] and steps.count("HALT") == 1
@@ -425,7 +422,7 @@ def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
     ("SPLINE", "jerk", ".*"), ("LIN", "jerk", "[^J]*"), ("SPLINE", "acceleration", "[^J]*"), ("SPLINE", "none", ""),
 ])  # fmt: skip
 def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, tmp_path, motion, law, names):
-    """Both readers have the limits of ``timing`` and of the turning tool after BAS(#INITMOV,0), which resets them."""
+    """The reader has the limits of ``timing`` and of the turning tool after BAS(#INITMOV,0), which resets them."""
     cell, original = part
     cell = cell.replace(krl=cell.krl.replace(time_law=law, turn_speed=np.radians(90.0)))
     files, text = write_programs(
@@ -437,7 +434,6 @@ def test_the_programs_set_the_time_law_that_the_simulated_controller_has(part, t
     expected = {name: values[name] for name in values if re.fullmatch(names, name)}
     folder = files[f"krl_{motion.lower()}"][0].parent
     robot = Robot(folder, "MILLING_CMP")
-    assert read_krl(folder, "MILLING_CMP").limits == pytest.approx(expected)
     assert {name: float(robot.state[name]) for name in values if name in robot.state} == pytest.approx(expected)
     assert all(f"{name}={value:.4f}" in text for name, value in expected.items())
     assert ("KSS 8.3 or later" in text) == ("$JERK.CP" in expected)
@@ -455,10 +451,9 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     )
     folder = files[f"krl_{motion.lower()}"][0].parent
     main = f"{cell.krl.name}_CMP"
-    written, robot = read_krl(folder, main), Robot(folder, main)
-    assert written.spline == (motion == "SPLINE") and written.number.tolist() == robot.numbers.tolist()
-    assert [1, *robot.rests] == written.number[written.stops].tolist()
-    assert written.pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
+    (number, pose, stops), robot = read_krl(folder, main), Robot(folder, main)
+    assert number.tolist() == robot.numbers.tolist() and [1, *robot.rests] == number[stops].tolist()
+    assert pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
     assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
     assert time_law(path_of(cell)) in text
 

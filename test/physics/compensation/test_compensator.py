@@ -291,8 +291,8 @@ def test_lines_between_the_knots_a_missing_wrench_and_noise_of_the_pose_leave_li
     assert compensated(cell, original, "learned", plant=plant).scores.max_deviation < 6 * UM
 
 
-# --- The page of the folder ---
-PAGE = pages.ROOT / "kr270_milling/physics/compensation/README.md"
+# --- The page ---
+PAGE = pages.ROOT / "kr270_milling/guide/contributing/methods.md"
 COMMANDS = [line for block in pages.blocks(PAGE) for line in block.commands]
 QUICK = ["--set", "path.length_mm=30", "--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3"]
 

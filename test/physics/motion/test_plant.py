@@ -137,8 +137,8 @@ def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(
     loaded, half = reversing(ran)
     (one,) = load_reversals(arm_of(cell), path_of(cell), path_of(cell).target, loaded)
     lever = np.linalg.norm(jacobian(cell.arm, cell.mount, cell.start_joints)[:3, 0])
-    assert one.value == pytest.approx(cell.arm.backlash[0] * lever, rel=0.01) and one.severity == "note"
-    assert abs(path_of(cell).target.time_ns[one.point - 1] - ran.result.time_ns[half]) <= 60_000_000
+    assert one.value == pytest.approx(1e6 * cell.arm.backlash[0] * lever, rel=0.01) and one.severity == "note"
+    assert abs(path_of(cell).target.time_ns[one.where.point - 1] - ran.result.time_ns[half]) <= 60_000_000
     assert "if axis 1 has 6.2 arcsec of backlash (assumed)" in one.sentence
     stiff = cell.replace(arm=cell.arm.replace(friction_torque=np.full(6, 1e4)))
     assert load_reversals(arm_of(stiff), path_of(stiff), path_of(stiff).target, loaded) == []
@@ -168,7 +168,7 @@ def test_the_plant_moves_by_the_number_of_the_check_and_without_a_reversal_as_if
     still = np.zeros((0, plain.order))
     moved = follow(arm, still, wrench) - follow(plain, still, wrench)
     first = int(np.argmax(moved.any(axis=1)))
-    assert np.linalg.norm(moved[first, :3]) == pytest.approx(one.value, rel=1e-9) and half <= first < half + 30
+    assert 1e6 * np.linalg.norm(moved[first, :3]) == pytest.approx(one.value, rel=1e-9) and half <= first < half + 30
     assert moved[first:].any(axis=1).all()
     robot = CompliantArm(arm)
     assert np.array_equal([robot.correct(w) for w in wrench[1:]], follow(arm, still, wrench)[1:])

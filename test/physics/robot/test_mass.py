@@ -89,7 +89,7 @@ def test_cartesian_masses_have_the_energy_of_the_joints_and_of_the_links_on_load
     of_joints = np.einsum("ni,ij,nj->n", speeds, rigid_joint_mass(UNEVEN, TURNED, solved.posture), speeds)
     of_tool = np.einsum("ni,ij,nj->n", at_tool, cartesian_mass(UNEVEN, TURNED, solved.posture, "rigid"), at_tool)
     np.testing.assert_allclose(of_tool, of_joints, rtol=1e-9)
-    # (25) in the form of facts.md
+    # (25)
     solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
     springs = np.diag(ARM.spring_stiffness) - solved.hessian
     follow = np.linalg.solve(springs, solved.jacobian.T) @ stiffness(solved, ARM)

@@ -239,7 +239,7 @@ WRENCH = np.array([300.0, -150.0, 80.0, 20.0, -10.0, 5.0])
 def test_the_analysis_has_lumped_mode_condition_number_and_warnings_and_reads_arm_and_mount_of_a_cell(tmp_path):
     answer = json.loads(json.dumps(analyse(ARM, BARE, PAPER, np.zeros(6))))
     assert answer["deflection"] == [0.0] * 6 and answer["warnings"] == []
-    assert answer["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # facts.md
+    assert answer["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # of the lumped mass
     values = np.linalg.svd(answer["jacobian"], compute_uv=False)
     assert answer["condition_number"] == pytest.approx(values[0] / values[-1])
     with pytest.raises(ParameterError, match="base, tool"):

@@ -145,8 +145,8 @@ def test_any_message_is_written_from_nested_mappings():
         codec.serialise(kind, {"x": 1})
 
 
-def test_the_example_of_the_readme_runs():
-    text = Path(codec.__file__).with_name("README.md").read_text(encoding="utf-8")
+def test_the_example_of_the_page_runs():
+    text = Path(codec.__file__).parents[2].joinpath("guide/contributing/messages.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(example, {})
 

@@ -31,6 +31,8 @@ from kr270_milling.decide.stability import FeatureLimit, Stability
 from kr270_milling.decide.tolerance import Judgement
 from kr270_milling.decide.verdict import MethodComparison, Verdict
 from kr270_milling.live.nodes.start import start
+from kr270_milling.physics.compensation.arm_fit import Identified
+from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.physics.robot.analysis import analyse, read_arm
@@ -86,13 +88,15 @@ def test_every_command_can_be_imported_without_ros():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
-#: table of guide/json.md -> record, and the rows of the table that the command adds
+#: table of guide/contributing/json.md -> record, and the rows of the table that the command adds
 RECORDS = {
     "check": (Checked, "cell reference cut tolerance tools tool stops warnings notes"),
     "comparison-of-methods": (MethodComparison, "path_deviation_um.<method>"),
     "corrected-gcode": (WrittenGcode, "file tools"),
     "feature": (FeatureRow, ""),
     "finding": (Finding, "amounts.<name>"),
+    "identified-arm": (Identified, ""),
+    "limited-correction": (Limited, "sentence"),
     "lobe": (Lobe, ""),
     "pass": (Scores, "name"),
     "place": (Place, ""),

@@ -110,9 +110,9 @@ def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
     cell = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
     reference = path_of(cell).target
     model = robot_model(cell, SimpleNamespace(reference=reference, name="original"))
-    np.testing.assert_allclose(model.joints[0], commanded_joints(cell, reference)[0], atol=1e-9)
-    assert np.abs(model.joints[0] - arm_of(cell).posture).max() > 1e-4  # [rad], of the sag
-    assert model.time[-1] == pytest.approx(reference.duration_ns * 1e-9)
+    np.testing.assert_allclose(model["joints"][0], commanded_joints(cell, reference)[0], atol=1e-9)
+    assert np.abs(model["joints"][0] - arm_of(cell).posture).max() > 1e-4  # [rad], of the sag
+    assert model["time"][-1] == pytest.approx(reference.duration_ns * 1e-9)
 
 
 # --- The layout files in config ---

@@ -271,8 +271,8 @@ def test_angles_of_another_sign_and_a_base_that_tilts_are_named(tmp_path):
     assert code == 0 and "look like a base" not in text
 
 
-# --- The README of the folder ---
-PAGE = pages.ROOT / "kr270_milling/studies/identification/README.md"
+# --- The page ---
+PAGE = pages.ROOT / "kr270_milling/guide/identification.md"
 
 
 @pytest.fixture(scope="module")

@@ -155,10 +155,9 @@ def test_the_wear_of_the_tool_is_learned_within_its_band_and_a_second_part_narro
     second = parts.learn(first.cell, [(measured[1], path_of(cell).target, "wall2.csv")])
     widths = []
     for learned in (first, second):
-        rows = {row[0]: row for row in learned.rows}
-        _, _, _, before, mean, sigma = rows["tangential edge"]
-        assert abs(mean - 1.6) < 3 * sigma < 3 * before and not learned.left_out
-        widths.append(sigma)
+        (row,) = (row for row in learned.rows if row["name"] == "tangential edge")
+        assert abs(row["mean"] - 1.6) < 3 * row["sigma"] < 3 * row["sigma_before"] and not learned.left_out
+        widths.append(row["sigma"])
     assert widths[1] < widths[0] < 0.3 / np.sqrt(12)  # a third of the even spread of 1
     assert any(line.startswith("learned: tangential edge: 1.") for line in first.lines())
     assert second.cell.uncertainty.learned_from == ("wall.csv", "wall2.csv")

@@ -393,7 +393,7 @@ class _KrlReader(Machine):
         if blend := BLEND.search(text):
             self.program.count(blend[0].strip().upper())
             text = text[: blend.start()]
-        targets = parts(text)
+        targets = parts(re.sub(r"\s*#BASE\Z", "", text, flags=re.I) if relative else text)
         angle = self._value(targets.pop().split(None, 1)[1]) if re.match(r"CA\s", targets[-1], re.I) else None
         if len(targets) != (2 if kind == "CIRC" else 1):
             raise KrlError(f"{kind} with {len(targets)} places; {POST}")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kr270_milling.base.column import TextTable
+from kr270_milling.base.column import TextTable, as_dict
 from kr270_milling.physics.cutting import LAWS
 from kr270_milling.physics.cutting.materials import Material, spread
 from kr270_milling.show.report.identification.outcome import Outcome
@@ -26,7 +26,7 @@ def force_outcome(fits: list[LawFit], law: str, source: str, left_out: Sequence[
     """
     doubts = force_doubts(fits, law)
     edge, *others = fits
-    result = edge.as_dict() | {
+    result = as_dict(edge) | {
         "axial_force": "toward the part" if edge.axial == TOWARD_PART else "into the holder",
         "residual_rms_n": edge.residual_rms,
         "residuals_n": edge.residuals.tolist(),
@@ -35,7 +35,7 @@ def force_outcome(fits: list[LawFit], law: str, source: str, left_out: Sequence[
         "doubts": [doubt.text for doubt in doubts],
         "usable": not any(doubt.forbids for doubt in doubts),
     }
-    result |= {fit.law: {**fit.as_dict(), "residual_rms_n": fit.residual_rms} for fit in others}
+    result |= {fit.law: {**as_dict(fit), "residual_rms_n": fit.residual_rms} for fit in others}
     chosen = {fit.law: fit for fit in fits}[law]
     sections = law_sections(chosen.law, chosen.values, chosen.half_widths, chosen.axial)
     title = f"Force coefficients from {len(edge.cuts)} cuts, {source}"
@@ -68,7 +68,7 @@ def material_outcome(rows: list[Material], name: str | None, row: Material | Non
 
 
 def _table(fit: LawFit) -> TextTable:
-    values = fit.as_dict()
+    values = as_dict(fit)
     rows = [
         [key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((values[key], 5), (width, 3)))]
         for key, width in values["ci95"].items()
