@@ -81,7 +81,7 @@ class PathSection(Record):
     """YAML ``path``: a tool path file, or a straight cut along +x of the workpiece frame."""
 
     file: str = parameter(
-        "", text="G-code, APT/CL, CSV of points or a recording of a path, workpiece frame; empty: a straight cut"
+        "", text="G-code, Heidenhain, APT/CL, KRL, CSV of points or a recording, workpiece frame; empty: a straight cut"
     )
     topic: str = parameter("", text="of a recording: where its path is, if several topics hold one")
     tool: str = parameter("", text="of a program with several tools: whose moves are run, as T1")

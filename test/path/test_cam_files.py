@@ -24,9 +24,14 @@ from kr270_milling.path.trajectory_csv import read_csv
 VALID = {
     ".nc": b"G21 G90 (a)\nG0 X0 Y0 Z0\nG1 X1 F100\nG2 X5 Y4 I4 J0\nG3 X0 Y0 R6\nG91 G20\nG1 X-.5 F4\nM30\n",
     ".apt": b"UNITS/MM\nGOTO/0,0,0\nFEDRAT/100,MMPM\nRAPID\nGOTO/1,2,3,0,0,1\nGOTO/1,$\n5,3\n$$ a\nFINI\n",
+    ".h": b"0 BEGIN PGM A MM\nTOOL DEF 1 R+2\nTOOL CALL 1 Z S9\nL X+0 Y+0 Z+5 FMAX M3\n"
+    b"L X+9 RL F100 ; a\nL X+20\nRND R3\nL Y+9\nCC X+15 Y+9\nC X+10 Y+9 DR+\nCR X+0 Y+9 R+5 DR-\n"
+    b"L IY-50 R0 FMAX\nEND PGM A MM\n",
     ".csv": b"x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n0,0,0,0,0,180,1\n1,0,1,0,0,180,60\n",
 }
-WORDS = [b"G0", b"G1", b"G2", b"G3", b"G20", b"G91", b"X1", b"Y-2", b"Z.5", b"I1", b"J-1", b"R5", b"R-1e9", b"F100",
+WORDS = [b"L X+1", b"RL", b"FMAX", b"CC IX+1", b"C X+3 DR+", b"CT X+2 Y+1", b"CHF 1", b"Q1=+2", b"CYCL CALL", b"M91",
+         b"~", b"CP IPA+90 DR+",
+         b"G0", b"G1", b"G2", b"G3", b"G20", b"G91", b"X1", b"Y-2", b"Z.5", b"I1", b"J-1", b"R5", b"R-1e9", b"F100",
          b"F0", b"S1", b"M3", b"M30", b"\n", b" ", b"(a)", b"(", b";", b"%", b"GOTO/", b"0,0,0", b",1", b"FEDRAT/5",
          b"RAPID", b"$", b"$$ b", b"UNITS/INCHES", b"FINI", b"SPINDL/", b"nan", b"-inf", b"1e999", b"9" * 400,
          b"x_mm,y_mm,z_mm,feed_mm_per_min", b"\xff", b"\0", "\u0663".encode(), "\u2028".encode(), b"\r"]  # fmt: skip
@@ -47,8 +52,47 @@ def check(path: Path, data: bytes) -> None:
     assert np.all(np.diff(toolpath.line) >= 0)
 
 
+#: statements after the start at X0 Y0 Z0 with F600 -> ends of the cutting moves [mm], or words of the refusal
+CONVERSATIONAL = {
+    "Q1 = +3 * (2 + 1)\nFN 4: Q2 = +Q1 DIV +3\nL X+Q1 IY-Q2": [(9, -3)],
+    "Q1 = 0\nLBL 3\nFN 1: Q1 = +Q1 + +2\nL X+Q1\nFN 12: IF +Q1 LT +5 GOTO LBL 3": [2, 4, 6],
+    'CALL LBL "A"\nM30\nLBL "A"\nL IX+1\nLBL 2\nL IX+1\nCALL LBL 2 REP2/2\nLBL 0': [1, 2, 3, 4],
+    "CC X+0 Y+5\nC X+0 Y+10 DR+\nCT X+0 Y+20\nCR X+10 Y+20 R-5 DR+": [(0, 10), (0, 20), (10, 20)],
+    "CC X+10 Y+0\nCP IPA-90 DR-\nLP PR+5 PA+0\nCP IPA+450 IZ-2 DR+": [(10, 10), (15, 0), (10, 5, -2)],
+    "L X+10\nCHF 2\nL Y+10": [8, (10, 2), (10, 10)],
+    "TOOL DEF 4 R+2\nTOOL CALL 4 Z\nL X+10 RL\nL X+20\nRND R6\nL Y+10\nL X+0 R0": [
+        (10, 2), (14, 2), (18, 6), (18, 10), 0],
+    "CYCL DEF 203 X ~\nQ200=2 ;A ~\nQ201=-3 ~\nQ206=90 Q202=9 Q203=-1\nL X+5 FMAX M99\nL X+6 FMAX\nCYCL CALL": [
+        (5, 0, -4), (6, 0, -4)],
+    "L X+1 M128": "post a 3-axis program", "CYCL DEF 209 TAPPING": "CYCL DEF 200 and 203 are read",
+    "CYCL DEF 7.1 X+5": "let the CAM output", "PLANE SPATIAL SPA0 SPB10": "post a 3-axis program",
+    "L X+10,5": "',5' is no word", "L X+1 Q": "is no word", "L X+Q9": "#9 has no value",
+    "L X+5 RL": "radius of the tool",
+    "L X+5\nRND R2": "RND without a next move", "C X+5 DR+": "C needs CC", "CT X+5 Y+0": "needs a move in the xy plane",
+    "CALL LBL 7": "LBL 7 is not in this program", "LBL 1\nCALL LBL 1": "more than 10 labels call one another",
+    "APPR LT X+5 LEN5": "lead-ins and lead-outs", "CYCL CALL": "before CYCL DEF", "L A+5": "does not take A",
+    "TOOL CALL 1 Y": "takes a tool, Z", "X+5": "'X\\+5' is not read", "CC X+9 Y+0\nCP IPA-90 DR+": "turns against DR",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("statements", CONVERSATIONAL)
+def test_a_conversational_program_leads_to_the_right_places_or_is_refused(tmp_path, statements):
+    expected = CONVERSATIONAL[statements]
+    (tmp_path / "a.h").write_text(f"BEGIN PGM A MM\nL X+0 Y+0 Z+0 R0 FMAX F600 M3\n{statements}\nEND PGM A MM\n")
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected):
+            read_toolpath(tmp_path / "a.h")
+        return
+    path = read_toolpath(tmp_path / "a.h")
+    cutting = ~path.rapid & ((path.curvature == 0) | (path.curvature != np.roll(path.curvature, -1)))  # ends of arcs
+    for end, known in zip(1e3 * path.position[cutting], expected, strict=True):
+        known = (known,) if isinstance(known, (int, float)) else known
+        assert end[: len(known)] == pytest.approx(known, abs=1e-6)
+
+
 def test_the_whole_examples_are_read_under_every_name_of_their_kind(tmp_path):
     kinds = {READERS[suffix]: data for suffix, data in VALID.items()}
+    kinds[READERS[".src"]] = (Path(__file__).parents[1] / "samples" / "krl" / "robodk.src").read_bytes()
     for suffix, reader in READERS.items():
         if reader.recorded:
             continue

@@ -17,6 +17,7 @@ from kr270_milling.path.cam.comments import described_tool, operation_name
 from kr270_milling.path.cam.drilling import CLEARANCE, Cycle
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.machine import CHORD
+from kr270_milling.path.cam.readers import read_toolpath
 from kr270_milling.path.source_program import ProgramError
 
 START = "G0 X0 Y0 Z0\n"
@@ -78,13 +79,14 @@ def test_after_the_end_nothing_is_read_repeated_points_are_left_out_and_m_words_
 
 #: a block behind the start of a program, and what the refusal of line 2 states
 REFUSED = [
-    ("G41 D1", "G41: let the CAM output the path of the tool's centre"), ("M98 P100", "O100 is not in this file"),
+    ("G41 D1 G1 X9 F100", "radius of the tool is not known"), ("M98 P100", "O100 is not in this file"),
     *((block, "post without macros") for block in ("#5220=5", "G1 X[#1+2]", "o100 sub", "WHILE [#1 LT 5] DO1")),
     ("G10 L2 P1 X5", "whose place is not known"), ("G92 A5", "G92 without X, Y or Z"),
     ("G84 Z-5 R1 F100", "G84: leave threads out"), ("G5 X1 Y1 I1 J1", "G5 takes X, Y, I, J, P and Q"),
     ("G173", "G173: it is not known"), ("G1 X1 A90 F100", "A90: post a 3-axis program"),
     ("TRAORI", "TRAORI: post a 3-axis program"), ("CYCLE81(10,0,2,-5)", "CYCLE81: let the CAM output the cycle"),
-    ("G1 X10 Y0,R2 F100", "let the CAM output lines and arcs"), ("G1 X1", "without a feed"), ("G1 X1 F0", "zero feed"),
+    ("G1 X10 Y0,R2 F100", ",R without a next move"),
+    ("G1 X10,A45 F100", "let the CAM output lines and arcs"), ("G1 X1", "without a feed"), ("G1 X1 F0", "zero feed"),
     ("G1 X1 F-100", "F-100"), ("G1 XNaN F100", "XNAN"), ("G1 X F100", "X has no number"), ("G1 X1 E5 F100", "E5"),
     ("G1 X1 X2 F100", "X occurs twice"), ("G0 G1 X1 F100", "G1 contradicts"),
     *((f"G2 {words} F100", "does not close") for words in ("X10 Y0 I4 J0", "X10 Y0 R4.9", "X5 I0 J0")),
@@ -117,8 +119,8 @@ def test_what_cannot_be_run_is_refused_with_line_and_word(read, text, line, word
 
 def test_all_that_cannot_be_run_is_listed_at_once_and_not_what_follows_from_a_refused_move(read):
     with pytest.raises(ProgramError) as caught:
-        read(START + "G41 D1\nG1 X1 F100\nX#1\nG42\nA5\nG1 X2\n")
-    assert [(r.line, r.word) for r in caught.value.program.refused] == [(2, "G41"), (4, "X#1"), (5, "G42"), (6, "A5")]
+        read(START + "G96 S9\nG1 X1 F100\nX#1\nG96 S5\nA5\nG1 X2\n")
+    assert [(r.line, r.word) for r in caught.value.program.refused] == [(2, "G96"), (4, "X#1"), (5, "G96"), (6, "A5")]
     assert "line 4: #1 has no value" in str(caught.value) and "(also line 5)" in str(caught.value)
     with pytest.raises(ProgramError) as caught:
         read("G0 X#1 Y0\nG0 Z5\nG1 Z-1 F100\nX1\n")
@@ -374,14 +376,15 @@ def test_an_operation_is_named_and_no_comment_of_a_post_on_itself_or_on_a_part_o
 # --- One pocket as seven posts write it ---
 PROGRAMS = Path(__file__).parent / "programs"
 ALL = ("fusion_haas.nc", "fusion_grbl.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc",
-       "sinumerik.mpf", "haas.nc")  # fmt: skip
+       "sinumerik.mpf", "haas.nc",
+       "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h")  # fmt: skip
 #: [mm], lengths of the pocket: down from 15, four circles of radius 4, of which three descend by 1; two rings; up again
 CIRCLES, RINGS = 3 * math.hypot(8 * math.pi, 1) + 8 * math.pi, 142 + 4 * math.pi
 LENGTH = 13 + CIRCLES + RINGS + math.pi / 2 + 15
 
 
 def read_dialect(name: str):
-    return read_gcode(PROGRAMS / name, tool="T1" if name == "haas.nc" else "")
+    return read_toolpath(PROGRAMS / name, tool="T1" if name == "haas.nc" else "")
 
 
 def cutting_points(path) -> np.ndarray:
@@ -403,7 +406,7 @@ def test_every_dialect_gives_the_same_path_features_speed_offset_and_tool(name):
     assert [feature.lower() for feature in path.features] == ["", "2d pocket1", "2d pocket1 finish"]
     program = path.program
     assert [round(speed * 30 / math.pi) for speed in program.spindle_speeds] == [5000]
-    assert program.work_offset == ("" if name == "linuxcnc.ngc" else "G54")
+    assert program.work_offset == ("" if name == "linuxcnc.ngc" or ".h" in name else "G54")
     assert program.tool == ("MILL_10" if name == "sinumerik.mpf" else "T1")
     if name not in ("linuxcnc.ngc", "sinumerik.mpf"):  # their comments do not describe the tool
         assert program.current.diameter == pytest.approx(0.010)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 
 import numpy as np
@@ -31,10 +32,29 @@ ENDS = {
     "G10 L2 P1 X1\nG1 X0\nG10 L2 P1 R90 X1\nX3 Y0": [1, (1, 3)],
     "G10 L2 P2 X5\nG55\nG1 X1\nG10 L20 P0 X4\nX1\nG54\nG1 X1": [6, 3, 1],
     "G52 X4\nX1\nG52 X0\nX1": [5, 1],
+    # around an outside corner, into an inside one, onto an arc, out
+    "G41.1 D4\nX10\nX20\nY-10\nX30\nG40\nX50": [(10, 2), (20, 2), (22, 0), (22, -8), (30, -8), (50, -10)],
+    "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
+    "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
+    "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
+    "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
 }
 #: the same for words that LinuxCNC has not, by their definition
 OTHER_ENDS = {
+    "X10,R2\nY10,C3\nX20": [8, (10, 2), (10, 7), (13, 10), 20],
+    "X10 RND=2\nY10 CHF=3\nX20": [8, (10, 2), (10, 10 - 1.5 * math.sqrt(2)), (10 + 1.5 * math.sqrt(2), 10), 20],
+    "G16 X10 Y90\nY0\nG15\nX3": [(0, 10), (10, 0), (3, 0)],
+    "G81 Z-2 R1 L0\nG70 I5 J90 L2\nX30\nG71 X0 Y0 I5 K90 L2\nG72 X0 Y1 I4 L2": [
+        (0, 5),
+        (0, -5),
+        (30, -5),
+        (5, 0),
+        (0, 5),
+        (0, 1),
+        (4, 1),
+    ],
+    "G10 L12 P1 R1\nG41 D1\nX10\nX20,R4\nY10\nG40 Y30": [(10, 1), (16, 1), (19, 4), (19, 10), (20, 30)],
     "G76 X3 Y0 Z-2 R1 Q0.2 P1\nG80": [(3, 0, -2)],
     "G68 X0 Y0 R90\nX5\nG69\nX5": [(0, 5), (5, 5)],
     "M97 P5 L2\nM30\nN5 G91 X1\nM99": [1, 2],
@@ -54,6 +74,20 @@ REFUSED = {
     **dict.fromkeys(("#5220=1", "#<_x>=1"), "belongs to the control"),
     **dict.fromkeys(("X[1", "X[", "X" + "[" * 200, "X[1+]", "#1", "X ATAN[1]", "EXISTS[1]"), "bracket|value|word"),
     **dict.fromkeys(("G92 X5\nG52 X1", "G52 X1\nG92 X5", "G52 X1\nG92.1"), "controls differ|one work offset"),
+    "G41 D1\nX10": "radius of the tool is not known",
+    "G41.1 D4\nX2": "longer than the radius of the tool",
+    "G41.1 D4\nX9\nG3 X9 Y4 J2": "not larger than the radius of the tool",
+    "G41.1 D4\nX9\nX8 Y1\nX0 Y0": "does not fit into the corner",
+    "G41.1 D4\nX9\nG28 Z0": "a move home while G41",
+    "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
+    "G41.1 D4\nX9\nG40\nZ5": "after the compensation is along z",
+    "#1=41\nG#1 D1\nX5": "a number that is not computed",
+    "G41.1 D4\nX9\nG5.1 X9 Y9 I2 J2": "straight moves and arcs",
+    **dict.fromkeys(("@1 X2", "G18 @3 ^2", "G16 G91 X3"), "a radius and an angle"),
+    "@5": "alone at the origin",
+    "G81 X1 Z-2 R1 L0\nG70 I5 L3": "not all known",
+    "G70 I5 L3": "circle of holes on Haas",
+    "X9,R20\nY9": ",R does not fit",
     "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",
     "M98 P7\nO7\nX1\nM99": "runs into a sub-program",
     "(abort, no part)": "stops itself",
@@ -69,7 +103,8 @@ def program(tmp_path, lines: str):
 def test_parameters_sub_programs_loops_and_offsets_lead_to_the_right_places(tmp_path, lines):
     file = program(tmp_path, lines)
     path = read_gcode(file)
-    ends = 1e3 * path.position[1:][~path.rapid[1:]][1:]
+    cutting = ~path.rapid & ((path.curvature == 0) | (path.curvature != np.roll(path.curvature, -1)))  # ends of arcs
+    ends = 1e3 * path.position[1:][cutting[1:]][1:]
     for end, known in zip(ends, (ENDS | OTHER_ENDS)[lines], strict=True):
         known = (known,) if isinstance(known, (int, float)) else known
         assert end[: len(known)] == pytest.approx(known, abs=1e-6)
@@ -108,6 +143,20 @@ def test_curves_are_bezier_curves_within_the_tolerance_of_arcs(tmp_path):
         way = curve[:, None] - start
         share = np.clip((way * np.conj(end - start)).real / np.abs(end - start) ** 2, 0, 1)
         assert np.abs(way - share * (end - start)).min(axis=1).max() < 2e-3
+
+
+@pytest.mark.parametrize("curve", [
+    "G5.2 P1 L3\nX10 Y10 P{w}\nX0 Y10 P1\nG5.3",
+    "G6.2 P3 K0 X10 Y0 R1\nK0 X10 Y10 R{w}\nK0 X0 Y10 R1\nK1\nK1\nK1",
+])  # fmt: skip
+def test_a_rational_curve_with_these_weights_is_a_quarter_circle(tmp_path, curve):
+    path = read_gcode(program(tmp_path, f"X10\n{curve}\n".format(w=math.sqrt(0.5)) + "G1 X-5"))
+    points = 1e3 * path.position[2:-1, :2]
+    np.testing.assert_allclose(np.hypot(*points.T), 10.0, atol=1e-9)
+    middle = (points[1:] + points[:-1]) / 2
+    assert 10 - np.hypot(*middle.T).min() < 2e-3 and points[-1] == pytest.approx((0, 10))
+    with pytest.raises(InputError, match="without its end"):
+        read_gcode(program(tmp_path, f"X10\n{curve.rpartition(chr(10))[0].format(w=1)}\nG1 X-5"))
 
 
 def test_a_row_of_straight_cuts_gives_the_path_of_its_blocks(tmp_path, monkeypatch):

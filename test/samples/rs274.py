@@ -24,10 +24,12 @@ from kr270_milling.base.text import read_lines
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.reader import GcodeReader, changes_by_m6
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.source_program import ProgramTool
 
 RS274 = os.environ.get("RS274") or shutil.which("rs274") or ""
 NEAR = 3e-3  #: [mm] rs274 writes four decimals, also in inches
-TOOLS = "".join(f"T{n} P{n} D{n} Z0\n" for n in range(1, 100))
+#: diameters are inches here, and D n is a tool of n mm
+TOOLS = "".join(f"T{n} P{n} D{n / 25.4:.9f} Z0\n" for n in range(1, 100))
 CANON = re.compile(r"^ *\d+ +N[\d.]+ *(\w+)\((.*)\)$")
 
 
@@ -53,7 +55,7 @@ def reference(path, trials: int = 20) -> tuple[list[Move], str]:
             command, capture_output=True, text=True, errors="replace", timeout=60, cwd=Path(path).resolve().parent,
             env=os.environ | {"LD_LIBRARY_PATH": paths},
         )  # fmt: skip
-    if ran.returncode and "TRAVERSE" not in ran.stdout and ran.stderr in ("", "executing\n") and trials:
+    if "TRAVERSE" not in ran.stdout and ran.stderr in ("", "executing\n") and trials:
         return reference(path, trials - 1)  # runs at one time share the file of the tool table
     harmless = re.compile(r"executing|.*variable file.*|File ended with no percent sign.*|")
     complaint = [line for line in ran.stderr.splitlines() if not harmless.fullmatch(line)]
@@ -141,6 +143,7 @@ class _Logged(Interpreter):
         self.position = [0.0] * 3
         self.to_initial = self.fixed = False  # rs274 starts in G99, and G10 sets its offsets
         self.homes = False
+        self.radii |= {float(n): 0.5e-3 * n for n in range(1, 100)}
 
     def go(self, end) -> None:
         super().go(end)
@@ -149,7 +152,7 @@ class _Logged(Interpreter):
     def _feed_to(self, start, ends, length, curvature=0.0) -> None:
         rate = self._feed_rate(length) or 0.0
         super()._feed_to(start, ends, length, curvature)
-        kind = {2: "arc", 3: "arc", 5: "curve", 5.1: "curve"}.get(self.mode or 0, "straight")
+        kind = {2: "arc", 3: "arc", 5: "curve", 5.1: "curve", 5.2: "curve"}.get(self.mode or 0, "straight")
         kind = "straight" if self.drilled else kind
         end = tuple(1e3 * value for value in self.on_path(ends[-1]))
         self.moves.append(Move(kind, end, 1e3 * length, math.nan if self.feed_mode == 95 else 6e4 * rate))
@@ -163,6 +166,7 @@ class _Logged(Interpreter):
 def ours(path) -> tuple[list[Move], str, bool]:
     """Return the moves of our interpreter, the sentence of a refusal, and whether the program goes home."""
     program = ProgramBuilder(str(path), "")
+    program.known |= {f"T{n}": ProgramTool(f"T{n}", diameter=1e-3 * n) for n in range(1, 100)}
     try:
         lines = read_lines(path)
         machine = _Logged(program, 0.0, changes_by_m6(lines), [0.0] * 27)
@@ -273,7 +277,9 @@ def _blocks(rng: random.Random, subs: list[str], count: int) -> list[str]:
             lines += _random_cycle(rng)
         elif kind < 0.86:
             lines.append(_filled(rng, rng.choice(PLACES if kind < 0.8 else SETTINGS)))
-        elif kind < 0.9 and subs:
+        elif kind < 0.89:
+            lines += _random_contour(rng)
+        elif kind < 0.92 and subs:
             lines.append(f"{rng.choice(subs)} call [{_number(rng)}] [2]")
         else:
             inside = [f"G1 X{_number(rng)}", f"G0 Y[#101*{_number(rng)}]", "#101=[#101+1]"]
@@ -305,6 +311,28 @@ def _random_arc(rng: random.Random) -> list[str]:
     if end and rng.random() < 0.3:
         centre, turns = f" R{radius * rng.choice((1, -1)):.5f}", ""
     return ["G90", f"G{plane}", f"G1 {first}{a[0]:.5f} {second}{a[1]:.5f}", f"G{word}{end}{helix}{centre}{turns}"]
+
+
+def _random_contour(rng: random.Random) -> list[str]:
+    """A contour with the tool beside it: lines and arcs, corners of any angle, moves along z; often one where the tool
+    does not fit."""
+    x, y, heading, radius = rng.uniform(-30, 30), rng.uniform(-30, 30), rng.uniform(-180, 180), rng.randint(1, 8)
+    lines = ["G90 G17", f"G0 X{x:.4f} Y{y:.4f}", rng.choice((f"G41 D{2 * radius}", f"G42 D{2 * radius}"))]
+    for k in range(rng.randint(2, 9)):
+        heading += 0 if not k else rng.choice((0, 90, -90, rng.uniform(-170, 170), rng.uniform(-60, 60)))
+        way, before = rng.uniform(9, 50), complex(x, y)
+        turn = rng.choice((0, 0, 90, -90, rng.uniform(-300, 300))) if k or rng.random() < 0.2 else 0
+        chord = 2 * way * math.sin(math.radians(abs(turn) / 2)) or way
+        step = chord * _turn(heading + turn / 2)
+        x, y = round(x + step.real, 5), round(y + step.imag, 5)
+        centre = before + 1j * way * _turn(heading) * (1 if turn > 0 else -1) - before
+        word = "G0" if rng.random() < 0.1 and k else "G1" if not turn else "G3" if turn > 0 else "G2"
+        arc = f" I{centre.real:.5f} J{centre.imag:.5f}" if word in ("G2", "G3") else ""
+        lines.append(f"{word} X{x:.5f} Y{y:.5f}{arc}" + rng.choice(("", "", f" Z{rng.uniform(-3, 3):.3f}", " F333")))
+        heading += turn if arc else 0
+        lines += rng.choice(([], [], [], [f"G1 Z{rng.uniform(-3, 3):.3f}"]))
+    step = 2 * radius * _turn(heading)
+    return [*lines, "G40", f"{rng.choice(('G0', 'G1'))} X{x + step.real:.4f} Y{y + step.imag:.4f}"]
 
 
 def _random_cycle(rng: random.Random) -> list[str]:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from scipy.interpolate import BSpline
+
 from kr270_milling.path.toolpath import REACH
 
-__all__ = ["ArcError", "arc_points", "centre_from_radius", "curve_points"]
+__all__ = ["ArcError", "arc_points", "centre_from_radius", "curve_points", "nurbs_points"]
 
 FAR = f"the arc leads more than {REACH:g} m away; wrong unit?"
 
@@ -47,6 +50,38 @@ def curve_points(control: list[complex], tolerance: float) -> tuple[list[complex
         points += row
     points.append(control[-1])
     return points[1:], sum(abs(b - a) for a, b in zip(points, points[1:], strict=False))
+
+
+def nurbs_points(
+    control: list[complex], weights: list[float], knots: list[float], tolerance: float
+) -> tuple[list[complex], float]:
+    """Points of a rational B-spline after its start [m], and its length; control: its points x + i y.
+
+    The knots state the degree. Chords are halved until their middle and quarters are within ``tolerance``.
+    """
+    degree = len(knots) - len(control) - 1
+    inside = knots[degree : len(control) + 1]
+    if degree < 1 or len(control) <= degree or knots != sorted(knots) or not inside[-1] > inside[0]:
+        raise ArcError("the knots of the curve do not belong to its points")
+    if not all(abs(point) <= REACH for point in control) or not min(weights) > 0:
+        raise ArcError("a curve needs weights above zero and points within reach")
+    place, weight = np.array(control), np.array(weights)
+    spline = BSpline(knots, np.column_stack([weight * place.real, weight * place.imag, weight]), degree)
+
+    def at(u: np.ndarray) -> np.ndarray:
+        x, y, w = spline(u).T
+        return (x + 1j * y) / w
+
+    u = np.unique(inside)
+    for _ in range(20):
+        start, way = at(u[:-1]), np.diff(at(u))
+        off = [np.abs(at(u[:-1] + share * np.diff(u)) - start - share * way) for share in (0.25, 0.5, 0.75)]
+        far = np.max(off, axis=0) > tolerance
+        if not far.any():
+            break
+        u = np.sort(np.concatenate([u, (u[:-1] + 0.5 * np.diff(u))[far]]))
+    points = at(u)
+    return points[1:].tolist(), float(np.abs(np.diff(points)).sum())
 
 
 def arc_points(

@@ -5,9 +5,14 @@ Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP
 
 from __future__ import annotations
 
+import cmath
+import copy
 import math
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points
+from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points, nurbs_points
+from kr270_milling.path.cam.contour import Stroke, planned
 from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, TOP
@@ -19,9 +24,12 @@ MM = 0.001  #: [m]
 AXES = {"X": 0, "Y": 1, "Z": 2}
 CENTRES = ("I", "J", "K")
 OF_ARCS = (*CENTRES, "R", "CR", "TURN")
-MOVING = ("X", "Y", "Z", *CENTRES, "R", "CR")
+CORNERS = (",R", ",C", "RND", "CHR", "CHF")  #: words that round or break the corner after a move
+PLACES = ("X", "Y", "Z", "@", "^")  #: @ and ^: radius and angle about the origin (LinuxCNC)
+MOVING = (*PLACES, *CENTRES, "R", "CR")
 #: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
+NURBS = (5.2, 6.2)  #: rational B-splines: LinuxCNC with uniform knots, Fanuc with stated ones
 CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
@@ -41,6 +49,9 @@ class Machine:
         self.position: list[float] = [math.nan] * 3
         self.mode: float | None = None  #: 0 to 3, 5 and 5.1: a curve of degree 3 and 2
         self.leaving: complex | None = None  #: last control point of the curve before, from its end
+        self.nurbs: list[tuple[tuple[float, ...], float]] = []  #: points of a curve that is open, with their weights
+        self.knots: list[float] = []  #: of G6.2
+        self.order = 3
         self.incremental = False
         self.absolute_centre = False
         self.absolute: dict[str, bool] = {}  #: letters of this block that are absolute or not, whatever the mode
@@ -51,10 +62,17 @@ class Machine:
         self.feed: float | None = feed or None  #: [m/s], [m/rev] or [1/s]; at first what the cell says
         self.feed_word: float | None = None  #: number of the last F
         self.no_feed = NO_FEED  #: why there is none
+        self.polar = False  #: X and Y are a radius and an angle (G16)
+        self.pattern: list[complex] = []  #: holes of the block about its place [m]
         self.drilled = False  #: the block drilled a hole
         self.ended = False
         #: from coordinates of the program to those of the path: factor of x + i y, x + i y [m], z [m]; None: the same
         self.shift: tuple[complex, complex, float] | None = None
+        self.side = 0  #: 1: the tool is to the left of the contour, -1: to the right
+        self.radius = 0.0  #: [m], by which it is; NaN: that of the tool
+        self.beside = 0j  #: [m], of the tool from ``position``
+        #: of a program that looks ahead: the moves of its first run, or what is planned for those of the second one
+        self.contour: list[Stroke | None] | Iterator[list[Stroke] | str | None] | None = None
 
     def on_path(self, point) -> tuple[float, ...]:
         """Return the place of a point on the path; an axis without a value keeps none."""
@@ -69,6 +87,7 @@ class Machine:
 
     def set_shift(self, shift: tuple[complex, complex, float] | None) -> None:
         """Give the moves that follow other coordinates; the tool stays where it is."""
+        self.ends_contour("other coordinates")
         place = self.on_path(self.position)
         self.shift = shift
         if shift is not None:
@@ -86,10 +105,18 @@ class Machine:
     # --- what moves no tool through material ---
 
     def set_mode(self, mode: float | None) -> None:
-        """G0 to G3, G5, G5.1, which end a cycle."""
+        """G0 to G3, G5, G5.1, G5.2, G6.2, which end a cycle; G5.3 ends the curve of G5.2."""
         if mode != self.mode:
             self.leaving = None
-        self.mode = mode if mode is None or mode == 5.1 else int(mode)
+        if self.nurbs and mode != self.mode:
+            if (self.mode, mode) == (5.2, 5.3):
+                inside = len(self.nurbs) - self.order + 1
+                self._nurbs([0.0] * self.order + [float(k) for k in range(1, inside)] + [float(inside)] * self.order)
+            else:
+                self.program.refuse(f"G{self.mode:g}", f"a curve of G{self.mode:g} without its end", lost=True)
+                self.nurbs, self.knots = [], []
+        self.mode = mode if mode is None or mode in (5.1, *NURBS) else int(mode)
+        self.mode = None if mode == 5.3 else self.mode
         self.cycle = None
 
     def set_feed_mode(self, mode: int) -> None:
@@ -114,9 +141,11 @@ class Machine:
     def home(self, axes: list[str]) -> None:
         """The tool leaves the workpiece: up to the top height first, then X and Y are unknown."""
         self.cycle = None
+        self.ends_contour("a move home")
         if "Z" in axes:
             self.position[2] = TOP
-            self.go(tuple(self.position))
+            self.go(self.tip)
+            self.beside = 0j
         for axis in axes:
             if axis != "Z":
                 self.position[AXES[axis]] = math.nan
@@ -125,6 +154,7 @@ class Machine:
     def change_tool(self, tool: str) -> None:
         """The tool of the moves that follow, if it is another one."""
         if tool not in ("", self.program.tool):
+            self.ends_contour("a change of the tool")
             self.program.change_tool(tool)
             self.cycle = None
 
@@ -144,8 +174,10 @@ class Machine:
             return
         if cycle == 80:
             self.cycle = cycle = None
-        if cycle is not None or (self.cycle is not None and not axes.keys().isdisjoint("XYZ")):
+        if cycle is not None or (self.cycle is not None and (self.pattern or not axes.keys().isdisjoint(PLACES))):
             self._drill(cycle, axes)
+        elif self.mode in NURBS and axes:
+            self._control_point(axes)
         elif not axes.keys().isdisjoint(MOVING):
             self._move(axes)
 
@@ -156,15 +188,117 @@ class Machine:
         start, end = tuple(self.position), self._end(axes)
         arc = {letter: axes.pop(letter) for letter in OF_ARCS if letter in axes}
         self.position = list(end)
+        if self.contour is None and not self.side:
+            self._plain(start, end, arc, axes)
+        else:
+            self._contoured(start, end, arc, axes)
+
+    def _plain(self, start, end, arc: dict, axes: dict) -> None:
         if self.mode == 0:
             self._surplus(arc)
             self.go(end)
         elif self.mode is not None:
             self._cut(start, end, arc, axes)
 
+    # --- contours ---
+
+    def look_ahead(self, run: Callable[[Any], None]) -> None:
+        """Plan the moves by a first run of the program; the radius of a tool is that of its comment."""
+        scout = copy.deepcopy(self)
+        strokes = scout.contour = []
+        run(scout)
+        radii = {tool.name: tool.diameter / 2 for tool in scout.program.described_tools(scout.unit)}
+        for k, stroke in enumerate(strokes):
+            if stroke is not None and math.isnan(stroke.radius):
+                strokes[k] = stroke._replace(radius=radii.get(stroke.tool, 0.0) or math.nan)
+        for stroke in strokes:
+            if stroke is not None and stroke.side and stroke.radius:
+                self.program.silent[f"moves {1e3 * stroke.radius:g} mm beside the contour"] += 1
+        self.contour = iter(planned(strokes))
+
+    @property
+    def tip(self) -> tuple[float, ...]:
+        """Return the place of the tool in coordinates of the program."""
+        x, y, z = self.position
+        return x + self.beside.real, y + self.beside.imag, z
+
+    def ends_contour(self, what: str) -> None:
+        """Refuse what may not occur while the tool is beside the contour; the next move is the first of another one."""
+        if self.side:
+            self.program.refuse("G41", f"{what} while G41 or G42 is active", "write G40 before it", derived=True)
+        if isinstance(self.contour, list):
+            self.contour.append(None)
+        elif self.contour is not None:
+            next(self.contour)
+
+    def _contoured(self, start, end, arc: dict, axes: dict) -> None:
+        """Record a move in the first run; make what is planned for it in the second one."""
+        first = isinstance(self.contour, list)
+        stroke = self._stroke(start, end, dict(arc), dict(axes) if first else axes)
+        for letter in CORNERS:
+            axes.pop(letter, None)
+        result: list[Stroke] | str | None = None
+        if isinstance(self.contour, list):
+            self.contour.append(stroke)
+        else:
+            result = next(self.contour or iter(()), "G41 and G42 need a number that is not computed")
+        if isinstance(result, str):
+            self.program.refuse(f"G{self.mode}", result, lost=True)
+        elif stroke is None or result is None:
+            self._plain(start, end, arc, axes)
+            if not first and self.side:
+                reason = "G41 and G42 take straight moves and arcs in the xy plane from a known place, without G93"
+                self.program.refuse("G41", reason, derived=True)
+        else:
+            mode, height = self.mode, start[2]
+            try:
+                for part in result:
+                    height = self._run_stroke(part, height)
+            except ArcError as error:
+                self.program.refuse(f"G{mode}", str(error), derived=True)
+            self.mode = mode
+            self.beside = result[-1].end - stroke.end
+
+    def _stroke(self, start, end, arc: dict, axes: dict) -> Stroke | None:
+        """Return a move in the xy plane; None for another one, and for one that cannot be run."""
+        corner = next(((letter, axes[letter] * self.unit) for letter in CORNERS if letter in axes), None)
+        known = all(map(math.isfinite, (*start, *end))) and start[2] != TOP
+        if self.mode not in (0, 1, 2, 3) or self.plane != 17 or not known or (self.side and self.feed_mode == 93):
+            return None
+        side = -self.side if self.radius < 0 else self.side  # a negative radius is on the other side
+        stroke = Stroke(complex(*start[:2]), complex(*end[:2]), end[2], self.mode == 0, side=side, corner=corner)
+        stroke = stroke._replace(radius=abs(self.radius), tool=self.program.tool)
+        if self.mode in (0, 1):
+            return None if any(arc.values()) else stroke
+        try:
+            centre, turns = self._centre(start, end, arc, axes)
+        except ArcError:
+            return None
+        if _misses(start, end, centre, _closing(start, centre)):
+            return None
+        return stroke._replace(centre=complex(*centre), sense=1 if self.mode == 3 else -1, turns=turns)
+
+    def _run_stroke(self, stroke: Stroke, height: float) -> float:
+        """Make a move that is planned, from a height; return that of its end."""
+        z = height if math.isnan(stroke.z) else stroke.z
+        start, end = (stroke.start.real, stroke.start.imag, height), (stroke.end.real, stroke.end.imag, z)
+        self.mode = 0 if stroke.rapid else {0: 1, 1: 3, -1: 2}[stroke.sense]
+        if stroke.rapid:
+            self.go(end)
+        elif stroke.centre is None:
+            self._feed_to(start, [end], math.dist(start, end))
+        else:
+            centre = stroke.centre.real, stroke.centre.imag
+            closing = _closing(start, centre)
+            points, curvature, swept = arc_points(start, end, centre, stroke.sense < 0, closing, CHORD, stroke.turns)
+            self._feed_to(start, points, math.hypot(swept, z - height), curvature)
+        return z
+
     def _end(self, axes: dict) -> tuple[float, ...]:
         """Return the end point of the block; take the words of lengths out of ``axes``."""
         end = list(self.position)
+        if self.polar or not axes.keys().isdisjoint("@^"):
+            self._polar(axes)
         for letter, axis in AXES.items():
             value = axes.pop(letter, None)
             if value is None:
@@ -180,6 +314,26 @@ class Machine:
                 self.program.refuse(word, f"{word} lies more than {REACH:g} m away; wrong unit?", lost=True)
                 end[axis] = math.nan
         return tuple(end)
+
+    def _polar(self, axes: dict) -> None:
+        """Replace radius and angle about the origin, of which the one that is missing stays, by X and Y."""
+        words = {letter: axes.pop(axis) for letter, axis in zip("@^", "XY", strict=True) if self.polar and axis in axes}
+        words |= {letter: axes.pop(letter) for letter in "@^" if letter in axes}
+        place = complex(*self.position[:2]) / self.unit
+        if not words:
+            return
+        word = "G16" if self.polar else "@"
+        if not axes.keys().isdisjoint("XY") or self.plane != 17 or (self.polar and self.incremental):
+            self.program.refuse(word, "a radius and an angle with X, Y, G18 or G19, or G16 with G91", lost=True)
+        elif len(words) < 2 and not abs(place) > 0:
+            self.program.refuse(word, "a radius or an angle alone at the origin", lost=True)
+        else:
+            radius, angle = words.get("@", abs(place)), math.radians(words.get("^", math.degrees(cmath.phase(place))))
+            if self.incremental:  # the radius and the angle grow
+                radius = abs(place) + words.get("@", 0.0)
+                angle = cmath.phase(place) + math.radians(words.get("^", 0.0))
+            end = cmath.rect(radius, angle) - (place if self.incremental else 0.0)
+            axes["X"], axes["Y"] = end.real, end.imag
 
     def _surplus(self, arc: dict) -> None:
         letter = next((letter for letter, value in arc.items() if value), "")
@@ -241,8 +395,8 @@ class Machine:
 
     # --- arcs ---
 
-    def _arc(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
-        """Points along an arc, its length [m], its curvature in the xy plane [1/m]."""
+    def _centre(self, start, end, arc: dict, axes: dict) -> tuple[tuple[float, float], int]:
+        """Return the centre of an arc in its plane [m] and its full turns; raise ArcError."""
         plane = PLANES[self.plane]
         first, second, across = (CENTRES[axis] for axis in plane)
         from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
@@ -262,7 +416,6 @@ class Machine:
         clockwise = self.mode == 2
         if radius is not None:
             centre = centre_from_radius(from_point, to_point, radius * self.unit, clockwise, CLOSING)
-            closing = _closing(from_point, centre)
         else:
             stated = [arc.get(letter, 0.0) * self.unit for letter in (first, second)]
             absolute = [self.absolute.get(letter, self.absolute_centre) for letter in (first, second)]
@@ -276,7 +429,15 @@ class Machine:
         turns = arc["TURN"] if "TURN" in arc else axes.pop("P", 1.0) - 1
         if turns != int(turns):
             raise ArcError(f"a helix of {turns:g} turns is not meant")
-        points, curvature, swept = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, int(turns))
+        return centre, int(turns)
+
+    def _arc(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
+        """Points along an arc, its length [m], its curvature in the xy plane [1/m]."""
+        plane = PLANES[self.plane]
+        from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
+        centre, turns = self._centre(start, end, arc, axes)
+        closing = _closing(from_point, centre)
+        points, curvature, swept = arc_points(from_point, to_point, centre, self.mode == 2, closing, CHORD, turns)
         length = math.hypot(swept, to_point[2] - from_point[2])
         x, y, z = map(plane.index, (0, 1, 2))
         ends = [(point[x], point[y], point[z]) for point in points]
@@ -306,12 +467,69 @@ class Machine:
         points, length = curve_points(control, CHORD)
         return [(point.real, point.imag, start[2]) for point in points[:-1]] + [end], length, 0.0
 
+    def _control_point(self, axes: dict) -> None:
+        """A point of G5.2 with weight P and, first, order L, or of G6.2 with weight R, knot K and, first, order P."""
+        word, uniform = f"G{self.mode:g}", self.mode == 5.2
+        placed = not axes.keys().isdisjoint("XYZ")
+        if uniform and not self.nurbs:  # the curve begins where the tool is
+            self.nurbs = [(tuple(self.position), 1.0 if placed else axes.pop("P", 1.0))]
+            self.order = 3
+        order, knot = (
+            axes.pop("L" if uniform else "P", None) if not uniform or "L" in axes else None,
+            axes.pop("K", None),
+        )
+        weight = axes.pop("P" if uniform else "R", 1.0)
+        if not uniform:
+            axes.pop("Q", None)  # the way of interpolation
+        start = tuple(self.position)
+        if placed:
+            self.nurbs.append((self._end(axes), weight))
+        if order is not None:
+            self.order = int(order)
+        across = PLANES[self.plane][2]
+        if (
+            self.incremental or self.side or self.polar or not all(map(math.isfinite, start)) or start[2] == TOP
+            or not 2 <= self.order <= 30 or self.nurbs[-1:] and self.nurbs[-1][0][across] != start[across]
+            or (not uniform and (knot is None or not math.dist(self.nurbs[0][0], start) < CLOSING))
+        ):  # fmt: skip
+            reason = (
+                f"{word} needs absolute points in the plane, weights, the order and the knots, and starts at the tool"
+            )
+            self.program.refuse(word, reason, lost=True)
+            self.nurbs, self.knots = [], []
+        elif not uniform:
+            self.knots.append(knot)
+            if len(self.nurbs) >= self.order and len(self.knots) == len(self.nurbs) + self.order:
+                self._nurbs(self.knots)
+
+    def _nurbs(self, knots: list[float]) -> None:
+        """Cut along the curve that is open."""
+        first, second, across = PLANES[self.plane]
+        start = tuple(self.position)
+        try:
+            points, length = nurbs_points(
+                [complex(place[first], place[second]) for place, _ in self.nurbs],
+                [weight for _, weight in self.nurbs], knots, CHORD,
+            )  # fmt: skip
+        except ArcError as error:
+            self.program.refuse(f"G{self.mode:g}", str(error), lost=True)
+        else:
+            ends = []
+            for point in points:
+                place = [start[across]] * 3
+                place[first], place[second] = point.real, point.imag
+                ends.append(tuple(place))
+            self.position = list(ends[-1])
+            self._feed_to(start, ends, length)
+        self.nurbs, self.knots = [], []
+
     # --- cycles ---
 
     def _drill(self, kind: float | None, axes: dict) -> None:
         """Drill the holes of a block along the axis of the plane: one hole, or several in a row with G91 and L or K."""
         self.drilled = True
-        if not axes:
+        self.ends_contour("a drilling cycle")
+        if not axes and not self.pattern:
             self.program.refuse(f"G{kind:g}", "a drilling cycle without X, Y, Z or R", lost=True)
             return
         across = PLANES[self.plane][2]
@@ -335,12 +553,16 @@ class Machine:
             self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
             axes.clear()
             return
-        place = {axis: axes.pop(axis) for axis in "XYZ" if axis in axes}
+        place = {axis: axes.pop(axis) for axis in PLACES if axis in axes}
         if not repeats:  # the cycle is defined and drills nothing here
             self.program.count("L0", 1 + len(place))
+            for axis in place.keys() & AXES.keys():  # controls differ in whether the tool goes there
+                self.position[AXES[axis]] = math.nan
         for _ in range(int(repeats)):
-            if not self._hole(self._end(dict(place)), cycle, across):
-                return
+            x, y, z = self._end(dict(place))
+            for hole in self.pattern or [0j]:
+                if not self._hole((x + hole.real, y + hole.imag, z), cycle, across):
+                    return
 
     def _hole(self, place: tuple[float, ...], cycle: Cycle, across: int) -> bool:
         word = f"G{cycle.kind}"
@@ -365,7 +587,8 @@ class Machine:
             return (*point[:across], height, *point[across + 1 :])
 
         height = max(self.position[across], cycle.retract)
-        self.go(at(self.position, height))
+        self.go(at(self.tip, height))
+        self.beside = 0j
         self.go(at(place, height))
         last = at(place, cycle.retract)
         self.go(last)

@@ -186,7 +186,7 @@ class ProgramBuilder(PathBuilder):
         lines = columns["line"][cutting].astype(int).tolist()
         speeds = dict(zip(columns["spindle_speed"][cutting][::-1].tolist(), lines[::-1], strict=True))
         speeds = dict(sorted(speeds.items(), key=lambda item: item[1]))  # each with the first line that it holds in
-        tools = self._described_tools(unit)
+        tools = self.described_tools(unit)
         cutters = [tool for tool in tools if tool.cuts]
         chosen = self.selected or (cutters[0].name if cutters else "")
         frames = {kind: self._of_frame(number, chosen) for number, kind in enumerate(self.frame, 1)}
@@ -220,7 +220,7 @@ class ProgramBuilder(PathBuilder):
                 words.setdefault(key[number], line)
         return words
 
-    def _described_tools(self, unit: float) -> tuple[ProgramTool, ...]:
+    def described_tools(self, unit: float) -> tuple[ProgramTool, ...]:
         """Every tool that the program changes to, with what its comments say; "" for cuts before the first one."""
         names = ({"": 1} if self._cuts[""] else {}) | self._tools
         only = next(iter(names)) if len(names) == 1 else None

@@ -91,6 +91,7 @@ APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed
 READERS: dict[str, PathReader] = {
     **dict.fromkeys((".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt"), GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
+    ".h": PathReader("kr270_milling.path.cam.heidenhain", "read_heidenhain", ("tool", "feed")),
     ".src": PathReader("kr270_milling.path.cam.krl.reader", "read_krl_program", ("tool", "feed")),
     ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
 }
@@ -139,7 +140,7 @@ def find_tool_path(name: str, beside: Path = Path()) -> Path:
 def read_path_file(
     path, tool: str = "", topic: str = "", feed: float = 0.0, offsets: Sequence[float] = ()
 ) -> Toolpath | TimedPath:
-    """Read G-code, APT/CL, a CSV of points or a recording; raise InputError with the line number, or RecordingError.
+    """Read a program, a CSV of points or a recording; raise InputError with the line number, or RecordingError.
 
     tool: "T1", of a program with several; topic: of a recording with several paths; feed [m/s]: for a file without
     feed, 0 for none; offsets [m]: x, y, z of the work offsets G54, G55 ... of G-code in the workpiece frame.

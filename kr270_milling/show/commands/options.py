@@ -127,7 +127,7 @@ def _example(parser, example: str, note: str = "") -> None:
 def _add_init(parser) -> None:
     _example(parser, "init --gcode config/test_piece.nc --out my.yaml")
     add = parser.add_argument
-    add("--gcode", metavar="FILE", help="the program: G-code or APT/CL")
+    add("--gcode", metavar="FILE", help="the program: G-code, Heidenhain or APT/CL")
     add("--tool", metavar="T1", default="", help="of a program with several tools: a cell for this one alone")
     add("--robot", default="kr270_2", help="arm file, also a shipped one by its name (default: %(default)s)")
     add(

@@ -14,7 +14,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.reader import GcodeReader, changes_by_m6
 from kr270_milling.path.cam.gcode.words import G_GROUPS, word_of
-from kr270_milling.path.cam.machine import AXES, MM
+from kr270_milling.path.cam.machine import AXES, MM, NURBS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 
 __all__ = ["expanded"]
@@ -49,7 +49,13 @@ class _Expansion(Interpreter):
         ending = [word_of(*word) for word in words if word[0] == "M" and word[1] in ENDING]
         self.lines += [" ".join(head)] * bool(head) + self._moves + [" ".join(ending)] * bool(ending)
         self.needed = (
-            self.needed or self.shift is not None or self.mode in (5, 5.1) or bool(self.cycle and self.plane != 17)
+            self.needed
+            or self.shift is not None
+            or self.contour is not None
+            or self.polar
+            or bool(self.pattern)
+            or self.mode in (5, 5.1, *NURBS)
+            or bool(self.cycle and self.plane != 17)
         )
 
     def _stays(self, letter: str, value: Any, words: list, began: bool) -> bool:

@@ -23,7 +23,7 @@ DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVE
 MAY_JUMP = re.compile(
     r"M[ \t]*0*9[789](?![0-9])|G[ \t]*65(?![0-9])|GOTO|WHILE|^[ \t/]*(?:N[ \t0-9]+)?(?:L[ \t]*[0-9]"
     r"|O[ \t]*(?:[<\[#]|[0-9]+[ \t]*[A-Z]))",
-    re.I | re.M,
+    re.M,
 )
 WORDS = "SUB|ENDSUB|RETURN|CALL|ELSEIF|IF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|CONTINUE"
 CONTROL = re.compile(
@@ -62,7 +62,7 @@ class _Stop(Exception):
 
 
 def has_flow(text: str) -> bool:
-    """Return whether a program may jump."""
+    """Return whether a program in upper case may jump."""
     return MAY_JUMP.search(text) is not None
 
 

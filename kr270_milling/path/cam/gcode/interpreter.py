@@ -57,6 +57,8 @@ class Interpreter(Machine):
         self.preset = False  #: G92 gave the tool its place
         self.calls = False  #: sub-programs can be called
         self.call: tuple[str, float, float, dict[str, float]] | None = None  #: kind, name, repeats, values
+        self.radii: dict[float, float] = {0.0: 0.0}  #: number D -> radius [m] that the program states
+        self.edge = math.nan  #: number of the last D
         self.end_word = 0.0  #: number of the M word that ended the program
 
     @property
@@ -64,7 +66,8 @@ class Interpreter(Machine):
         """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
         return (
             self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
-            and self.shift is None and bool(self.feed) and not self.watched
+            and self.shift is None and not self.side and not self.polar and self.contour is None
+            and bool(self.feed) and not self.watched
         )  # fmt: skip
 
     def run(self, words: list[tuple[str, Any]]) -> None:
@@ -85,6 +88,7 @@ class Interpreter(Machine):
                 axes[letter] = value
         if "call" in groups or "L" in axes:
             self._call(groups, axes)
+        self.pattern = []
         if not groups.keys() <= MOVES:
             self._set(groups, axes)
         if "F" in axes:
@@ -97,7 +101,7 @@ class Interpreter(Machine):
             self.no_feed = (
                 f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
             )
-        if axes or groups:
+        if axes or groups or self.pattern:
             self.move(axes, groups.get("motion"), groups.get("cycle"))
             for letter, value in axes.items():
                 self._left(letter, value)
@@ -130,7 +134,7 @@ class Interpreter(Machine):
             return self._named(key)
         if 5420 <= key <= 5422:
             value = self.position[key - 5420] / self.unit
-            return value if math.isfinite(value) else None
+            return value if math.isfinite(value) and not self.side and not self.beside else None
         offsets = self.offsets
         index = key - 5221
         if 5211 <= key <= 5213:
@@ -173,7 +177,7 @@ class Interpreter(Machine):
                 groups["claim"] = value
         else:
             word = word_of(letter, value)
-            moves = letter == "M" or not (41 <= value < 43 or value in (96, 22, 23))
+            moves = letter == "M" or value not in (96, 22, 23)
             advice = ADVICE.get(word, UNKNOWN if letter == "G" else UNKNOWN_M)
             self.program.refuse(word, advice=advice, lost=moves)
             if moves:
@@ -184,6 +188,9 @@ class Interpreter(Machine):
         if letter in TOOL_DATA:
             self.program.set_frame(TOOL_DATA[letter], word_of(letter, value))
             self.program.count(letter)
+            if letter == "D":
+                self.edge = value
+                self.radius = self.radii.get(value, math.nan)
         elif not value and (letter in FURTHER or letter in OF_ARCS):
             self.program.count(f"{letter}0")
         elif letter == "P" and self.cycle is not None and self.drilled:
@@ -201,6 +208,8 @@ class Interpreter(Machine):
 
     def _set(self, groups: dict, axes: dict) -> None:
         unit = self.unit
+        if "I" in axes and "L" in axes:
+            self.pattern = self._pattern(groups, axes)
         for group in MODAL.keys() & groups.keys():
             setattr(self, group, MODAL[group][groups[group]])
         if self.unit != unit and (self.feed_word is not None or "F" in axes):
@@ -209,6 +218,8 @@ class Interpreter(Machine):
             self.set_feed_mode(int(groups["feed"]))
         if "claim" in groups:
             self._claimed(groups, axes)
+        if "compensation" in groups:
+            self._compensate(groups["compensation"], axes)
         if "tool" in groups if self.changes else "T" in groups or "tool" in groups:
             if groups.get("tool") == 61 and "Q" in axes:  # the number of the tool that is in the spindle
                 self.next_tool = word_of("T", axes.pop("Q"))
@@ -217,6 +228,11 @@ class Interpreter(Machine):
             self.change_tool(self.next_tool)
             if groups.get("tool") == 6:  # it stops the spindle: NIST RS274/NGC 3.6.3
                 self.turning, self.program.spindle_speed = 0, 0.0
+        if "polar" in groups:
+            self.polar = True
+        if "holes" in groups:
+            self.program.refuse("G72", "G72 without I, L and a cycle is a word of lathes; post for a mill", lost=True)
+            groups["refused"] = 72
         if "dwell" in groups:
             self._dwell(groups, axes)
         if "offset" in groups or "G15" in groups:
@@ -234,6 +250,38 @@ class Interpreter(Machine):
             if "S" in axes:
                 self.program.refuse("M19", "M19 with S is a speed or an angle", "write S in the line of M3 or M4")
             self._read_over("M19", axes, SILENT_M[19])
+
+    def _pattern(self, groups: dict, axes: dict) -> list[complex]:
+        """Return the holes of G70 (circle), G71 (arc) and G72 (row) of Haas, which drill the active cycle at L places.
+
+        I: radius or distance, J: angle of the first hole or of the row, K: angle between holes. Without I and L, or
+        without a cycle, G70 and G71 are other words.
+        """
+        word = groups.get("unit", groups.get("holes"))
+        if word not in (70, 71, 72) or not (self.cycle or "cycle" in groups) or self.plane != 17 or self.incremental:
+            return []
+        groups.pop("unit", groups.pop("holes", None))
+        groups.pop("claim", None)
+        radius, count = axes.pop("I") * self.unit, axes.pop("L")
+        first, step = axes.pop("J", 0.0), axes.pop("K", 0.0) if word == 71 else 360 / max(count, 1)
+        if not 1 <= count <= 1000 or count != int(count):
+            self.program.refuse(word_of("G", word), f"L{count:g} holes cannot be drilled", lost=True)
+            return []
+        if word == 72:
+            return [k * cmath.rect(radius, math.radians(first)) for k in range(int(count))]
+        return [cmath.rect(radius, math.radians(first + k * step)) for k in range(int(count))]
+
+    def _compensate(self, word: float, axes: dict) -> None:
+        """G40, G41 D, G42 D: the radius that G10 gives to D, else that of the tool; G41.1 D: half of D."""
+        self.side = {40: 0, 41: 1, 42: -1}[int(word)]
+        number = axes.pop("D", self.edge)
+        if word == int(word):
+            self.edge = number if self.side else self.edge
+            self.radius = self.radii.get(number, math.nan)
+        else:
+            self.radius = number * self.unit / 2
+        if self.side and axes.pop("L", 0.0):
+            self.program.refuse(word_of("G", word), "L states the edge of a tool of lathes")
 
     def _offset(self, groups: dict, axes: dict) -> None:
         """G54 to G59.3 and others; G54.1 P, G154 P, and G15 H of Okuma."""
@@ -313,6 +361,8 @@ class Interpreter(Machine):
         else:
             if word in ("G92.1", "G92.2", "G92.3"):
                 self._restore(value)
+            elif word == "G15":
+                self.polar = False
             elif word == "G69":
                 self._change(turn=1 + 0j, centre=0j)
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
@@ -419,6 +469,8 @@ class Interpreter(Machine):
     def _data(self, lengths: dict, axes: dict) -> str:
         """G10: the place of a work offset by L2 and, by the coordinates that the tool is to have there, L20."""
         kind, number = axes.get("L"), axes.get("P", 0.0)
+        if kind in (1, 12) and "R" in axes:
+            self.radii[number] = axes["R"] * self.unit
         if kind not in (2, 20):
             return "" if kind in (1, 10, 11, 12, 13) or not self._began else "G10 of this kind"
         offsets = self.offsets

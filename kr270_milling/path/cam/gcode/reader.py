@@ -18,6 +18,7 @@ from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, V
 from kr270_milling.path.cam.gcode.flow import Flow, has_flow
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
+from kr270_milling.path.cam.machine import CORNERS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
@@ -48,7 +49,7 @@ PIECE = re.compile(
     |(?P<macro>[\#\[\]<]\S*|O[ \t]*<\S*|R[0-9]*[ \t]*=\S*)
     |(?P<call>[A-Z_]{{2,}}[0-9_]*[ \t]*\([^()]*\))
     |(?P<assigned>[A-Z][A-Z0-9_]{{0,15}}[ \t]*=[ \t]*(?:(?:AC|IC|DC)[ \t]*\([ \t]*{NUMBER}[ \t]*\)|{NUMBER}|"[^"]*"))
-    |(?P<word>[A-Z][ \t]*{NUMBER})
+    |(?P<word>(?:,[ \t]*(?=[RC]))?[A-Z@^][ \t]*{NUMBER})
     |(?P<name>[A-Z_]{{2,}}[A-Z0-9_]*(?![A-Z0-9_]*[ \t]*=))
     |(?P<expression>[A-Z][-+.]*(?:[ \t]*[\#\[\]<]|=)\S*)
     |(?P<bare>[A-Z][-+.]*(?![A-Z0-9]))
@@ -66,10 +67,11 @@ COMPUTED = re.compile(
 NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
 NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
 BLANK = re.compile(r"[ \t]+")
-LETTER = re.compile(r"[A-Z]")
+LETTER = re.compile(r"[A-Z@^]")
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
 LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
 SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
+OFFSET = re.compile(r"G[ \t]*0*4[12](?![0-9])")  #: the tool is beside the contour
 HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
@@ -112,7 +114,10 @@ class GcodeReader:
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
         program, cuts, read = self.program, 0, len(lines)
-        if has_flow("\n".join(lines)):
+        text = "\n".join(lines).upper()
+        if self.machine.contour is None and (OFFSET.search(text) or any(word in text for word in CORNERS)):
+            self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
+        if has_flow(text):
             flow = Flow(self.machine, self.variables, self.run_line, lines)
             flow.run()
             self.computed = self.computed or flow.jumped
@@ -285,7 +290,9 @@ class GcodeReader:
             if text == "SUPA":
                 words.append(("G", 53.0))
             elif kind == "word":
-                words.append((text[0], float(text[1:])))
+                size = 1 + (text[0] == ",")
+                text = text.replace(" ", "").replace("\t", "")
+                words.append((text[:size], float(text[size:])))
             elif kind == "assigned":
                 self._assigned(text, words, names)
             elif text == "RET":
@@ -312,7 +319,7 @@ class GcodeReader:
         letter, numbered = name[0], name[1:].isdigit()
         if not number and name == "T" and quoted.strip():
             words.append(("T", quoted.strip()))
-        elif number and (name in ("CR", "TURN") or len(name) == 1):
+        elif number and (name in ("CR", "TURN", *CORNERS) or len(name) == 1):
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"

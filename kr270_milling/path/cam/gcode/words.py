@@ -42,7 +42,7 @@ OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *ran
 #: tool length, limits. 5, 74 and 75 change none together with some other words.
 SILENT_G: dict[float, str] = {
     **dict.fromkeys(
-        (28.1, 30.1, 9, 13.1, 15, 40, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""
+        (28.1, 30.1, 9, 13.1, 15, 40.1, 49, 60, 61, 61.2, 62, 67, 69, 69.1, 74, 75, 92.1, 92.2, 92.3, 97), ""
     ),
     **dict.fromkeys((290, 291, 450, 451, *range(601, 604), *range(641, 647)), ""),
     **dict.fromkeys((5, 8, 54.4, 61.1, 103), "P"),
@@ -68,7 +68,7 @@ SILENT_M: dict[float, str] = {
 G_GROUPS: dict[float, str] = {
     **{n: f"G{n:g}" for n in SILENT_G},
     **{word: name for name, words in MODAL.items() for word in words},
-    **dict.fromkeys((0, 1, 2, 3), "motion"),
+    **dict.fromkeys((0, 1, 2, 3, 5.2, 5.3, 6.2), "motion"),
     **dict.fromkeys(
         (73, 76, 80, 81, 82, 83, 85, 86, 89), "cycle"
     ),  # drilling and boring cycles, expanded; 80: their end
@@ -76,11 +76,14 @@ G_GROUPS: dict[float, str] = {
     **dict.fromkeys((28, 30, 53, 153), "home"),
     **dict.fromkeys((*OFFSETS, 54.1, 154), "offset"),
     4: "dwell",
+    16: "polar",
+    72: "holes",
     65: "call",
     10: "data",
     52: "shift",
     68: "turn",
     92: "preset",
+    **dict.fromkeys((40, 41, 41.1, 42, 42.1), "compensation"),
 }
 M_GROUPS: dict[float, str] = {
     **{n: f"M{n:g}" for n in SILENT_M},
@@ -110,7 +113,7 @@ UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or
 
 UNKNOWN_M = "it is not known; leave it out where it moves no axis"
 
-HEIDENHAIN = "a program of a Heidenhain control; post it as ISO (DIN) G-code"
+HEIDENHAIN = "a program of a Heidenhain control; give its file the ending .h"
 
 
 def word_of(letter: str, value: float) -> str:
@@ -124,24 +127,25 @@ def _each(names: str, advice: str) -> dict[str, str]:
 
 #: words that cannot be run -> what to do
 ADVICE = {
-    **_each("G41 G42 G41.1 G42.1 G141", CENTRE),
+    **_each("G141", CENTRE),
     **_each("G66 G66.1 M96 M72 M198", MACROS),
     **_each(
         """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
         ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
         MACROS,
     ),
-    **_each("G16 G51 G51.1 G44 G100 G101 DIAMON DIAM90", DATUM),
+    **_each("G51 G51.1 G44 G100 G101 DIAMON DIAM90", DATUM),
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
-    **_each("G5.2 G5.3 G6 G6.1 G6.2 G6.3 G2.3 G3.3", CURVES),
+    **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
     **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
     **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
     **_each(
-        "G33 G33.1 G74 G84 G84.2 G84.3 G88 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
+        "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
         "leave threads out of this program; they are bound to the spindle's angle",
     ),
-    **_each("G96 G7 G32 G72", "this is a word of lathes; post for a mill"),
+    **_each("G96 G7 G32", "this is a word of lathes; post for a mill"),
+    **_each("G88", "the tool is withdrawn by hand; write G86 or G89"),
     **_each("G87 G12 G13 G150 G34 G47", POCKETS),
     **_each(
         """MCALL CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE89 POCKET3 POCKET4 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE71
