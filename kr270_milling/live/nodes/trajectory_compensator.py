@@ -93,6 +93,10 @@ class TrajectoryCompensator(ReportingNode):
         else:
             self.report(OK, "waiting for a target trajectory")
 
+    @property
+    def in_pass(self) -> bool:
+        return self.protocol.under_way
+
     def _now_ns(self) -> int:
         return self.get_clock().now().nanoseconds
 

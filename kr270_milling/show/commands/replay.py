@@ -7,7 +7,6 @@ from kr270_milling.base.column import table_of
 from kr270_milling.base.errors import one_line
 from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
-from kr270_milling.live.nodes.play_arguments import play_options
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.recordings.bag.remap import remapping
@@ -37,7 +36,7 @@ def _play(args) -> Answer:
     from kr270_milling.live.nodes.player import run_player
 
     with progress("playing") as report:
-        code, count = run_player(play_options(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
+        code, count = run_player(args, ["--ros-args", *args.ros_args] if args.ros_args else [], report)
     return Answer({"file": args.file, "messages": count, "exit_code": code}, [], code=code)
 
 
