@@ -17,6 +17,7 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.exchange.scene import path_bytes
 from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
@@ -27,7 +28,6 @@ from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.topics import COMPENSATOR
-from kr270_milling.recordings.messages.viewer import path_bytes
 
 __all__ = ["TrajectoryCompensator"]
 

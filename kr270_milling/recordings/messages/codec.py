@@ -36,13 +36,11 @@ __all__ = [
     "deserialise",
     "from_bytes",
     "named",
-    "pose_from_bytes",
     "serialise",
     "time_fields",
     "to_bytes",
     "trajectory_from_bytes",
     "type_of",
-    "wrench_from_bytes",
 ]
 
 
@@ -314,20 +312,3 @@ def from_bytes(type_name: str, data: bytes):
     ``trajectory_from_bytes`` raises.
     """
     return READERS[type_name](data)
-
-
-def pose_from_bytes(data: bytes) -> PoseSample:
-    """Read a geometry_msgs/PoseStamped; raise MessageError."""
-    return _received(PoseSample, data, "tool_pose")
-
-
-def wrench_from_bytes(data: bytes) -> WrenchSample:
-    """Read a geometry_msgs/WrenchStamped; raise MessageError."""
-    return _received(WrenchSample, data, "wrench")
-
-
-def _received(kind: type, data: bytes, topic: str):
-    try:
-        return KINDS[kind].read(data)
-    except ValueError:
-        raise MessageError(f"{topic}: cannot be read as {type_of(kind).rpartition('/')[2]}") from None
