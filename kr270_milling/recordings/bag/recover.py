@@ -1,4 +1,4 @@
-"""A whole recording from a damaged file: everything that can be read is written again."""
+"""Damage of a recording, and a whole recording from what can be read of a damaged file."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.files import find_recording, is_rosbag
 from kr270_milling.recordings.bag.mcap_file import Attached, Damage
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
-__all__ = ["Recovered", "recover"]
+__all__ = ["Recovered", "findings", "recover"]
+
+MOST = 20  # sentences
 
 
 @dataclass
@@ -165,3 +166,37 @@ def _copy(source: Recording, losses: Losses, writer: BagWriter, progress: Callab
             progress(count, source.count)
     losses.dropped += [f"{count} messages {reason}" for reason, count in refused.items()]
     writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(losses.dropped) or "nothing"})
+
+
+def findings(recording: Recording, progress: Callable[[int, int], None] | None = None) -> list[str]:
+    """Return a sentence for each damage, at most 20; none for a whole recording. Damage raises no error.
+
+    A recording is whole where ``mcap doctor`` accepts it, also without checksums and counts. The indexes are not
+    compared: nothing here reads by them.
+    """
+    sentences = ["it is cut off: its writer did not finish it"] if recording.cut_off else []
+    counts: Counter[int] = Counter()
+
+    def add(damage: Damage, _: int) -> None:
+        sentences.append(f"{damage.reason} (at byte {damage.offset})")
+
+    for number, message in enumerate(recording.messages(on_damage=add)):
+        counts[message.channel] += 1
+        if progress and number % 10_000 == 0:
+            progress(number, recording.count)
+    sentences += filter(None, (_attachment_damage(recording, about.name) for about in recording.attachments))
+    stated = recording.statistics
+    if stated and not sentences:
+        different = any(counts[channel] != count for channel, count in stated.channel_message_counts.items())
+        if different or stated.message_count != counts.total():
+            sentences.append("the counts of messages at the end are not those of the messages")
+    return sentences[:MOST]
+
+
+def _attachment_damage(recording: Recording, name: str) -> str:
+    """Return what is wrong with an attachment, or an empty text."""
+    try:
+        recording.attachment(name)
+    except RecordingError as error:
+        return error.reason
+    return ""
