@@ -17,9 +17,8 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.exchange.compensator import end_of
-from kr270_milling.exchange.inbox import PassInbox, ReceivedPass, interpolated
+from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
-from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording

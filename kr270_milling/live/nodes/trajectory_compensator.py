@@ -17,8 +17,8 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.exchange.inbox import BREAK_NS
 from kr270_milling.exchange.scene import path_bytes
-from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
