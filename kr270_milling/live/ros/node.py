@@ -105,7 +105,6 @@ class ReportingNode(Node):
     state = ""  #: lifecycle state of a managed node
     finished = False  #: the node has nothing more to do
     failure: str | None = None  #: sentence of a failed node; the exit code is then 1
-    in_pass = False  #: a pass is under way; its reports are short: the discovered subscribers took 8 % of an exchange
     lap: Future | None = None  #: the executor returns when this future is done
 
     def __init__(self, name: str, **kwargs):
@@ -117,6 +116,11 @@ class ReportingNode(Node):
         self._values: dict[str, object] = {"process": os.getpid()}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._report_timer = self.create_timer(0.2, self._report)  # [s] of the wall clock
+
+    @property
+    def in_pass(self) -> bool:
+        """Return whether a pass is under way; its reports are short: the subscribers took 8 % of an exchange."""
+        return False
 
     def end(self, failure: str | None = None) -> None:
         """End the process after the current callback."""
