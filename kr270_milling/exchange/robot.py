@@ -23,12 +23,9 @@ __all__ = ["RobotProtocol"]
 
 
 class RobotProtocol:
-    """Reference trajectory and wrench in; tool_pose, deflection, joint_states and, on request, clock out.
+    """Reference trajectory and wrench in; tool_pose, deflection, joint_states and, on request, clock out."""
 
-    deflection_every: exchange periods from one deflection to the next; default: as ``publish.every`` states.
-    """
-
-    def __init__(self, cell: Cell, deflection_every: int | None = None):
+    def __init__(self, cell: Cell):
         self.cell = cell
         self.reference: Trajectory | None = None  #: reference of the next pass
         self.passes = 0  #: completed passes
@@ -39,8 +36,7 @@ class RobotProtocol:
         self.awaited_ns = 0  #: stamp of the next wrench
         self.correction = 0.0  #: [m], largest distance between corrected and predicted tool centre in this pass
         self._iterations = cell.exchange.iterations
-        self._deflection_every = deflection_every or cell.publish.steps(cell.exchange)
-        self._joints_every = cell.publish.steps(cell.exchange)
+        self._every = cell.publish.steps(cell.exchange)
         self._clock_every = cell.exchange.steps_of(0.01)  # [s] of the pass, at least
 
     def describe(self) -> list[Output]:
@@ -66,7 +62,7 @@ class RobotProtocol:
         self._unloaded = planned.sample(stamps)  # [m], (steps + 1, 3)
         self._orientation = planned.sample_orientation(stamps)  # (steps + 1, 4)
         # the encoders are at the motors
-        self._joints = arm_of(cell).joints_along(reference, stamps[:: self._joints_every])
+        self._joints = arm_of(cell).joints_along(reference, stamps[:: self._every])
         self._arm = CompliantArm(model, model.push(planned, stamps))
         self._tool = self._unloaded[0]  # predicted tool centre [m], (3,)
         self._step = 0  # whose wrench is awaited
@@ -133,10 +129,9 @@ class RobotProtocol:
 
     def _state(self, step: int, stamp_ns: int, deflection: np.ndarray) -> list[Output]:
         outputs: list[Output] = []
-        if step % self._deflection_every == 0:
+        if step % self._every == 0:
             outputs.append(("deflection", TwistSample(stamp_ns, WORKPIECE, deflection)))
-        if step % self._joints_every == 0:
-            joints = self._joints[step // self._joints_every]
+            joints = self._joints[step // self._every]
             outputs.append(("joint_states", JointSample(stamp_ns, self.cell.joint_names, joints)))
         if self.cell.publish.clock and step % self._clock_every == 0:
             outputs.append(("clock", ClockSample(stamp_ns)))

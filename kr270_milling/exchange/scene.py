@@ -1,4 +1,4 @@
-"""Messages for viewers such as RViz and Foxglove: transforms, the path coloured by its error, the force.
+"""Messages for viewers such as RViz and Foxglove: transforms, the path coloured by its error, the force, trajectories.
 
 Bytes of the graph's topics in, bytes of ``/tf``, ``/tf_static`` and ``/markers`` out; time is the stamp of messages.
 """
@@ -6,7 +6,6 @@ Bytes of the graph's topics in, bytes of ``/tf``, ``/tf_static`` and ``/markers`
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,44 +13,27 @@ from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE, quaternion_from
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot.urdf_links import Link, links_of
 from kr270_milling.recordings.messages.cdr import stamp_of
-from kr270_milling.recordings.messages.codec import (
-    from_bytes,
-    pose_from_bytes,
-    trajectory_from_bytes,
-    wrench_from_bytes,
-)
+from kr270_milling.recordings.messages.codec import from_bytes, named, serialise, time_fields
 from kr270_milling.recordings.messages.topics import TOPICS
-from kr270_milling.recordings.messages.viewer import (
-    ARROW,
-    LINE_STRIP,
-    MARKERS,
-    TRANSFORMS,
-    Marker,
-    markers_bytes,
-    transforms_bytes,
-)
 
-__all__ = ["INPUTS", "OUTPUTS", "Derived", "Scene"]
+__all__ = ["INPUTS", "OUTPUTS", "Scene", "path_bytes"]
 
-#: topics that a scene receives, without their namespace
-INPUTS = tuple(topic.name for topic in TOPICS if topic.scene)
 #: topic -> type of the derived messages; transforms are global, as viewers expect
-OUTPUTS = {"/tf_static": TRANSFORMS, "/tf": TRANSFORMS, "/markers": MARKERS}
+OUTPUTS = {
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/markers": "visualization_msgs/msg/MarkerArray",
+}
+#: topic that a scene receives, without its namespace -> type
+INPUTS = {topic.name: topic.type for topic in TOPICS if topic.scene}
 PERIOD_NS = 33_333_333  #: between two messages, 30 Hz
+PATH_POINTS = 500  #: points of a path, evenly in time, beside at most as many of its knots
 LOW, HIGH = np.array([0.03, 0.31, 0.59, 1.0]), np.array([0.90, 0.35, 0.05, 1.0])  #: colours of no and of full error
-
-
-class Derived(NamedTuple):
-    """A message that a scene derived."""
-
-    topic: str
-    type: str
-    data: bytes
-    stamp_ns: int
+LINE_STRIP, ARROW = 4, 0  # visualization_msgs/msg/Marker.type
 
 
 class Scene:
-    """The scene of a robot. ``take`` receives the messages of its topics and yields the derived messages."""
+    """The scene of a robot. ``take`` receives the messages of its topics; it yields topic and bytes of others."""
 
     def __init__(self):
         self._links: tuple[Link, ...] = ()
@@ -69,14 +51,14 @@ class Scene:
         self._pose_due = self._wrench_due = self._joints_due = 0
         self._force = np.zeros(3)
 
-    def take(self, name: str, data: bytes) -> Iterator[Derived]:
+    def take(self, name: str, data: bytes) -> Iterator[tuple[str, bytes]]:
         """name: of the topic without its namespace. Raises MillingError, ValueError if the bytes are not a message."""
         if name == "robot_description":
-            self._links = links_of(from_bytes("std_msgs/msg/String", data).text)
+            self._links = links_of(from_bytes(INPUTS[name], data).text)
             self._tool_width = self._width()
-            yield Derived("/tf_static", TRANSFORMS, transforms_bytes(0, self._frames({}, moving=False)), 0)
+            yield "/tf_static", self._transforms(0, {}, moving=False)
         elif name.endswith("_trajectory"):
-            run = trajectory_from_bytes(data)
+            run = from_bytes(INPUTS[name], data)
             if name == "target_trajectory" or self._target is None:
                 self._target = run
             if name == "reference_trajectory":
@@ -84,39 +66,42 @@ class Scene:
         elif name in ("joint_states", "tool_pose", "wrench"):
             yield from self._of_the_pass(name, data, stamp_of(data) or 0)
 
-    def _of_the_pass(self, name: str, data: bytes, stamp: int) -> Iterator[Derived]:
+    def _of_the_pass(self, name: str, data: bytes, stamp: int) -> Iterator[tuple[str, bytes]]:
         if name == "tool_pose" and stamp < self._pose_due - PERIOD_NS or self._start_ns < self._next_ns <= stamp:
             self._fresh()  # the next pass
             self._start_ns = self._next_ns
         if name == "joint_states":
             if self._links and stamp >= self._joints_due:
                 names = [link.joint for link in self._links if link.joint]
-                state = from_bytes("sensor_msgs/msg/JointState", data)
+                state = from_bytes(INPUTS[name], data)
                 if not {*names} & {*state.names}:
                     return  # of a gripper or of another robot
-                position = state.of(names)
+                joints = dict(zip(names, state.of(names), strict=True))
                 self._joints_due = stamp + PERIOD_NS
-                joints = dict(zip(names, position, strict=True))
-                yield Derived("/tf", TRANSFORMS, transforms_bytes(stamp, self._frames(joints, moving=True)), stamp)
+                yield "/tf", self._transforms(stamp, joints, moving=True)
         elif name == "wrench":
             if stamp >= self._wrench_due:
                 self._wrench_due = stamp + PERIOD_NS
-                self._force = np.asarray(wrench_from_bytes(data).wrench[:3])
+                self._force = from_bytes(INPUTS[name], data).wrench[:3]
         elif stamp >= self._pose_due:
             self._pose_due = stamp + PERIOD_NS
-            self._add_point(stamp, np.asarray(pose_from_bytes(data).position))
-            yield Derived("/markers", MARKERS, markers_bytes(stamp, self._markers()), stamp)
+            self._add_point(stamp, from_bytes(INPUTS[name], data).position)
+            yield "/markers", serialise(OUTPUTS["/markers"], {"markers": self._markers(stamp)})
 
-    def _frames(self, joints: Mapping[str, float], moving: bool) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
-        """Return the frames of the moving or of the fixed links for ``transforms_bytes``; joints: name -> [rad]."""
+    def _transforms(self, stamp_ns: int, joints: Mapping[str, float], moving: bool) -> bytes:
+        """Return the frames of the moving or of the fixed links, in their parents; joints: name -> [rad]."""
         links = [link for link in self._links if link.parent >= 0 and bool(link.joint) == moving]
         turns = [link.rotation @ _turn(link.axis, joints[link.joint]) if moving else link.rotation for link in links]
         quaternions = quaternion_from_rotation(np.array(turns).reshape(-1, 3, 3))
-        parents = [self._links[link.parent].name for link in links]
-        return [
-            (parent, link.name, link.xyz, quaternion)
-            for parent, link, quaternion in zip(parents, links, quaternions, strict=True)
+        rows = [
+            {
+                "header": {"stamp": time_fields(stamp_ns), "frame_id": self._links[link.parent].name},
+                "child_frame_id": link.name,
+                "transform": {"translation": named("xyz", link.xyz), "rotation": named("xyzw", quaternion)},
+            }
+            for link, quaternion in zip(links, quaternions, strict=True)
         ]
+        return serialise(OUTPUTS["/tf"], {"transforms": rows})
 
     def _width(self) -> float:
         """[m], of the tool's tip in the description."""
@@ -140,21 +125,50 @@ class Scene:
             self._points, self._errors, self._cuts = self._points[::2], self._errors[::2], self._cuts[::2]
             self._spacing *= 2
 
-    def _markers(self) -> list[Marker]:
+    def _markers(self, stamp: int) -> list[dict]:
         points = np.array(self._points).reshape(-1, 3)
         share = np.clip(np.array(self._errors) / 100e-6, 0.0, 1.0)[:, None]  # 100 um: the far end of the colours
         cut = points[np.array(self._cuts, bool)]
         markers = []
         if len(points) > 1:
-            markers.append(Marker("path", WORKPIECE, LINE_STRIP, 1e-3, points, LOW + share * (HIGH - LOW)))
+            colours = {"color": named("rgba", np.ones(4)), "colors": LOW + share * (HIGH - LOW)}
+            markers.append(_marker(stamp, "path", LINE_STRIP, 1e-3, points, colours))
         if len(cut) > 1:
-            grey = np.array([0.6, 0.65, 0.7, 0.6])
-            markers.append(Marker("removed", WORKPIECE, LINE_STRIP, self._tool_width, cut, grey))
+            grey = {"color": named("rgba", (0.6, 0.65, 0.7, 0.6))}
+            markers.append(_marker(stamp, "removed", LINE_STRIP, self._tool_width, cut, grey))
         if len(points):
             ends = np.stack([points[-1], points[-1] + 1e-3 * self._force])  # [m/N]
-            green = np.array([0.0, 0.5, 0.35, 1.0])
-            markers.append(Marker("force", WORKPIECE, ARROW, 4e-3, ends, green))
+            green = {"color": named("rgba", (0.0, 0.5, 0.35, 1.0))}
+            markers.append(_marker(stamp, "force", ARROW, 4e-3, ends, green))
         return markers
+
+
+def _marker(stamp: int, name: str, kind: int, width: float, points: np.ndarray, colours: Mapping) -> dict:
+    """Return a marker, which replaces the earlier one of its name; width of the line, or of the shaft [m]."""
+    return {
+        "header": {"stamp": time_fields(stamp), "frame_id": WORKPIECE},
+        "ns": name,
+        "type": kind,
+        "pose": {"orientation": {"w": 1.0}},
+        "scale": {"x": width, "y": 2 * width * (kind == ARROW)},
+        "points": points,
+        **colours,
+    }
+
+
+def path_bytes(run: Trajectory) -> bytes:
+    """Return a Path along a trajectory, in its frame; every pose has the stamp of its time from the start."""
+    knots = run.time_ns[:: -(-len(run) // PATH_POINTS)]
+    times = np.union1d(knots, np.linspace(0, run.duration_ns, PATH_POINTS).astype(np.int64))
+    turns = run.quaternion[np.searchsorted(run.time_ns, times, side="right") - 1]  # of the knot before
+    poses = [
+        {
+            "header": {"stamp": time_fields(ns), "frame_id": run.frame},
+            "pose": {"position": named("xyz", place), "orientation": named("xyzw", turn)},
+        }
+        for ns, place, turn in zip(times.tolist(), run.sample(times), turns, strict=True)
+    ]
+    return serialise("nav_msgs/msg/Path", {"header": {"frame_id": run.frame}, "poses": poses})
 
 
 def _turn(axis: np.ndarray, angle: float) -> np.ndarray:

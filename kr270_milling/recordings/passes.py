@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,17 +22,6 @@ __all__ = ["EXCHANGED", "GraphRecord", "PassSeries", "Series", "own_topics", "re
 
 EXCHANGED = ("tool_pose", "wrench", "deflection")
 TYPES = {topic.name: topic.type for topic in TOPICS}
-
-
-class StepClock(Protocol):
-    """The steps of the exchange; ``physics.motion.periods.Clock`` is one."""
-
-    @property
-    def period(self) -> float: ...  # [s]
-
-    def stamp(self, step): ...
-
-    def steps(self, duration_ns: int) -> int: ...
 
 
 class Series(NamedTuple):
@@ -131,15 +120,16 @@ def own_topics(recording: Recording, name: str) -> list[str]:
 
 def read_graph(
     recording: Recording,
-    clock: StepClock,
+    clock,
     namespace: str | None = None,
     joint_names: Sequence[str] = (),
     on_damage: Callable | None = None,
 ) -> GraphRecord:
     """Read the nodes' topics of one robot once, and cut the series into the passes along its references.
 
-    joint_names: of the robot, to read its joint states and the maps of the part; on_damage: see
-    ``Recording.messages``. Raises RecordingError where poses or references are not recorded.
+    clock: the steps of the exchange (``physics.motion.periods.Clock``). joint_names: of the robot, to read its joint
+    states and the maps of the part. on_damage: see ``Recording.messages``. Raises RecordingError where poses or
+    references are not recorded.
     """
     names = {topic.rpartition("/")[2] for topic in recording.topics()}  # a driver publishes no deflection
     topics = {kind: topic_of(recording, kind, namespace) for kind in EXCHANGED if kind == "tool_pose" or kind in names}
@@ -215,7 +205,7 @@ def _wall_times(decode: Callable, data: bytes, known: list[float]) -> list[float
 
 def _passes(
     graph: GraphRecord,
-    clock: StepClock,
+    clock,
     recorded: dict[str, TopicSeries],
     maps: list[StockMap],
     walls: list[float],
@@ -242,7 +232,7 @@ def _passes(
     return passes
 
 
-def _cut(clock: StepClock, topic: TopicSeries, name: str, start: int, end: int, last: int) -> Series:
+def _cut(clock, topic: TopicSeries, name: str, start: int, end: int, last: int) -> Series:
     """Return the rows of a topic that the nodes use in one pass."""
     here = (topic.stamp >= start) & (topic.stamp < end)
     stamp, values = topic.stamp[here] - start, topic.values[here]

@@ -109,7 +109,7 @@ def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float
                 lost = pass_from_recording(ran.recording)[1].messages_lost
                 again = None if number else recompute(ran.recording)
                 if lost or (again and again.verdict != "identical"):
-                    raise RunError(RECORDER, f"{lost} messages lost; recomputed: {again and again.as_dict()}")
+                    raise RunError(RECORDER, f"{lost} messages lost; recomputed: {again}")
     return max(rates)
 
 

@@ -18,9 +18,9 @@ from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.inbox import lag
 from kr270_milling.exchange.inputs import ExchangeError, WrenchFrames, checked_wrench
 from kr270_milling.exchange.robot import RobotProtocol
-from kr270_milling.exchange.start import lag
 from kr270_milling.path.trajectory import fingerprint
 from kr270_milling.physics.robot.sensor import moved_wrench
 
@@ -35,7 +35,7 @@ def cell_with(*assignments):
 
 
 def protocols(cell):
-    robot, cut = RobotProtocol(cell, deflection_every=1), CutProtocol(cell)
+    robot, cut = RobotProtocol(cell.replace(publish=cell.publish.replace(every=1))), CutProtocol(cell)
     robot.reference = path_of(cell).target
     cut.configure()
     return robot, cut
@@ -110,10 +110,7 @@ def same_as_compiled(cell, reference=None):
     for topic, field, series in (("tool_pose", "position", expected.tool), ("wrench", "wrench", expected.wrench)):
         last = {record.stamp: getattr(record, field) for record in records(outputs, topic)}  # of the iterated ones
         np.testing.assert_array_equal(list(last.values()), series)
-    assert (
-        column(outputs, "joint_states", "stamp").tolist()
-        == expected.time_ns[:: cell.publish.steps(cell.exchange)].tolist()
-    )
+    assert column(outputs, "joint_states", "stamp").tolist() == expected.time_ns.tolist()
     clock = [record.stamp for record in records(outputs, "clock")]  # none unless the cell requests it
     assert clock == (expected.time_ns[:: cell.exchange.steps_of(0.01)].tolist() if cell.publish.clock else [])
     assert robot.correction == expected.correction.max() and cut.cut.removed_area == expected.removed_area

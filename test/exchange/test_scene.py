@@ -11,7 +11,7 @@ from samples import pass_recording as made
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointSample, PoseSample, Text
 from kr270_milling.cell.models import path_of
-from kr270_milling.exchange.scene import Scene
+from kr270_milling.exchange.scene import OUTPUTS, Scene
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.recordings.messages.codec import deserialise, to_bytes
@@ -34,7 +34,7 @@ def placed(cell, joints) -> dict[str, np.ndarray]:
     turned = JointSample(0, ("finger", *names[::-1]), np.array([0.1, *joints[::-1]]))  # in another order
     result += scene.take("joint_states", to_bytes(turned))
     frames = {"base_link": np.eye(4)}
-    waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
+    waiting = [t for topic, data in result for t in deserialise(OUTPUTS[topic], data).transforms]
     while waiting:
         one = waiting.pop(0)
         if one.header.frame_id not in frames:
@@ -64,7 +64,7 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
         stamp = k * 40_000_000
         position = target.sample(stamp) + (shift if k > 225 else 0.0)
         result = list(scene.take("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
-    (markers,) = (deserialise(one.type, one.data).markers for one in result)
+    (markers,) = (deserialise(OUTPUTS[topic], data).markers for topic, data in result)
     (path,) = (marker for marker in markers if marker.ns == "path")
     assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
     assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
@@ -76,6 +76,6 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
 def test_a_description_of_something_else_gives_no_moving_frames_and_noise_is_refused(text):
     with contextlib.suppress(ValueError):
         result = list(Scene().take("robot_description", to_bytes(Text(text))))
-        assert not [t for one in result for t in deserialise(one.type, one.data).transforms]
+        assert not [t for topic, data in result for t in deserialise(OUTPUTS[topic], data).transforms]
     with pytest.raises(ValueError, match="CDR|not"):
         list(Scene().take("robot_description", b"noise"))

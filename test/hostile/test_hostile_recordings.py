@@ -21,8 +21,7 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.recordings.bag.recover import findings, recover
 
 MB = 1024 * 1024
 BEGIN = b"\x89MCAP0\r\n" + struct.pack("<BQI4sI", 1, 12, 4, b"ros2", 0)
@@ -32,7 +31,7 @@ resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.recordings.bag.recover import findings
 
 
 def peak():  # [kB]; ru_maxrss would begin with the peak of the process that started this one

@@ -20,9 +20,8 @@ from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.robot import RobotProtocol
-from kr270_milling.live.nodes.play_arguments import PLAY, play_options
-from kr270_milling.recordings.bag.play_options import PlayOptions
-from kr270_milling.recordings.bag.playback import opening, passage, span
+from kr270_milling.live.nodes.play_arguments import PLAY
+from kr270_milling.recordings.bag.playback import playback, span
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -189,13 +188,13 @@ def force_offset(axis: int) -> int:
     return 28 + 8 * axis
 
 
-def options(*words: str) -> PlayOptions:
+def options(*words: str) -> argparse.Namespace:
     """Of a playback, from the words of a command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("file")
     for names, keywords in PLAY:
         parser.add_argument(*names, **keywords)
-    return play_options(parser.parse_args(list(words)))
+    return parser.parse_args(list(words))
 
 
 def played(bag, *words: str) -> list:
@@ -203,8 +202,8 @@ def played(bag, *words: str) -> list:
     chosen = options(str(bag), *words)
     with Recording(bag) as recording:
         topics = set(chosen.topics or recording.topics())
-        start, end = span(recording, chosen)
-        return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
+        start, end = span(recording, chosen.start_offset, chosen.playback_duration)
+        return list(playback(recording, topics, start, end))
 
 
 def raw(directory) -> list[tuple[str, bytes]]:

@@ -17,15 +17,14 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.exchange.compensator import end_of
-from kr270_milling.exchange.inbox import PassInbox, ReceivedPass, interpolated
+from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
-from kr270_milling.exchange.start import BREAK_NS
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
-from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
+from kr270_milling.recordings.messages.codec import from_bytes
+from kr270_milling.recordings.passes import TYPES, GraphRecord, PassSeries, Series, read_graph
 
 __all__ = ["read_passes", "too_long"]
 
@@ -56,10 +55,10 @@ def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iter
     """Yield the passes of a robot with another clock, in the order of the file, as the compensator receives them."""
     names = {topic: name for name, topic in graph.topics.items() if name in TOPICS}
     frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
-    read: dict[str, Callable] = {  # as the compensator reads and checks them
-        "reference_trajectory": trajectory_from_bytes,
-        "tool_pose": lambda data: checked_pose(pose_from_bytes(data)),
-        "wrench": lambda data: checked_wrench(wrench_from_bytes(data), frames.names),
+    check: dict[str, Callable] = {  # as the compensator checks them
+        "reference_trajectory": lambda run: run,
+        "tool_pose": checked_pose,
+        "wrench": lambda sample: checked_wrench(sample, frames.names),
     }
     inbox, reference, number, last = PassInbox(0, 1), None, -1, b""
     for message in recording.messages(set(names)):
@@ -67,8 +66,8 @@ def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iter
         if name == "reference_trajectory" and message.data == last:
             continue  # latched, received again
         try:
-            record = read[name](message.data)
-        except MillingError:  # refused by the live node as well
+            record = check[name](from_bytes(TYPES[name], message.data))
+        except (MillingError, ValueError):  # refused by the live node as well
             continue
         if name == "reference_trajectory":
             if reference is not None:

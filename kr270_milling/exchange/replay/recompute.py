@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import operator
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
@@ -27,7 +29,7 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import CompliantArm, silent_periods
 from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.messages.topics import TOPICS
 from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
 
@@ -62,7 +64,6 @@ class Difference:
     field: str
     recorded: object
     recomputed: object
-    order: tuple = ()  #: sorts the differences of several topics by pass, time and cause
 
     def __str__(self) -> str:
         return (
@@ -81,7 +82,7 @@ class TopicCount:
     not_compared: int = 0  #: recorded, but their cause is not in the recording
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recomputed:
     """The verdict of a recompute.
 
@@ -89,19 +90,23 @@ class Recomputed:
     "incomplete": a model could not continue, or messages were not compared; else "identical".
     """
 
-    file: str
-    cut_off: bool
-    channels: dict[str, TopicCount]  #: full name of a topic -> its counts
-    first: Difference | None
-    stops: tuple[tuple[str, int | None, str], ...]  #: namespace, stamp [ns] if a time belongs to the reason, reason
-    version: str  #: version of the package that wrote the recording
-    damage: tuple[str, ...] = ()
+    file: str = column("file")
+    cut_off: bool = column("cut_off")
+    channels: dict[str, TopicCount] = column("channels")  #: full name of a topic -> its counts
+    first: Difference | None = column("first_difference")
+    stops: tuple[dict, ...] = column("stopped")  #: robot, stamp_ns if a time belongs to the reason, reason
+    version: str = column("recorded_version")  #: version of the package that wrote the recording
+    damage: tuple[str, ...] = column("damage")
 
-    @property
+    @computed("compared")
     def compared(self) -> int:
         return sum(count.compared for count in self.channels.values())
 
-    @property
+    @computed("version")
+    def present_version(self) -> str:
+        return __version__
+
+    @computed("verdict")
     def verdict(self) -> str:
         if self.first is not None:
             return "different"
@@ -112,22 +117,7 @@ class Recomputed:
     @property
     def sentences(self) -> list[str]:
         """Return a sentence for each reason why the recompute is not complete."""
-        at = "cannot continue at {:.6f} s: "
-        return [f"{ns or '/'}: {'' if t is None else at.format(t * 1e-9)}{reason}" for ns, t, reason in self.stops]
-
-    def as_dict(self) -> dict:
-        return dict(
-            file=self.file,
-            verdict=self.verdict,
-            cut_off=self.cut_off,
-            compared=self.compared,
-            channels={topic: vars(count) for topic, count in self.channels.items()},
-            first_difference=self.first and {k: v for k, v in vars(self.first).items() if k != "order"},
-            damage=list(self.damage),
-            stopped=[dict(robot=ns or "/", stamp_ns=stamp, reason=reason) for ns, stamp, reason in self.stops],
-            recorded_version=self.version,
-            version=__version__,
-        )
+        return [f"{stop['robot']}: {_at(stop['stamp_ns'])}{stop['reason']}" for stop in self.stops]
 
 
 def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None) -> Recomputed:
@@ -146,11 +136,15 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
             robots = [_Robot(recording, cells, namespace, progress) for namespace in robots_of(recording)]
         channels = {topic: count for robot in robots for topic, count in robot.counts.items()}
         firsts = [robot.first for robot in robots if robot.first]
-        first = min(firsts, key=lambda difference: difference.order, default=None)
+        _, first = min(firsts, key=operator.itemgetter(0), default=(None, None))
         stops = tuple(stop for robot in robots for stop in robot.stops)
         version = recording.metadata().get("kr270_milling", {}).get("kr270_milling_version", "")
         damage = () if recording.cut_off else tuple(findings(recording))
         return Recomputed(str(recording.path), recording.cut_off, channels, first, stops, version, damage)
+
+
+def _at(stamp_ns: int | None) -> str:
+    return "" if stamp_ns is None else f"cannot continue at {stamp_ns * 1e-9:.6f} s: "
 
 
 def robots_of(recording: Recording) -> list[str]:
@@ -186,8 +180,8 @@ class _Robot:
     def __init__(self, recording: Recording, cells: tuple[Cell, Cell], namespace: str, progress):
         self.cell, self.plant = cells
         self.counts: dict[str, TopicCount] = {}
-        self.first: Difference | None = None
-        self.stops: list[tuple[str, int | None, str]] = []
+        self.first: tuple[tuple, Difference] | None = None  # its order by pass, time and cause
+        self.stops: list[dict] = []
         self._namespace, self._cut_off = namespace, recording.cut_off
         graph = read_graph(recording, path_of(self.cell).clock, namespace, self.cell.joint_names, pass_over)
         poses = recording.topics()[graph.topics["tool_pose"]].count if "tool_pose" in graph.topics else 0
@@ -208,14 +202,14 @@ class _Robot:
         return self.counts.setdefault(f"{self._namespace}/{name}", TopicCount())
 
     def _stop(self, stamp_ns: int | None, reason: str) -> None:
-        self.stops.append((self._namespace, stamp_ns, reason))
+        self.stops.append(dict(robot=self._namespace or "/", stamp_ns=stamp_ns, reason=reason))
 
     def _differs(self, name: str, order: tuple[int, int], index: int, field: str, recorded, recomputed) -> None:
         """Keep the difference if it is the first by pass, time and cause."""
         key = (*order, [topic.name for topic in TOPICS].index(name))  # in the order of causes
-        if self.first is None or key < self.first.order:
+        if self.first is None or key < self.first[0]:
             topic = f"{self._namespace}/{name}"
-            self.first = Difference(topic, index, order[1], field, recorded, recomputed, key)
+            self.first = key, Difference(topic, index, order[1], field, recorded, recomputed)
 
     # --- robot and cut ---
 

@@ -47,7 +47,7 @@ class CompliantRobot(ManagedNode):
         self.open_outlets(ROBOT)
         self._reference = self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
-        self.subscribe(topics.DIAGNOSTICS, self._on_reports, read_reports)
+        self.subscribe(topics.DIAGNOSTICS, self._on_reports, lambda data: {} if self.in_pass else read_reports(data))
         self._exchanges = 0  # since the last check
         self._ready = False  # as the compensator reported last
         self.create_timer(LOOK, self._watch_answer)
@@ -75,6 +75,10 @@ class CompliantRobot(ManagedNode):
     def _on_reference(self, reference: Trajectory) -> None:
         self.protocol.reference = reference
         self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
+
+    @property
+    def in_pass(self) -> bool:
+        return self.protocol.started and not self.protocol.finished
 
     def _on_reports(self, reports: Mapping[str, Report]) -> None:
         planner = reports.get(self.full_name(COMPENSATOR))

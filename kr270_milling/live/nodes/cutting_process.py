@@ -36,6 +36,10 @@ class CuttingProcess(ManagedNode):
         self.set_values(reference="")
         self.report(OK, "unconfigured")
 
+    @property
+    def in_pass(self) -> bool:
+        return self.protocol.under_way
+
     def configure(self) -> None:
         self._compile()
         self.send(self.protocol.configure())

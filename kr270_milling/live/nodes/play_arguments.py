@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 from kr270_milling.base.arguments import bounded
-from kr270_milling.recordings.bag.play_options import MOST, PlayOptions
 
-__all__ = ["PLAY", "play_options"]
+__all__ = ["PLAY"]
 
+MOST = 9e9  # [s], 285 years, the largest log time in nanoseconds
 CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
 _ABOVE, _LEAST = bounded(0.0, 1e6, above=True), bounded(0.0, MOST)
 #: names and keywords for ``add_argument`` of the options of ``ros2 bag play`` that the player has
@@ -25,11 +22,3 @@ PLAY: tuple[tuple[tuple[str, ...], dict], ...] = (
         type=_ABOVE, nargs="?", const=CLOCK_RATE, metavar="HZ",
         help=f"publish /clock at this rate ({CLOCK_RATE:g} without a number) in place of the recorded one")),
 )  # fmt: skip
-
-
-def play_options(args: argparse.Namespace) -> PlayOptions:
-    """Return the options of a playback; args has ``file`` and the options of ``PLAY``."""
-    topics = None if args.topics is None else tuple(args.topics)
-    return PlayOptions(
-        Path(args.file), args.rate, args.start_offset, args.playback_duration, topics, args.start_paused, args.clock
-    )

@@ -6,6 +6,7 @@ import argparse
 import functools
 import sys
 import time
+from collections.abc import Callable
 
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
@@ -15,13 +16,12 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.base.errors import RecordingError, one_line
 from kr270_milling.base.process import end_process
-from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.live.nodes.play_arguments import PLAY
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
 from kr270_milling.recordings.bag.bagmeta import read_qos
-from kr270_milling.recordings.bag.play_options import PlayOptions
-from kr270_milling.recordings.bag.playback import PlayClock, is_latched, opening, passage, span
+from kr270_milling.recordings.bag.playback import PlayClock, is_latched, playback, span
 from kr270_milling.recordings.bag.reader import RawMessage, Recording
 
 __all__ = ["Player", "player_main", "run_player", "qos_of"]
@@ -32,11 +32,12 @@ DEPTH = 1000  # messages that may wait for a slow reader
 class Player(ReportingNode):
     """Publish the messages of a recording at the pace of their log times; end after the last message."""
 
-    def __init__(self, options: PlayOptions, progress=None, **kwargs):
-        self.recording = Recording(options.file)
+    def __init__(self, args: argparse.Namespace, progress: Callable | None = None, **kwargs):
+        """args: ``file`` and the options of ``PLAY``; progress: called with (ns played, ns in all)."""
+        self.recording = Recording(args.file)
         try:
             super().__init__("player", **kwargs)
-            self._prepare(options)
+            self._prepare(args)
         except BaseException:
             self.recording.close()
             raise
@@ -44,27 +45,28 @@ class Player(ReportingNode):
         self.count = 0
         for name, paused in (("pause", True), ("resume", False), ("toggle_paused", None)):
             self.create_service(Trigger, f"~/{name}", functools.partial(self._set_paused, paused))
-        self._start()
         self._timer = self.create_timer(0.001, self._tick)  # [s]
-        self.report(OK, "paused" if options.start_paused else "playing")
+        self.report(OK, "paused" if args.start_paused else "playing")
 
-    def _prepare(self, options: PlayOptions) -> None:
-        self.options = options
+    def _prepare(self, args: argparse.Namespace) -> None:
         known = self.recording.topics()
-        missing = sorted(set(options.topics or ()) - set(known))
+        missing = sorted(set(args.topics or ()) - set(known))
         if missing:
             raise RecordingError(self.recording.path, f"has no topic {', '.join(missing)}")
-        self._outlets = {}
-        for topic, about in known.items():
-            own_clock = options.clock is not None and topic == "/clock"
-            if about.count and not own_clock and (options.topics is None or topic in options.topics):
-                outlet = self._outlet(topic, about)
-                if outlet is not None:
-                    self._outlets[topic] = outlet
+        wanted = {topic: about for topic, about in known.items() if about.count and topic in (args.topics or known)}
+        if args.clock is not None:
+            wanted.pop("/clock", None)
+        outlets = {topic: self._outlet(topic, about) for topic, about in wanted.items()}
+        self._outlets = {topic: outlet for topic, outlet in outlets.items() if outlet is not None}
         if not self._outlets:
             raise RecordingError(self.recording.path, "contains no message that can be played")
-        self._span = span(self.recording, options)
-        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if options.clock else None
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if args.clock else None
+        self._clock_period = max(1, int(1e9 * args.rate / (args.clock or 1.0)))  # [ns] of log time
+        self._start, self._end = span(self.recording, args.start_offset, args.playback_duration)
+        self._clock_due = self._start  # log time [ns] of the next /clock
+        self._pace = PlayClock(self._start, args.rate, time.monotonic(), args.start_paused)
+        self._messages = playback(self.recording, set(self._outlets), self._start, self._end)
+        self._next: RawMessage | None = None
 
     def _outlet(self, topic: str, about):
         """Create the publisher of a topic; return None, with a warning, where name or type cannot be used."""
@@ -79,15 +81,6 @@ class Player(ReportingNode):
             self.get_logger().warning(one_line(f"{topic} is not played: {error}"))
             return None
 
-    def _start(self) -> None:
-        start, end = self._span
-        self._pace = PlayClock(start, self.options.rate, time.monotonic(), self.options.start_paused)
-        topics = set(self._outlets)
-        first = opening(self.recording, start, topics)
-        self._opening, self._passage = first, passage(self.recording, start, end, topics)
-        self._next: RawMessage | None = None
-        self._clock_due = start  # log time [ns] of the next /clock
-
     @guarded
     def _tick(self) -> None:
         try:
@@ -100,12 +93,9 @@ class Player(ReportingNode):
         if self.finished or self._pace.paused:
             return
         position = self._pace.position(now)
-        for message in self._opening:
-            self._publish(message)
-        self._opening = []
         for _ in range(500):  # signals and services are handled in between
             if self._next is None:
-                self._next = next(self._passage, None)
+                self._next = next(self._messages, None)
             if self._next is None:
                 self.end()
                 return
@@ -119,14 +109,12 @@ class Player(ReportingNode):
         self._outlets[message.topic].publish(message.data)
         self.count += 1
         if self._progress is not None:
-            start, end = self._span
-            self._progress(max(message.log_time - start, 0), max(end - start, 1))
+            self._progress(max(message.log_time - self._start, 0), max(self._end - self._start, 1))
 
     def _publish_clock(self, position: int) -> None:
-        if self._clock_publisher is not None and self.options.clock and position >= self._clock_due:
+        if self._clock_publisher is not None and position >= self._clock_due:
             self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
-            period = max(1, int(1e9 * self.options.rate / self.options.clock))
-            self._clock_due += period * ((position - self._clock_due) // period + 1)
+            self._clock_due += self._clock_period * ((position - self._clock_due) // self._clock_period + 1)
 
     def _set_paused(self, wanted: bool | None, _, response):
         """Pause or resume; wanted: None toggles."""
@@ -164,12 +152,14 @@ def qos_of(about) -> QoSProfile:
     )
 
 
-def run_player(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> tuple[int, int]:
+def run_player(
+    args: argparse.Namespace, ros_args: list[str] | None = None, progress: Callable | None = None
+) -> tuple[int, int]:
     """Run the player as this process; return its exit code and the number of published messages."""
     players: list[Player] = []
 
     def make(**kwargs) -> Player:
-        players.append(Player(options, progress, **kwargs))
+        players.append(Player(args, progress, **kwargs))
         return players[0]
 
     code = run_node(make, ros_args or [])
@@ -184,5 +174,5 @@ def player_main() -> int:
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
     for names, keywords in PLAY:
         parser.add_argument(*names, **keywords)
-    code, _ = run_player(play_options(parser.parse_args(own_arguments())), sys.argv)
+    code, _ = run_player(parser.parse_args(own_arguments()), sys.argv)
     return end_process(code)

@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from kr270_milling.base.errors import MessageError, RecordingError
-from kr270_milling.exchange.scene import INPUTS, Derived, Scene
+from kr270_milling.exchange.scene import INPUTS, OUTPUTS, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, WARN, ReportingNode
 from kr270_milling.live.ros.readiness import is_recorded, joined
@@ -70,12 +70,12 @@ class RecordingSession:
         self.writer.write(topic, data, receipt)
         namespace = topic.rpartition("/")[0]
         scene = self._scenes.setdefault(namespace, Scene())
-        for message in self._node.used(topic, _derived, scene, topic, data) or ():
-            name = namespace + message.topic
+        for kind, derived in self._node.used(topic, _derived, scene, topic, data) or ():
+            name = namespace + kind
             if name in self._live or (name not in self._subscriptions and is_recorded(name, self._topics)):
-                self.writer.add_topic(name, message.type, [DERIVED_QOS])
-                self.writer.write(name, message.data, receipt)
-                self._show(name, message.type, message.data)
+                self.writer.add_topic(name, OUTPUTS[kind], [DERIVED_QOS])
+                self.writer.write(name, derived, receipt)
+                self._show(name, OUTPUTS[kind], derived)
 
     def _show(self, name: str, type_name: str, data: bytes) -> None:
         """Publish a derived message for viewers of the running graph, where its type is installed."""
@@ -179,7 +179,7 @@ class RecordingSession:
         logger.info(f"{self.writer.count} messages in {self.writer.path}")
 
 
-def _derived(scene: Scene, topic: str, data: bytes) -> list[Derived]:
+def _derived(scene: Scene, topic: str, data: bytes) -> list[tuple[str, bytes]]:
     """Return the messages for viewers that follow from a message; raises MessageError."""
     try:
         return list(scene.take(topic.rpartition("/")[2], data))

@@ -17,7 +17,8 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.compensator import CompensatorProtocol
-from kr270_milling.exchange.start import BREAK_NS
+from kr270_milling.exchange.inbox import BREAK_NS
+from kr270_milling.exchange.scene import path_bytes
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
@@ -27,7 +28,6 @@ from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.topics import COMPENSATOR
-from kr270_milling.recordings.messages.viewer import path_bytes
 
 __all__ = ["TrajectoryCompensator"]
 
@@ -92,6 +92,10 @@ class TrajectoryCompensator(ReportingNode):
             self._publish(self.protocol.begin(path_of(self.cell).target), TARGET)
         else:
             self.report(OK, "waiting for a target trajectory")
+
+    @property
+    def in_pass(self) -> bool:
+        return self.protocol.under_way
 
     def _now_ns(self) -> int:
         return self.get_clock().now().nanoseconds

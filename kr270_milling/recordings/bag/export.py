@@ -21,7 +21,8 @@ from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import FIXED, stamped
+from kr270_milling.recordings.bag.series import FIXED
+from kr270_milling.recordings.messages.cdr import unpack_stamped
 from kr270_milling.recordings.messages.definitions import plain
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
 
@@ -152,13 +153,18 @@ def _tables(rows: Iterable[list]) -> Iterator[list[list]]:
 def rows(recording: Recording, topic: str) -> Iterator[Row]:
     """Yield the messages of a topic as rows; columns may change from row to row. Raises RecordingError."""
     kind = recording.topics()[topic].type
-    if kind in FIXED:
-        return _series_rows(recording, topic, kind)
-    if kind == TRAJECTORY:
-        return _trajectory_rows(recording, topic)
-    if kind == "sensor_msgs/msg/JointState":
-        return _any_rows(recording, topic, _joint_cells)
-    return _any_rows(recording, topic, lambda message: _flat(plain(message)))
+    try:
+        if kind in FIXED:
+            yield from _series_rows(recording, topic, kind)
+        elif kind == TRAJECTORY:
+            yield from _trajectory_rows(recording, topic)
+        else:
+            cells_of = _joint_cells if kind == "sensor_msgs/msg/JointState" else lambda message: _flat(plain(message))
+            for message, decoded in recording.decoded([topic]):
+                cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
+                yield list(cells), list(cells.values())
+    except ValueError as error:
+        raise RecordingError(recording.path, f"a message on {topic} is not a {kind}: {error}") from error
 
 
 def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
@@ -168,17 +174,15 @@ def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
         linear, angular = ("m", "rad") if deflection else ("m_per_s", "rad_per_s")
         units = [(name, linear if name.startswith("linear") else angular) for name, _ in units]
     columns = ["log_time_ns", "stamp_ns", "frame_id", *(f"{name}_{unit}" if unit else name for name, unit in units)]
-    for log_time, stamp, frame, numbers in stamped(recording, topic):
-        yield columns, [log_time, stamp, frame, *numbers]
+    for message in recording.messages([topic]):
+        stamp, frame, numbers = unpack_stamped(message.data, len(units), alone=True)
+        yield columns, [message.log_time, stamp, frame, *numbers]
 
 
 def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
     """Yield one row for each point; with several bodies the columns have the name of the body."""
     for number, message in enumerate(recording.messages([topic])):
-        try:
-            trajectory = read_trajectory(message.data)
-        except ValueError as error:
-            raise RecordingError(recording.path, f"a message on {topic} is not a {TRAJECTORY}: {error}") from error
+        trajectory = read_trajectory(message.data)
         prefixes = [f"{_word(name)}_" if len(trajectory.names) > 1 else "" for name in trajectory.names]
         columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
         columns += [prefix + name for prefix in prefixes for name in POINT]
@@ -187,16 +191,6 @@ def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
         )
         for time, body in zip(trajectory.time.tolist(), bodies, strict=True):
             yield columns, [number, trajectory.stamp, trajectory.frame_id, time, *body.ravel().tolist()]
-
-
-def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Row]:
-    """Yield the rows of any other type."""
-    for message, decoded in recording.decoded([topic]):
-        try:
-            cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
-        except ValueError as error:
-            raise RecordingError(recording.path, f"a message on {topic} {error}") from error
-        yield list(cells), list(cells.values())
 
 
 def _joint_cells(state) -> dict:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable
 
 from kr270_milling.base.errors import one_line
 from kr270_milling.recordings.bag.gaps import SHARED, GapCounter, PassStarts
 from kr270_milling.recordings.bag.playback import is_latched
-from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
+from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import starts_with_stamp
 
@@ -16,58 +17,50 @@ __all__ = ["info", "info_text"]
 
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Return duration, counts, rates, sizes, gaps, metadata and attachments of a recording; read all its messages."""
-    starts = PassStarts()
-    topics = {name: _TopicCount(about, starts.of(name)) for name, about in recording.topics().items()}
+    known, starts = recording.topics(), PassStarts()
+    stamped = {n for n, t in known.items() if t.schema_encoding == "ros2msg" and starts_with_stamp(t.schema)}
+    gaps = {
+        name: GapCounter(starts.of(name), is_latched(known[name])) for name in stamped if known[name].type not in SHARED
+    }
+    sizes: Counter[str] = Counter()
+    times: dict[str, tuple[int, int]] = {}  # topic -> first and last log time [ns]
     for number, message in enumerate(recording.messages()):
-        starts.take(message.topic, stamp_of(message.data))
-        topics[message.topic].add(message)
+        name, stamp = message.topic, stamp_of(message.data)
+        starts.take(name, stamp)
+        if name in gaps and stamp is not None:
+            gaps[name].add(stamp)
+        sizes[name] += len(message.data)
+        first, last = times.get(name, (message.log_time, message.log_time))
+        times[name] = min(first, message.log_time), max(last, message.log_time)
         if progress and number % 10_000 == 0:
             progress(number, recording.count)
-    first, last = recording.first_log_time, recording.last_log_time
+    counted = {name: gaps[name].finish().as_dict() if name in gaps else None for name in known}
+    topics = {}
+    for name, about in known.items():
+        first, last = times.get(name, (0, 0))
+        topics[name] = dict(
+            type=about.type,
+            count=about.count,
+            size_bytes=sizes[name],
+            rate_hz=(about.count - 1) / ((last - first) / 1e9) if last > first else None,
+            gaps=counted[name],
+        )
+    start, end = recording.first_log_time, recording.last_log_time
     return dict(
         file=str(recording.path),
         size_bytes=recording.size,
         cut_off=recording.cut_off,
         messages=recording.count,
-        start_ns=first,
-        end_ns=last,
-        duration_s=((last or 0) - (first or 0)) / 1e9 if recording.count else 0.0,
-        topics={name: topic.as_dict() for name, topic in topics.items()},
-        missing=sum(topic.gaps.missing for topic in topics.values()),
+        start_ns=start,
+        end_ns=end,
+        duration_s=((end or 0) - (start or 0)) / 1e9 if recording.count else 0.0,
+        topics=topics,
+        missing=sum(counter.missing for counter in gaps.values()),
         metadata={k: v for k, v in recording.metadata().items() if k != "rosbag2"},
         attachments=[dict(name=a.name, media_type=a.media_type, size_bytes=a.size) for a in recording.attachments],
         profile=recording.profile or "",
         library=recording.library,
     )
-
-
-class _TopicCount:
-    """Size, gaps and duration of the messages of a topic."""
-
-    def __init__(self, about: RecordedTopic, starts: Sequence[int]):
-        self._about = about
-        self._stamped = about.schema_encoding == "ros2msg" and about.type not in SHARED
-        self._stamped = self._stamped and starts_with_stamp(about.schema)
-        self.gaps = GapCounter(starts, is_latched(about))
-        self._size = 0
-        self._times: tuple[int, int] | None = None  # [ns], first and last log time
-
-    def add(self, message: RawMessage) -> None:
-        first, last = self._times or (message.log_time, message.log_time)
-        self._times = min(first, message.log_time), max(last, message.log_time)
-        self._size += len(message.data)
-        if self._stamped and (stamp := stamp_of(message.data)) is not None:
-            self.gaps.add(stamp)
-
-    def as_dict(self) -> dict:
-        first, last = self._times or (0, 0)
-        return dict(
-            type=self._about.type,
-            count=self._about.count,
-            size_bytes=self._size,
-            rate_hz=(self._about.count - 1) / ((last - first) / 1e9) if last > first else None,
-            gaps=self.gaps.finish().as_dict() if self._stamped else None,
-        )
 
 
 def info_text(data: dict) -> str:

@@ -10,16 +10,15 @@ import contextlib
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from mcap.records import Channel, Schema
 
-from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.errors import InputError, RecordingError, nearest
 from kr270_milling.recordings.bag.files import find_recording, is_rosbag
 from kr270_milling.recordings.bag.mcap_file import Damage, McapFile, OnDamage, RawMessage
-from kr270_milling.recordings.bag.remap import namespaces_of, own_name
 from kr270_milling.recordings.bag.rosbag_file import RosbagFile
 from kr270_milling.recordings.messages.definitions import (
     DEFINITION_ERRORS,
@@ -28,8 +27,11 @@ from kr270_milling.recordings.messages.definitions import (
     members,
     read_message,
 )
+from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["RawMessage", "RecordedTopic", "Recording", "make_decoder", "store_for"]
+__all__ = ["RawMessage", "RecordedTopic", "Recording", "make_decoder", "remapping", "store_for"]
+
+OWN = tuple(topic.name for topic in TOPICS if not topic.name.startswith("/"))
 
 
 #: [bytes] of a message with lists of messages or texts: Python's objects take about twenty times as much
@@ -238,3 +240,39 @@ def _has_lists(store, type_name: str, outer: frozenset = frozenset()) -> bool:
         if is_message and kind not in outer and _has_lists(store, kind, outer | {type_name}):
             return True
     return False
+
+
+def remapping(rules: Iterable[str]) -> dict[str, str]:
+    """Return our name -> recorded name of rules such as ``wrench:=force/measured``; raise InputError.
+
+    Names are relative to the namespace of a robot. Where one of the two begins with a slash, both are absolute.
+    """
+    result = {}
+    for rule in rules:
+        own, colon, recorded = rule.partition(":=")
+        if not (colon and own and recorded.strip("/")):
+            raise InputError("--remap", f"{rule!r} is not NAME:=RECORDED, for example wrench:=force/measured")
+        name = own.rpartition("/")[2]
+        if name not in OWN or (own != name and not own.startswith("/")):
+            raise InputError("--remap", f"{own!r} is not one of {', '.join(OWN)}{nearest(name, OWN)}")
+        absolute = own.startswith("/") or recorded.startswith("/")
+        result["/" + own.lstrip("/") if absolute else own] = "/" + recorded.lstrip("/") if absolute else recorded
+    return result
+
+
+def own_name(topic: str, remap: Mapping[str, str], namespaces: Collection[str]) -> str:
+    """Return our name of a recorded topic; a recorded topic that has our name by chance gets the other one.
+
+    A relative name belongs to each of the namespaces of robots.
+    """
+    for own, recorded in remap.items():
+        for space in [""] if recorded.startswith("/") else namespaces:
+            names = [f"{space}/{name.lstrip('/')}" for name in (recorded, own)]
+            if topic in names:
+                return names[topic == names[0]]
+    return topic
+
+
+def namespaces_of(topics: Iterable[str]) -> set[str]:
+    """Return the namespaces that may be those of robots: of every topic with one of our names."""
+    return {space for space, _, name in (topic.rpartition("/") for topic in topics) if name in OWN}

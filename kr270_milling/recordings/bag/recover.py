@@ -1,23 +1,23 @@
-"""A whole recording from a damaged file: everything that can be read is written again."""
+"""Damage of a recording, and a whole recording from what can be read of a damaged file."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.files import find_recording, is_rosbag
-from kr270_milling.recordings.bag.mcap_file import Attached, Damage
+from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
-__all__ = ["Recovered", "recover"]
+__all__ = ["Recovered", "findings", "recover"]
+
+MOST = 20  # sentences
 
 
 @dataclass
@@ -37,6 +37,18 @@ class Recovered:
     dropped: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)  # findings in the source, also where no message is lost
 
+    def lose(self, damage: Damage, size: int) -> None:
+        """Take a damage of the data, and the bytes that are lost with it."""
+        self.lost_bytes += size
+        self.dropped.append(f"{size} bytes at byte {damage.offset}: {damage.reason}")
+
+    def describe(self, recording: Recording) -> None:
+        """Take the content of a whole recording."""
+        self.messages = recording.count
+        self.topics = {name: about.count for name, about in recording.topics().items()}
+        self.first_log_time, self.last_log_time = recording.first_log_time, recording.last_log_time
+        self.attachments = [about.name for about in recording.attachments]
+
 
 def recover(source, target=None, progress: Callable[[int, int], None] | None = None) -> Recovered:
     """Write the readable content of ``source``, a file or the directory of a recording, into a new directory.
@@ -48,103 +60,49 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     if is_rosbag(file):
         raise RecordingError(file, "is not one MCAP file, and only such a file can be recovered")
     name = place.name if place.is_dir() else place.name.partition(".")[0]
-    whole, damage = _examine(file)
-    if whole and target is None:
-        return whole
+    result = Recovered(str(file), os.path.abspath(file.parent))
+    try:
+        with Recording(file) as recording:
+            result.damage = findings(recording)
+            result.describe(recording)
+    except RecordingError as error:
+        result.damage = [error.reason]
+    result.whole = not result.damage
+    if result.whole and target is None:
+        result.lost_messages = 0
+        return result
     target = Path(os.path.abspath(target or place.with_name(f"{name}_recovered")))
     if os.path.lexists(target):
         raise RecordingError(target, "exists already and is not overwritten")
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    losses = Losses()
     try:
-        with Recording(file, on_damage=losses.add_summary) as salvage, BagWriter(part, target.name) as writer:
+        summary: list[str] = []  # damage that costs no message
+        with (
+            Recording(file, on_damage=lambda damage, _: summary.append(damage.reason)) as salvage,
+            BagWriter(part, target.name) as writer,
+        ):
             if salvage.profile is None and not (salvage.count or salvage.attachments or salvage.metadata()):
                 raise RecordingError(file, "nothing in it can be recovered")
-            _copy(salvage, losses, writer, progress)
-            lost_messages = _lost_messages(salvage, losses, writer.count)
+            result.dropped += summary
+            _copy(salvage, result, writer, progress)
         with Recording(part) as copy:
-            result = _describe(copy)
+            result.describe(copy)
         os.rename(part, target)
     except OSError as error:
         raise RecordingError(target, f"cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    return replace(
-        result,
-        source=str(file),
-        directory=str(target),
-        whole=whole is not None and not losses.dropped,
-        lost_bytes=losses.bytes,
-        lost_messages=lost_messages,
-        dropped=losses.dropped,
-        damage=damage,
-    )
+    result.directory, result.whole = str(target), result.whole and not result.dropped
+    return result
 
 
-def _examine(file: Path) -> tuple[Recovered | None, list[str]]:
-    """The content of a whole recording, or None and its damage."""
-    try:
-        with Recording(file) as recording:
-            damage = findings(recording)
-            return None if damage else _describe(recording), damage
-    except RecordingError as error:
-        return None, [error.reason]
-
-
-def _describe(recording: Recording) -> Recovered:
-    """The content of a whole recording."""
-    return Recovered(
-        source=str(recording.path),
-        directory=os.path.abspath(recording.path.parent),
-        whole=True,
-        messages=recording.count,
-        topics={name: about.count for name, about in recording.topics().items()},
-        first_log_time=recording.first_log_time,
-        last_log_time=recording.last_log_time,
-        attachments=[about.name for about in recording.attachments],
-        lost_messages=0,
-    )
-
-
-class Losses:
-    """The damage of a file that is recovered."""
-
-    def __init__(self):
-        self.dropped: list[str] = []  #: a sentence for each lost place
-        self.bytes = 0
-        self.complete = True  #: no message was lost
-
-    def add_summary(self, damage: Damage, _: int) -> None:
-        """Take a damage of the summary, which costs no message."""
-        self.dropped.append(damage.reason)
-
-    def add(self, damage: Damage, size: int) -> None:
-        """Take a damage of the data, and the bytes that are lost with it."""
-        self.complete = False
-        self.bytes += size
-        self.dropped.append(f"{size} bytes at byte {damage.offset}: {damage.reason}")
-
-    @contextlib.contextmanager
-    def of_attachment(self, about: Attached) -> Iterator[None]:
-        """Take the damage of an attachment."""
-        try:
-            yield
-        except RecordingError as error:
-            self.bytes += about.end - about.offset
-            self.dropped.append(error.reason)
-
-
-def _lost_messages(source: Recording, losses: Losses, written: int) -> int | None:
-    """Return the number of lost messages; None if the source does not state how many messages it had."""
-    if source.statistics:
-        return max(source.statistics.message_count - written, 0)
-    return max(source.count - written, 0) if losses.complete and not source.cut_off else None
-
-
-def _copy(source: Recording, losses: Losses, writer: BagWriter, progress: Callable[[int, int], None] | None) -> None:
-    """Write everything that can be read."""
+def _copy(source: Recording, result: Recovered, writer: BagWriter, progress: Callable | None) -> None:
+    """Write everything that can be read, and count what is lost."""
     for about in source.attachments:
-        with losses.of_attachment(about):
+        if reason := _attachment_damage(source, about.name):
+            result.lost_bytes += about.end - about.offset
+            result.dropped.append(reason)
+        else:
             writer.add_attachment(about.name, source.attachment(about.name))
     for name, values in source.metadata().items():
         if name != "rosbag2":  # the writer adds a new one
@@ -155,7 +113,8 @@ def _copy(source: Recording, losses: Losses, writer: BagWriter, progress: Callab
         parsed = (schema.name, schema.encoding, schema.data)
         numbers[number] = writer.add_channel(channel.topic, parsed, channel.message_encoding, channel.metadata)
     refused: Counter[str] = Counter()  # reason -> messages
-    for count, message in enumerate(source.messages(on_damage=losses.add)):
+    before = len(result.dropped)
+    for count, message in enumerate(source.messages(on_damage=result.lose)):
         number = numbers[message.channel]
         try:
             writer.write_raw(number, message.data, message.publish_time, message.log_time, message.sequence)
@@ -163,5 +122,43 @@ def _copy(source: Recording, losses: Losses, writer: BagWriter, progress: Callab
             refused[f"that {error.reason}"] += 1
         if progress and count % 10_000 == 0:
             progress(count, source.count)
-    losses.dropped += [f"{count} messages {reason}" for reason, count in refused.items()]
-    writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(losses.dropped) or "nothing"})
+    complete = len(result.dropped) == before and not source.cut_off
+    if source.statistics or complete:
+        stated = source.statistics.message_count if source.statistics else source.count
+        result.lost_messages = max(stated - writer.count, 0)
+    result.dropped += [f"{count} messages {reason}" for reason, count in refused.items()]
+    writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(result.dropped) or "nothing"})
+
+
+def findings(recording: Recording, progress: Callable[[int, int], None] | None = None) -> list[str]:
+    """Return a sentence for each damage, at most 20; none for a whole recording. Damage raises no error.
+
+    A recording is whole where ``mcap doctor`` accepts it, also without checksums and counts. The indexes are not
+    compared: nothing here reads by them.
+    """
+    sentences = ["it is cut off: its writer did not finish it"] if recording.cut_off else []
+    counts: Counter[int] = Counter()
+
+    def add(damage: Damage, _: int) -> None:
+        sentences.append(f"{damage.reason} (at byte {damage.offset})")
+
+    for number, message in enumerate(recording.messages(on_damage=add)):
+        counts[message.channel] += 1
+        if progress and number % 10_000 == 0:
+            progress(number, recording.count)
+    sentences += filter(None, (_attachment_damage(recording, about.name) for about in recording.attachments))
+    stated = recording.statistics
+    if stated and not sentences:
+        different = any(counts[channel] != count for channel, count in stated.channel_message_counts.items())
+        if different or stated.message_count != counts.total():
+            sentences.append("the counts of messages at the end are not those of the messages")
+    return sentences[:MOST]
+
+
+def _attachment_damage(recording: Recording, name: str) -> str:
+    """Return what is wrong with an attachment, or an empty text."""
+    try:
+        recording.attachment(name)
+    except RecordingError as error:
+        return error.reason
+    return ""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -12,9 +11,9 @@ import numpy as np
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.mcap_file import OnDamage
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.cdr import layout_of, unpack_alike, unpack_stamped
+from kr270_milling.recordings.messages.cdr import layout_of, unpack_alike
 
-__all__ = ["FIXED", "TopicSeries", "series", "several", "stamped"]
+__all__ = ["FIXED", "TopicSeries", "series", "several"]
 
 #: type -> (column, unit) of the numbers after its header
 FIXED = {
@@ -96,24 +95,13 @@ class _Batch:
     def series(self) -> TopicSeries:
         self._unpack()
         if self._refused and len(self._stamps) == 1:
-            with _as_recording_error(self._recording, self._topic):
-                raise self._refused
+            kind = self._recording.topics()[self._topic].type
+            reason = f"a message on {self._topic} is not a {kind}: {self._refused}"
+            raise RecordingError(self._recording.path, reason) from self._refused
         result = TopicSeries(np.concatenate(self._stamps), np.concatenate(self._values))
         for column in result:
             column.setflags(write=False)
         return result
-
-
-def stamped(recording: Recording, topic: str) -> Iterator[tuple[int, int, str, list[float]]]:
-    """Log time [ns], stamp [ns], frame and numbers of every message of a topic, in the order of the file.
-
-    Raises RecordingError for a message of another type.
-    """
-    width = _width(recording, topic)
-    for message in recording.messages([topic]):
-        with _as_recording_error(recording, topic):
-            fields = unpack_stamped(message.data, width, alone=True)
-        yield message.log_time, *fields
 
 
 def _width(recording: Recording, topic: str) -> int:
@@ -123,13 +111,3 @@ def _width(recording: Recording, topic: str) -> int:
     if about.encoding != "cdr" or about.type not in FIXED:
         raise RecordingError(recording.path, f"{topic} is {about.type or 'of no type'}, which is no series of numbers")
     return len(FIXED[about.type])
-
-
-@contextlib.contextmanager
-def _as_recording_error(recording: Recording, topic: str) -> Iterator[None]:
-    """Turn a ValueError of a message into a RecordingError."""
-    try:
-        yield
-    except ValueError as error:
-        kind = recording.topics()[topic].type
-        raise RecordingError(recording.path, f"a message on {topic} is not a {kind}: {error}") from error

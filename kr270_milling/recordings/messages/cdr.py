@@ -14,7 +14,7 @@ import numpy as np
 
 from kr270_milling.base.units import SECOND
 
-__all__ = ["Cursor", "layout_of", "pack_stamped", "stamp_of", "unpack_alike", "unpack_stamped"]
+__all__ = ["LITTLE", "Cursor", "layout_of", "pack_stamped", "stamp_of", "unpack_alike", "unpack_stamped"]
 
 STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 FRAME_AT = 16  #: offset of the frame's name in a message that begins with a Header; the length of the name comes first

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from kr270_milling.base.samples import (
 )
 from kr270_milling.base.units import SECOND
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.recordings.messages.cdr import pack_stamped, unpack_stamped
+from kr270_milling.recordings.messages.cdr import LITTLE, pack_stamped, unpack_stamped
 from kr270_milling.recordings.messages.definitions import deserialise, store_of
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
 
@@ -36,65 +36,81 @@ __all__ = [
     "deserialise",
     "from_bytes",
     "named",
-    "pose_from_bytes",
     "serialise",
     "time_fields",
     "to_bytes",
     "trajectory_from_bytes",
     "type_of",
-    "wrench_from_bytes",
 ]
 
 
 def serialise(type_name: str, fields: Mapping) -> bytes:
-    """The bytes of a message, little endian; fields: nested mappings; what they leave out is zero or empty.
+    """Return the bytes of a message, little endian; fields: nested mappings; what they leave out is zero or empty.
 
-    A list of messages of numbers, such as Points, may also be an array with a row for each of them.
+    A list of messages of numbers, such as Points, may also be an array with a row for each of them. rosbags writes
+    objects: a path of 1000 poses takes 4 times as long, markers with 200 points 10 times.
     """
-    return bytes(store_of(type_name).serialize_cdr(_maker(type_name)(fields), type_name, little_endian=True))
+    out = bytearray()
+    _writer(type_name)(out, fields)
+    return LITTLE + out
 
 
 @functools.cache
-def _maker(type_name: str) -> Callable:
-    """Return the function that makes the message object of nested mappings."""
-    store = store_of(type_name)
-    makers = {name: _value_maker(kind) for name, kind in store.fielddefs[type_name][1]}
-    message = store.types[type_name]
+def _writer(type_name: str) -> Callable[[bytearray, Any], None]:
+    """Return the function that appends a message, or its empty form for None."""
+    writers = {name: _value_writer(kind) for name, kind in store_of(type_name).fielddefs[type_name][1]}
 
-    def make(fields: Mapping | None):
+    def write(out: bytearray, fields: Mapping | None) -> None:
         fields = fields or {}
-        if not fields.keys() <= makers.keys():
-            raise KeyError(f"{type_name} has no field {', '.join(sorted(set(fields) - set(makers)))}")
-        return message(*(value(fields.get(name)) for name, value in makers.items()))
+        if not fields.keys() <= writers.keys():
+            raise KeyError(f"{type_name} has no field {', '.join(sorted(set(fields) - set(writers)))}")
+        for name, value in writers.items():
+            value(out, fields.get(name))
 
-    return make
+    return write
 
 
-def _value_maker(kind) -> Callable:
-    """Return the function that makes the value of a field; it receives None for a field that is left out."""
+def _value_writer(kind) -> Callable[[bytearray, Any], None]:
+    """Return the function that appends the value of a field."""
     from rosbags.interfaces import Nodetype
-    from rosbags.serde.utils import ndtype
+    from rosbags.serde import primitives
+    from rosbags.serde.utils import SIZEMAP, ndtype
 
     if kind[0] == Nodetype.NAME:
-        return _maker(kind[1])
+        return _writer(kind[1])
+    if kind[0] == Nodetype.BASE and kind[1][0] == "string":
+        return _write_text
     if kind[0] == Nodetype.BASE:
-        empty: object = "" if kind[1][0] == "string" else 0
-        return lambda value: empty if value is None else value
+        size, pack = SIZEMAP[kind[1][0]], getattr(primitives, f"pack_{kind[1][0]}_le")
+
+        def write_number(out: bytearray, value) -> None:
+            out += bytes(-len(out) % size + size)
+            pack(out, len(out) - size, 0 if value is None else value)
+
+        return write_number
     (inner, about), length = kind[1]
-    count = length if kind[0] == Nodetype.ARRAY else 0
-    if inner == Nodetype.BASE and about[0] != "string":
-        number = ndtype(about[0])
-        return lambda value: np.zeros(count, number) if value is None else np.ascontiguousarray(value, number)
-    item = _value_maker((inner, about))
-    nothing = [None] * count
+    is_array, item = kind[0] == Nodetype.ARRAY, _value_writer((inner, about))
+    flat = inner == Nodetype.BASE
+    numbers = about[0] if flat else store_of(about).fielddefs[about][1][0][1][1][0]
+    empty = [None] * length if is_array else []
 
-    def items(values) -> list:
-        if isinstance(values, np.ndarray):
-            message = store_of(about).types[about]
-            return [message(*row) for row in values.tolist()]
-        return [item(value) for value in (nothing if values is None else values)]
+    def write_list(out: bytearray, values) -> None:
+        values = empty if values is None else values
+        if not is_array:
+            out += bytes(-len(out) % 4) + len(values).to_bytes(4, "little")
+        if len(values) and (isinstance(values, np.ndarray) or (flat and numbers != "string" and values is not empty)):
+            table = np.ascontiguousarray(values, ndtype(numbers))
+            out += bytes(-len(out) % table.itemsize) + table.tobytes()
+            return
+        for value in values:
+            item(out, value)
 
-    return items
+    return write_list
+
+
+def _write_text(out: bytearray, value: str | None) -> None:
+    data = (value or "").encode() + b"\0"
+    out += bytes(-len(out) % 4) + len(data).to_bytes(4, "little") + data
 
 
 class MessageKind(NamedTuple):
@@ -296,20 +312,3 @@ def from_bytes(type_name: str, data: bytes):
     ``trajectory_from_bytes`` raises.
     """
     return READERS[type_name](data)
-
-
-def pose_from_bytes(data: bytes) -> PoseSample:
-    """Read a geometry_msgs/PoseStamped; raise MessageError."""
-    return _received(PoseSample, data, "tool_pose")
-
-
-def wrench_from_bytes(data: bytes) -> WrenchSample:
-    """Read a geometry_msgs/WrenchStamped; raise MessageError."""
-    return _received(WrenchSample, data, "wrench")
-
-
-def _received(kind: type, data: bytes, topic: str):
-    try:
-        return KINDS[kind].read(data)
-    except ValueError:
-        raise MessageError(f"{topic}: cannot be read as {type_of(kind).rpartition('/')[2]}") from None

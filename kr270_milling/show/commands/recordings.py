@@ -13,8 +13,8 @@ from kr270_milling.base.units import seconds
 from kr270_milling.recordings.bag import info as bag_info
 from kr270_milling.recordings.bag.export import export as export_files
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.bag.recover import recover as recover_file
-from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.show.commands.console import Answer
 from kr270_milling.show.commands.progress import progress
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from kr270_milling.base.arguments import UsageError
-from kr270_milling.base.column import table_of
+from kr270_milling.base.column import as_dict, table_of
 from kr270_milling.base.errors import one_line
 from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
-from kr270_milling.live.nodes.play_arguments import play_options
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.path.trajectory_csv import write_csv
-from kr270_milling.recordings.bag.remap import remapping
+from kr270_milling.recordings.bag.reader import remapping
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
@@ -37,7 +36,7 @@ def _play(args) -> Answer:
     from kr270_milling.live.nodes.player import run_player
 
     with progress("playing") as report:
-        code, count = run_player(play_options(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
+        code, count = run_player(args, ["--ros-args", *args.ros_args] if args.ros_args else [], report)
     return Answer({"file": args.file, "messages": count, "exit_code": code}, [], code=code)
 
 
@@ -45,7 +44,7 @@ def _recompute(args) -> Answer:
 
     with progress("recomputing") as report:
         result = recompute(args.file, report, remapping(args.remap), args.cell)
-    about = result.as_dict()
+    about = as_dict(result)
     rows = ({"topic": _shown(topic), **vars(count)} for topic, count in sorted(result.channels.items()))
     counts = ("compared", "differing", "missing", "not_compared")
     columns = [("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in counts)]

@@ -194,8 +194,11 @@ def test_robot_waits_for_as_long_as_its_cut_is_not_active(world, loop, ran):
 
 
 def test_silent_cut_is_reported_and_the_pass_is_given_up(world, loop, monkeypatch):
+    """In mid-pass the reports are short."""
     monkeypatch.setattr(compliant_robot, "LOST", 3.5)
+    assert "subscribers of /tool_pose" in loop.robot.own_report().values
     loop.reach(20)
+    assert "subscribers of /tool_pose" not in loop.robot.own_report().values
     world.executor.remove_node(loop.cut)
     loop.reports.until(ROBOT, "no wrench for 2.6 s from the cutting process", WARN)
     loop.reports.until(ROBOT, "no wrench for 3.5 s; the cutting process is gone", ERROR)

@@ -21,8 +21,7 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.recordings.bag.recover import findings, recover
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA = mcap.Schema(id=1, name="Example", encoding="c", data=bytes([4, 5, 6]))

@@ -44,8 +44,7 @@ from samples.recording_samples import (
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.verify import findings
+from kr270_milling.recordings.bag.recover import findings, recover
 
 
 @pytest.mark.parametrize("kind", list(CompressionType))
