@@ -124,6 +124,10 @@ def _program(cell: Cell) -> list[Finding]:
     if silent and not cell.krl.spindle_on:
         block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
         findings.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block))
+    if path.program.beside:
+        block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
+        label = tool.label if tool and tool.label else "the tool"
+        findings.append(violation("cutter radius", path.program.beside, 0.0, block=block, label=label))
     if path.drilling.any():
         block = int(np.argmax(path.drilling))
         holes = len(np.unique(path.position[path.drilling, :2], axis=0))

@@ -90,6 +90,7 @@ class _Conversational(Machine):
         """Run a program up to its end; one that looks ahead runs twice."""
         if self.contour is None and re.search(r"\bR[LR]\b|\bRND\b|\bCHF\b", "\n".join(lines), re.I):
             self.look_ahead(lambda machine: machine.run_lines(lines))
+            self.program.beside.clear()  # RL and RR always count from the radius of the tool
         statements = _statements(lines)
         for index, (_, text, _) in enumerate(statements):
             if (match := LABEL.fullmatch(text)) and not match[1] and match[2] != "0":

@@ -211,6 +211,8 @@ class Machine:
         for k, stroke in enumerate(strokes):
             if stroke is not None and math.isnan(stroke.radius):
                 strokes[k] = stroke._replace(radius=radii.get(stroke.tool, 0.0) or math.nan)
+                if stroke.side and stroke.tool not in self.program.beside:
+                    self.program.beside[stroke.tool] = radii.get(stroke.tool, 0.0)
         for stroke in strokes:
             if stroke is not None and stroke.side and stroke.radius:
                 self.program.silent[f"moves {1e3 * stroke.radius:g} mm beside the contour"] += 1
