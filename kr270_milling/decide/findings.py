@@ -163,7 +163,7 @@ KINDS = {
         "Give each tool its own tip, as tools.T2.mount.xyz_mm.", "warning"),
     "cutter radius": Kind("mm",
         "G41 or G42 moves the path by {value:.6g} mm, the radius in the comment on {label}",
-        "A program that was posted for wear is the path of the centre already: state G10 L12 P1 R0, or post without G41.",
+        "A program posted for wear is the path of the centre already: state G10 L12 P1 R0, or post without G41.",
         "warning"),
     "spindle off": Kind("rpm",
         "the program never starts the spindle (S with M3 or M4, SPINDL), and program.spindle_on of the cell is empty",
