@@ -16,7 +16,8 @@ from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.gcode.rewriter import read_source
 
 #: of six posts; linuxcnc.ngc has incremental moves, which are refused
-POSTS = sorted(path for path in (Path(__file__).parents[2] / "path" / "programs").iterdir() if path.stem != "linuxcnc")
+PROGRAMS = Path(__file__).parents[2] / "path" / "programs"
+POSTS = sorted(path for path in PROGRAMS.iterdir() if path.stem != "linuxcnc" and path.suffix != ".h")
 #: a line, arcs in two planes, a stop, a cycle, a feed move of no length, M9 at the end of a move, block skip
 PART = """\
 %

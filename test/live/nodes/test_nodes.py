@@ -415,7 +415,7 @@ def test_refused_targets_leave_the_node_waiting_for_another_or_with_the_one_befo
 def lead_out_of_reach(monkeypatch) -> None:
     """As when a correction leads to the border of the reach."""
 
-    def refuse(cell, reference):
+    def refuse(placed, settings, reference):
         raise ReachError(3.0, (0.5, 2.5))
 
     monkeypatch.setattr("kr270_milling.exchange.compensator.commanded_joints", refuse)

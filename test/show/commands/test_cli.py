@@ -31,7 +31,6 @@ from kr270_milling.decide.stability import FeatureLimit, Stability
 from kr270_milling.decide.tolerance import Judgement
 from kr270_milling.decide.verdict import MethodComparison, Verdict
 from kr270_milling.live.nodes.start import start
-from kr270_milling.physics.compensation.arm_fit import Identified
 from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
@@ -95,7 +94,6 @@ RECORDS = {
     "corrected-gcode": (WrittenGcode, "file tools"),
     "feature": (FeatureRow, ""),
     "finding": (Finding, "amounts.<name>"),
-    "identified-arm": (Identified, ""),
     "limited-correction": (Limited, "sentence"),
     "lobe": (Lobe, ""),
     "pass": (Scores, "name"),

@@ -1,4 +1,4 @@
-(expect: refused path of the tool's centre)
+(expect: refused the radius of the tool is not known)
 G21 G90 G17
 T1 M6
 S8000 M3
