@@ -115,14 +115,14 @@ try:
     read_toolpath("bad.xyz")
 except InputError as error:
     answers["bad.xyz"] = str(error)
-path = read_toolpath("slot.h")
+path = read_toolpath("slot.conv")
 assert path.program.tool == "T1" and path.rapid.tolist() == [True, False, False, True]
 assert np.allclose(path.position[2:], [(0.015, 0, -5e-4), (0.015, 0, 0.01)]) and math.isclose(path.feed[2], 2 / 60)
 assert math.isclose(path.spindle_speed[2], 800 * math.pi / 3)
 try:
-    read_toolpath("bad.h")
+    read_toolpath("bad.conv")
 except InputError as error:
-    answers["bad.h"] = str(error)
+    answers["bad.conv"] = str(error)
 print(json.dumps(answers))
 """
 
@@ -171,8 +171,8 @@ def answers(copy) -> dict:
     (copy / "path.xyz").write_text("0 0 0 600\n10 0 0 600\n")
     (copy / "bad.xyz").write_text("0 0 0 600\n10 0 0\n")
     program = re.search(r"```\n(0 BEGIN.*?)```", GUIDE[1].read_text(encoding="utf-8"), re.DOTALL)[1]
-    (copy / "slot.h").write_text(program)
-    (copy / "bad.h").write_text(program.replace("L X+15", "C X+15"))
+    (copy / "slot.conv").write_text(program)
+    (copy / "bad.conv").write_text(program.replace("L X+15", "C X+15"))
     out = json.loads(python(copy, PROGRAM, json.dumps(COMMANDS), json.dumps([K_C, M_C, RATIO])))
     return {name: json.loads(text) if name in COMMANDS else text for name, text in out.items()}
 
@@ -193,7 +193,7 @@ def test_commands_take_law_method_robot_reader_and_column_and_the_verdict_scatte
     text = next((copy / "fitted").glob("*.yaml")).read_text(encoding="utf-8")
     assert "law: kienzle" in text and "force_coefficients" in text
     assert answers["my robot"]["compliance"] != answers["shipped robot"]["compliance"]
-    assert "line 2" in answers["bad.xyz"] and "line 5" in answers["bad.h"] and "no straight move" in answers["bad.h"]
+    assert "line 2" in answers["bad.xyz"] and "line 5" in answers["bad.conv"] and "no straight move" in answers["bad.conv"]
     assert all(row["mean_size_um"] > 0 for row in answers["half"]["passes"])
 
 
