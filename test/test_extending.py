@@ -193,7 +193,8 @@ def test_commands_take_law_method_robot_reader_and_column_and_the_verdict_scatte
     text = next((copy / "fitted").glob("*.yaml")).read_text(encoding="utf-8")
     assert "law: kienzle" in text and "force_coefficients" in text
     assert answers["my robot"]["compliance"] != answers["shipped robot"]["compliance"]
-    assert "line 2" in answers["bad.xyz"] and "line 5" in answers["bad.conv"] and "no straight move" in answers["bad.conv"]
+    assert "line 2" in answers["bad.xyz"]
+    assert "line 5" in answers["bad.conv"] and "no straight move" in answers["bad.conv"]
     assert all(row["mean_size_um"] > 0 for row in answers["half"]["passes"])
 
 
