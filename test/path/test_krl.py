@@ -96,11 +96,11 @@ def test_the_ends_of_random_programs_are_those_of_other_arithmetic(tmp_path_fact
     path = read_toolpath(file)
     places = [(0.0, 0.0, 0.0), *ends, (1, 2, 3), (9, 9, 9)]
     places = [p for k, p in enumerate(places) if not k or math.dist(p, places[k - 1]) > 1e-9]
-    found = 1e3 * path.position
+    places_mm = 1e3 * path.position
     at = -1
     for place in places:  # in this order; chords of arcs lie between them
-        at = next(k for k in range(at + 1, len(found)) if math.dist(found[k], place) < 1e-6)
-    assert at == len(found) - 1
+        at = next(k for k in range(at + 1, len(places_mm)) if math.dist(places_mm[k], place) < 1e-6)
+    assert at == len(places_mm) - 1
 
 
 @pytest.mark.parametrize("angle", [30.0, 180.0, 360.0, 725.0, -45.0])
@@ -124,6 +124,13 @@ def test_an_arc_with_a_stated_angle_has_its_length_and_keeps_its_radius(tmp_path
 
 REFUSED = [
     ("LIN_REL {X 1} #TOOL", "is no expression"),
+    ("PTP P7", "P7 has no value"),
+    ("$VEL=5", "a value of another kind"),
+    ("$OV_PRO={X 1}", "a value of another kind"),
+    ('LIN {X "a"}', "a value of another kind"),
+    ("BAS(#VEL_CP)", "a value of another kind"),
+    ("SPLINE\nSPLINE\nSPL {X 2}\nENDSPLINE\nENDSPLINE", "a SPLINE block in another one"),
+    ("IF TRUE THEN\n" * 3000 + "ENDIF\n" * 3000, "too many blocks"),
     ("LIN P7", "P7 has no value"),
     ("LIN {A1 0,A2 -90}", "not to angles of the axes"),
     ("LIN {X 0,Y 0,Z 0,E1 10}", "E1 moves in a cut"),

@@ -90,11 +90,11 @@ LONG = "KR270_MILLING_LONG_TESTS" in os.environ
 @pytest.mark.parametrize("seed", range(1000 if LONG else 8))
 def test_below_the_limit_of_random_modes_every_multiplier_is_within_the_unit_circle_and_above_not(seed):
     modes, tool, cutting, arc, b, delay = random_loop(np.random.default_rng(seed))
-    found, _ = stability_limit(modes, tool, cutting, 1e-4, *arc)
-    deepest = min(found, 0.1)
+    limit, _ = stability_limit(modes, tool, cutting, 1e-4, *arc)
+    deepest = min(limit, 0.1)
     shares = np.append(np.geomspace(0.02, 0.5, 12), np.arange(0.5, 0.98, 0.01 if LONG else 0.04))
     assert all(modal_radius(modes, share * deepest, delay, b) < 1.0 + 1e-9 for share in shares)
-    assert found > 0.1 or any(modal_radius(modes, share * found, delay, b) > 1.0 for share in (1.01, 1.02))
+    assert limit > 0.1 or any(modal_radius(modes, share * limit, delay, b) > 1.0 for share in (1.01, 1.02))
 
 
 def test_a_feature_is_cut_in_its_own_direction(tmp_path):

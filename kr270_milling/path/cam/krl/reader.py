@@ -106,7 +106,6 @@ class _KrlReader(Machine):
         self.whole: set[str] = set()  #: names of INT variables
         self.routines: dict[str, list[_Statement]] = {}
         self.depth = self.statements = 0
-        self.from_main = True
         self.override = 1.0
         self.abc: tuple[float, ...] | None = None  #: A, B, C [deg] of the tool
         self.external: dict[str, float] = {}  #: E1 to E6 where the tool is
@@ -116,9 +115,12 @@ class _KrlReader(Machine):
     # --- files to routines ---
 
     def read(self) -> None:
-        self._load(self.path)
-        if self.routines:
-            self._routine(next(iter(self.routines)))
+        try:
+            self._load(self.path)
+            if self.routines:
+                self._routine(next(iter(self.routines)))
+        except RecursionError:
+            self.program.refuse("IF", "too many blocks are in each other")
 
     def _load(self, path: Path) -> None:
         """Take the routines of a .src file and the data of its .dat file."""
@@ -177,6 +179,9 @@ class _KrlReader(Machine):
             except (KrlError, ArcError) as error:
                 where = "" if statement.file == self.path else f"{statement.file.name}, line {statement.line}: "
                 self.program.refuse(statement.word, f"{where}{error}", lost=True)
+                refused = True
+            except (TypeError, ValueError, AttributeError, IndexError):  # of a value of another kind, as $VEL=5
+                self.program.refuse(statement.word, f"{short(statement.text)!r} has a value of another kind", lost=True)
                 refused = True
             words = self.program.words
             if refused or (not statement.blocks and self.program.refusals > refusals):
@@ -436,7 +441,9 @@ class _KrlReader(Machine):
         try:
             frame = self._value(text)
         except UnknownValueError:
-            frame = {"A1": 0.0}  # a place of the controller, such as XHOME
+            if not re.search(r"HOME|\A\s*\$", text, re.I):  # places of the controller
+                raise
+            frame = {"A1": 0.0}
         if not isinstance(frame, dict):
             raise KrlError(f"{short(text)!r} is no place")
         self._move_external(frame)
@@ -507,6 +514,8 @@ class _KrlReader(Machine):
 
         The ends are tangential to a neighbouring line, else without curvature.
         """
+        if self.spline is not None:
+            raise KrlError("a SPLINE block in another one")
         self.spline, own_feed = [], self.feed
         for setting in parts(head.partition("WITH")[2]) if "WITH" in head.upper() else ():
             self._setting(setting)
