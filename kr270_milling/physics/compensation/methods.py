@@ -102,7 +102,7 @@ def methods() -> dict[str, Method]:
 
 
 def method_of(method: str | Method) -> Method:
-    """Return a method by its name; a method object stays. Raises ParameterError for an unknown name or another object."""
+    """Return a method by its name; a method object stays. Raises ParameterError for an unknown name or no method."""
     if not isinstance(method, str):
         if not _is_object_with_revise(method):
             wanted = "a name, or an object with name, smooth, repeats and the function revise"
