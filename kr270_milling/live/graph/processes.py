@@ -17,8 +17,8 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from kr270_milling.base.arguments import STOPS
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import STOPS
 from kr270_milling.live.ros.environment import child_environment
 from kr270_milling.recordings.messages.topics import ROBOT
 

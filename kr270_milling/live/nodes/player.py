@@ -14,19 +14,36 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from kr270_milling.base.arguments import PLAY, end_process
 from kr270_milling.base.errors import RecordingError, one_line
-from kr270_milling.base.process import end_process
-from kr270_milling.live.nodes.play_arguments import PLAY
-from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
-from kr270_milling.recordings.bag.bagmeta import read_qos
-from kr270_milling.recordings.bag.playback import PlayClock, is_latched, playback, span
-from kr270_milling.recordings.bag.reader import RawMessage, Recording
+from kr270_milling.live.ros.topics import NameRefused, message_class
+from kr270_milling.recordings.bag.files import read_qos
+from kr270_milling.recordings.bag.reader import RawMessage, Recording, is_latched, playback, span
 
 __all__ = ["Player", "player_main", "run_player", "qos_of"]
 
 DEPTH = 1000  # messages that may wait for a slow reader
+
+
+class PlayClock:
+    """Position of a playback [ns of log time], from readings [s] of any clock that does not go back."""
+
+    def __init__(self, start: int, rate: float, now: float, paused: bool = False):
+        self.rate, self.paused = rate, paused
+        self._position, self._since = start, now
+
+    def position(self, now: float) -> int:
+        if self.paused:
+            return self._position
+        return self._position + int(max(now - self._since, 0.0) * self.rate * 1e9)
+
+    def pause(self, now: float) -> None:
+        self._position, self.paused = self.position(now), True
+
+    def resume(self, now: float) -> None:
+        self._position, self._since, self.paused = self.position(now), now, False
 
 
 class Player(ReportingNode):

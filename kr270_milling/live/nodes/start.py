@@ -14,8 +14,8 @@ import signal
 import sys
 from pathlib import Path
 
+from kr270_milling.base.arguments import STOPS
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import STOPS
 from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
 
 __all__ = ["NODES", "start"]

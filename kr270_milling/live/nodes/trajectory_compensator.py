@@ -20,10 +20,9 @@ from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.inbox import BREAK_NS
 from kr270_milling.exchange.scene import path_bytes
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
-from kr270_milling.live.ros.topics import RosTopic
+from kr270_milling.live.ros.topics import RosTopic, message_class, resolved_topic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.recordings.messages.cdr import stamp_of

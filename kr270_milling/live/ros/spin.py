@@ -16,8 +16,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
+from kr270_milling.base.arguments import STOPS, end_process, flush
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import STOPS, end_process, flush
 from kr270_milling.live.ros.environment import PARENT, keep_to_this_host
 
 __all__ = ["own_arguments", "run_node", "run_nodes"]

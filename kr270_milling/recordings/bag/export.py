@@ -21,10 +21,8 @@ from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import FIXED
-from kr270_milling.recordings.messages.cdr import unpack_stamped
+from kr270_milling.recordings.messages.cdr import FIXED, TRAJECTORY, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import plain
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
 
 __all__ = ["Exported", "export", "rows"]
 

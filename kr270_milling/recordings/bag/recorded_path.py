@@ -17,8 +17,7 @@ from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.cdr import Cursor
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY, TrajectoryRecord, read_trajectory
+from kr270_milling.recordings.messages.cdr import TRAJECTORY, Cursor, TrajectoryRecord, read_trajectory
 
 __all__ = ["PATH", "PathRecord", "read_path", "read_recorded"]
 

@@ -28,9 +28,8 @@ from kr270_milling.base.samples import (
 )
 from kr270_milling.base.units import SECOND
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.recordings.messages.cdr import LITTLE, pack_stamped, unpack_stamped
+from kr270_milling.recordings.messages.cdr import LITTLE, TRAJECTORY, pack_stamped, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import deserialise, store_of
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
 
 __all__ = [
     "deserialise",

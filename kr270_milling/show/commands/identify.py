@@ -23,8 +23,7 @@ from kr270_milling.physics.cutting.materials import find_material, materials
 from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.recordings.bag.reader import Recording, remapping
-from kr270_milling.show.commands.console import Answer
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.console import Answer, progress
 from kr270_milling.show.commands.reports import STAMPS
 from kr270_milling.show.report.identification.comparison import comparison_outcome
 from kr270_milling.show.report.identification.compliance import compliance_outcome

@@ -15,8 +15,7 @@ from kr270_milling.recordings.bag.export import export as export_files
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.bag.recover import recover as recover_file
-from kr270_milling.show.commands.console import Answer
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.console import Answer, progress
 
 
 def run_info(args) -> Answer:

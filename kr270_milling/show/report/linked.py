@@ -11,12 +11,18 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_closing
 
+from kr270_milling.cell.arm import PlacedArm, commanded_joints
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.part import PartAssessment
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.settings import CompensationSettings
+from kr270_milling.physics.cutting import Stock
+from kr270_milling.physics.robot.urdf import COLOURS, urdf
+from kr270_milling.physics.robot.urdf_links import links_of
 from kr270_milling.show.report.charts import envelope_index, stations
 
-__all__ = ["linked", "part_surface"]
+__all__ = ["linked", "part_surface", "robot_model"]
 
 LONGEST = 160  #: characters of a source line
 MOST_LINES = 4000  #: lines of the source; a longer source is cut to the lines with a station
@@ -128,3 +134,30 @@ def _largest(blocks: np.ndarray) -> np.ndarray:
     size = np.where(np.isnan(blocks), -1.0, np.abs(blocks))
     best = np.argmax(size, axis=-1)
     return np.take_along_axis(blocks, best[..., None], axis=-1)[..., 0]
+
+
+MOST_POSTURES = 240
+
+
+def robot_model(placed: PlacedArm, settings: CompensationSettings, stock: Stock, shown: ScoredPass) -> dict:
+    """Return links, parents first, and the commanded postures [rad] at p times of a pass; base_link, lengths in m."""
+    thinned = _thinned(shown.reference)
+    joints, low, high = commanded_joints(placed, settings, thinned), stock.min, stock.max
+    corners = np.array([[(low, high)[(c >> k) & 1][k] for k in range(3)] for c in range(8)])
+    colours = {name: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for name, rgb in COLOURS.items()}
+    return {
+        "name": placed.arm.name,
+        "links": links_of(urdf(placed.arm, placed.mount, placed.tool.radius)),
+        "colours": colours,
+        "pass_name": shown.name,
+        "time": thinned.time,
+        "joints": joints,
+        "stock_corners": placed.place.apply(corners),
+        "workpiece_rotation": placed.place.rotation,
+        "workpiece_xyz": placed.place.position,
+    }
+
+
+def _thinned(reference: Trajectory) -> Trajectory:
+    time_ns = np.unique(np.linspace(0, reference.duration_ns, MOST_POSTURES).round().astype(np.int64))
+    return Trajectory(time_ns, reference.sample(time_ns), reference.sample_orientation(time_ns), None, reference.frame)

@@ -12,7 +12,7 @@ import numpy as np
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import write_files
-from kr270_milling.show.report.page import page
+from kr270_milling.show.report import page
 from kr270_milling.show.report.tables import micro, typographic
 
 __all__ = ["COLOURS", "DIVERGING", "figure_of", "fragment", "points", "write_page"]

@@ -14,7 +14,7 @@ from samples import pass_recording as made
 from samples.pass_recording import options
 
 from kr270_milling.cli import main
-from kr270_milling.recordings.bag.playback import PlayClock
+from kr270_milling.live.nodes.player import PlayClock
 from kr270_milling.recordings.bag.writer import BagWriter
 
 pytestmark = made.needs_messages

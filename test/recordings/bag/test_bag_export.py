@@ -33,8 +33,8 @@ from kr270_milling.recordings.bag import export as module
 from kr270_milling.recordings.bag.export import WRITERS, export
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.passes import series
 
 
 def rows(file) -> list[dict]:

@@ -35,9 +35,8 @@ from samples.recording_samples import (
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
-from kr270_milling.recordings.bag.bagmeta import DEFAULT_QOS, describe_qos, qos_text, read_qos
-from kr270_milling.recordings.bag.gaps import GapCounter
-from kr270_milling.recordings.bag.info import info, info_text
+from kr270_milling.recordings.bag.files import DEFAULT_QOS, describe_qos, qos_text, read_qos
+from kr270_milling.recordings.bag.info import GapCounter, info, info_text
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
