@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kr270_milling.base.column import as_dict, columns_of, table_of
-from kr270_milling.show.report.identification.outcome import Outcome
+from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.modes import Mode
