@@ -52,7 +52,10 @@ class ReceivedPass:
     @property
     def missing(self) -> int:
         """Number of poses that are missing, where poses come at one period."""
-        return _missing(self.pose_ns)
+        if self.pose_ns.size < 2:
+            return 0
+        steps = np.diff(self.pose_ns) / np.median(np.diff(self.pose_ns))
+        return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0
 
     def until_wrench(self, count: int) -> ReceivedPass:
         """Return the pass with its first ``count`` wrenches only."""
@@ -337,14 +340,6 @@ def interpolated(stamps: np.ndarray, known: np.ndarray, values: np.ndarray) -> n
     if not known.size:
         return np.zeros((stamps.size, values.shape[1]))
     return np.column_stack([np.interp(stamps, known, column) for column in values.T])
-
-
-def _missing(stamps: np.ndarray) -> int:
-    """Number of messages that are missing in a pass, where they come at one period."""
-    if stamps.size < 2:
-        return 0
-    steps = np.diff(stamps) / np.median(np.diff(stamps))
-    return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0
 
 
 def lag(reference: Trajectory, time_ns: np.ndarray, position: np.ndarray) -> int:

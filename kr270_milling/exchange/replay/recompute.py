@@ -111,7 +111,9 @@ class Recomputed:
     @property
     def sentences(self) -> list[str]:
         """Return a sentence for each reason why the recompute is not complete."""
-        return [f"{stop['robot']}: {_at(stop['stamp_ns'])}{stop['reason']}" for stop in self.stops]
+        stamps = (stop["stamp_ns"] for stop in self.stops)
+        places = ("" if ns is None else f"cannot continue at {ns * 1e-9:.6f} s: " for ns in stamps)
+        return [f"{stop['robot']}: {at}{stop['reason']}" for stop, at in zip(self.stops, places, strict=True)]
 
 
 def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None) -> Recomputed:
@@ -135,10 +137,6 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
         version = recording.metadata().get("kr270_milling", {}).get("kr270_milling_version", "")
         damage = () if recording.cut_off else tuple(findings(recording))
         return Recomputed(str(recording.path), recording.cut_off, channels, first, stops, version, damage)
-
-
-def _at(stamp_ns: int | None) -> str:
-    return "" if stamp_ns is None else f"cannot continue at {stamp_ns * 1e-9:.6f} s: "
 
 
 class _Robot:
@@ -233,7 +231,10 @@ class _Robot:
         model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
         stamps = path_of(plant).clock.stamp(np.arange(last + 1))
         arm = CompliantArm(model, model.push(planned, stamps))
-        guesses = self._guesses(series)
+        guesses: dict[int, np.ndarray] = {}  # the wrench from which the last pose of an iterated exchange was predicted
+        if self.cell.exchange.iterations > 1:
+            before = series.topic("wrench").last(1)
+            guesses = dict(zip(before.step.tolist(), before.values, strict=True))
         tool, deflection = planned.sample(stamps[: count + 1]), np.zeros((count, 6))
         for step in range(1, len(tool)):
             tool[step] += arm.predict(guesses.get(step))[:3]
@@ -244,13 +245,6 @@ class _Robot:
         joints = arm_of(plant).joints_along(reference, stamps[:count:every]) if count else np.zeros((0, 6))
         repeated = np.repeat(joints, every, axis=0)[:count]  # only the rows at multiples of ``every`` are compared
         return {"tool_pose": np.hstack([tool, turn]), "deflection": deflection, "joint_states": repeated}
-
-    def _guesses(self, series: PassSeries) -> dict[int, np.ndarray]:
-        """Return the wrench from which the last pose of an iterated exchange was predicted, by steps."""
-        if self.cell.exchange.iterations == 1:
-            return {}
-        before = series.topic("wrench").last(1)
-        return dict(zip(before.step.tolist(), before.values, strict=True))
 
     def _cut(self, series: PassSeries, number: int, pose: Series, count: int) -> np.ndarray:
         """Return the wrenches along the recorded poses, by steps; compare the map of the part at their end."""

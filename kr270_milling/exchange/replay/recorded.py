@@ -36,7 +36,6 @@ from kr270_milling.recordings.passes import EXCHANGED, TYPES, GraphRecord, PassS
 __all__ = ["RecordedFacts", "pass_from_recording", "passes_from_recording", "read_passes", "too_long"]
 
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
-TOPICS = ("reference_trajectory", "tool_pose", "wrench")
 
 
 def read_passes(recording: Recording, cell: Cell, namespace: str | None = None) -> list[PassSeries]:
@@ -60,13 +59,13 @@ def too_long(cell: Cell, reference: Trajectory) -> str:
 
 def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iterator[PassSeries]:
     """Yield the passes of a robot with another clock, in the order of the file, as the compensator receives them."""
-    names = {topic: name for name, topic in graph.topics.items() if name in TOPICS}
     frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
     check: dict[str, Callable] = {  # as the compensator checks them
         "reference_trajectory": lambda run: run,
         "tool_pose": checked_pose,
         "wrench": lambda sample: checked_wrench(sample, frames.names),
     }
+    names = {topic: name for name, topic in graph.topics.items() if name in check}
     inbox, reference, number, last = PassInbox(0, 1), None, -1, b""
     for message in recording.messages(set(names)):
         name = names[message.topic]

@@ -161,7 +161,6 @@ class Driver:
 
 
 UP = 300.0  # [s] for a node to start, to compile at its first use on a busy machine, or to revise a long trajectory
-DISCOVERY = 0.5  # [s] for this process to discover another graph, five announcements of the profile
 QUIET = 1.0  # [s] without a report in mid-pass, after which the run prints a warning
 CELL, PLANNER = (ROBOT, CUT), (COMPENSATOR, RECORDER)  # the two processes of a composed graph
 NODES = (*CELL, *PLANNER)
@@ -234,7 +233,7 @@ class Graph:
 
     def _refuse_second(self) -> None:
         """Raise AlreadyRunning before the nodes start: their first messages would disturb nodes started by hand."""
-        end = time.monotonic() + DISCOVERY
+        end = time.monotonic() + 0.5  # [s] to discover another graph: five announcements of the profile
         while time.monotonic() < end:
             self.check()
             self.driver.spin()
@@ -245,22 +244,18 @@ class Graph:
     def _start_nodes(self) -> None:
         cuts = self.out / ("cell.yaml" if self.plant is None else "plant.yaml")
         tracked = () if self.plant is None else ("-p", f"plant:={cuts}")
-        records = ("-p", "autostart:=false", *self._recorded_topics())
+        space = self.driver.namespace  # the recording is limited to it and the reports of all nodes
+        records = ("-p", "autostart:=false", *(() if space == "/" else ("-p", f"topics:=[{space}/*,/diagnostics]")))
         for nodes in (CELL, PLANNER) if self._composed else ((node,) for node in NODES):
             parameters = cuts if nodes[0] in CELL else self.out / "cell.yaml"
             more = [*(tracked if COMPENSATOR in nodes else ()), *(records if RECORDER in nodes else ())]
-            child = Child(nodes, ros_arguments(parameters, self.driver.namespace, *more), self.out / "log")
+            child = Child(nodes, ros_arguments(parameters, space, *more), self.out / "log")
             for node in nodes:
                 self.children[node] = child
                 self.driver.expect(node, child.pid)
         self.driver.until(lambda: len(self.driver.reports) == len(NODES), "coming up", UP)
         if self.driver.foreign:
             raise AlreadyRunning(self.driver.foreign)
-
-    def _recorded_topics(self) -> tuple[str, ...]:
-        """Return arguments that limit the recording to the namespace and the reports of all nodes."""
-        space = self.driver.namespace
-        return () if space == "/" else ("-p", f"topics:=[{space}/*,/diagnostics]")
 
     def check(self) -> None:
         """Called some 50 times a second while the run waits; raises when the run cannot continue."""

@@ -165,14 +165,14 @@ class RecordingSession:
         failed, self._stopped = self._stopped, True
         if not failed:
             self.writer.close()
-            self._log_missing()
+            self._log()
         return self._missing
 
     @property
     def _missing(self) -> int:
         return sum(entry.get("missing", 0) for entry in self.writer.report().values())
 
-    def _log_missing(self) -> None:
+    def _log(self) -> None:
         logger = self._node.get_logger()
         for topic, entry in self.writer.report().items():
             if entry.get("missing"):
@@ -225,7 +225,7 @@ class Recorder(ManagedNode):
         self.declared("command", "", about, read_only=False)
         self.open_outlets(RECORDER)
         self._publish_name("")
-        self.create_timer(0.1, self._discover)  # [s]
+        self.create_timer(0.1, lambda: self.session and self.session.discover())  # [s]
         if self.autostart and not directory:
             raise InputError(self._where, "directory is missing")
         self.report(OK, "not recording")
@@ -270,10 +270,6 @@ class Recorder(ManagedNode):
             return {Path(name).name: Path(name).read_bytes() for name in names}
         except OSError as error:
             raise InputError(self._where, f"attach: {error.filename} cannot be read ({error.strerror})") from None
-
-    def _discover(self) -> None:
-        if self.session is not None:
-            self.session.discover()
 
     def watch(self) -> dict:
         return {} if self.session is None else self.session.watch()

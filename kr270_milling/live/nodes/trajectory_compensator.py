@@ -8,7 +8,6 @@ import time
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from std_srvs.srv import Trigger
 
 from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.parameter_file import find_file
@@ -78,8 +77,8 @@ class TrajectoryCompensator(ReportingNode):
         self._readiness = Readiness(self, names, (self._pose.topic_name, self._wrench.topic_name))
         self.set_values(waiting_for=self._readiness.waiting_for)
         self.subscribe(topics.JOINT_STATES._replace(qos=LATEST), self._on_joints)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_service(Trigger, "~/send_joint_trajectory", self._on_send)
+        self.serve("~/reset", self._reset)
+        self.serve("~/send_joint_trajectory", self._send_program)
         self._revision = 0
         self._joints: tuple[float, np.ndarray] | None = None  # arrival [s of the monotonic clock], positions [rad]
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
@@ -241,13 +240,7 @@ class TrajectoryCompensator(ReportingNode):
         """Publish the reference for a joint controller; return what was published."""
         if self._readiness.waiting_for:
             raise MessageError(f"the pass waits: {self._readiness.waiting_for}")
-        start = self.get_clock().now().nanoseconds + int(LEAD * SECOND)
+        start = self._now_ns() + int(LEAD * SECOND)
         program = self.protocol.program(self._present_joints(), start)
         self.send([("joint_trajectory", program)])
         return f"{len(program.time)} points, {program.time[-1] / SECOND:.3f} s, start in {LEAD:g} s"
-
-    def _on_send(self, _, response):
-        return self.answer(response, "~/send_joint_trajectory", self._send_program)
-
-    def _on_reset(self, _, response):
-        return self.answer(response, "~/reset", self._reset)

@@ -26,7 +26,7 @@ from kr270_milling.base.errors import InputError, MessageError, RecordingError
 from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotation_from_abc
 from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
-from kr270_milling.live.rsi.corrector import CorrectionTable, Corrector
+from kr270_milling.live.rsi.corrector import UNITS, CorrectionTable, Corrector
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes, type_of
@@ -45,8 +45,6 @@ __all__ = [
 
 MOST_BYTES = 4096  #: size of a telegram; with all internal values it has about 1200
 AXES = ("X", "Y", "Z", "A", "B", "C")
-UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  # mm and degrees -> m and rad
-FARTHEST = 100.0  #: [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +92,8 @@ def _pose(element, name: str) -> np.ndarray | None:
         pose = np.array([float(element.attrib[axis]) for axis in AXES]) * UNITS
     except (KeyError, ValueError):
         raise MessageError(f"{name} of a telegram needs numbers for {', '.join(AXES)}") from None
-    if not (np.isfinite(pose).all() and np.abs(pose[:3]).max() <= FARTHEST):
-        raise MessageError(f"{name} of a telegram is not finite or farther than {FARTHEST:g} m")
+    if not (np.isfinite(pose).all() and np.abs(pose[:3]).max() <= 100.0):  # [m]
+        raise MessageError(f"{name} of a telegram is not finite or farther than 100 m")
     return pose
 
 
@@ -211,7 +209,8 @@ class RsiSession:
                 self._answer(*newest)
                 latest = time.monotonic()
             elif self._robot is not None and time.monotonic() - latest > SILENCE:
-                self._lose_robot()
+                self.report(f"no telegram for {SILENCE:g} s")
+                self.stop.set()  # the next program starts from the first point with a new session
         return self.counts
 
     def _newest(self) -> tuple[RobotTelegram, np.ndarray, int] | None:
@@ -275,7 +274,7 @@ class RsiSession:
     def _correction(self, telegram: RobotTelegram, point: np.ndarray) -> np.ndarray:
         """Return the correction of a cycle, and count the cycles before it that have no answer."""
         if telegram.ipoc == self._last:
-            return self.corrector.repeat()
+            return self.corrector.applied
         ahead = 0 if self._last is None else (telegram.ipoc - self._last) % WRAP
         cycles = max(1, round(ahead / self.cycle_ms))
         self.counts.missed += cycles - 1
@@ -296,11 +295,6 @@ class RsiSession:
             self.counts.first = reason
             self.report(f"ignored: {reason}; further ones are counted")
         self.counts.refused += 1
-
-    def _lose_robot(self) -> None:
-        """Report the silent robot and end: the next program starts from the first point with a new session."""
-        self.report(f"no telegram for {SILENCE:g} s")
-        self.stop.set()
 
     def _record(self, *cycle) -> None:
         if self.record is None:

@@ -32,9 +32,6 @@ __all__ = [
     "yaml_text",
 ]
 
-NAMED = 8  # recordings that an error message names
-BLOCK = 1024 * 1024  # [bytes]
-
 
 def find_recording(path) -> Path:
     """Return the file of a recording, or its directory where rosbag2 wrote several files, a database or compressed
@@ -48,8 +45,8 @@ def find_recording(path) -> Path:
             return files[0]
         several = [str(file) for file in files] or sorted({str(file.parent) for file in path.glob(f"*/{kind}")})
         if several:
-            more = f" and {len(several) - NAMED} more" if len(several) > NAMED else ""
-            reason = f"is no recording; name one of those in it: {', '.join(several[:NAMED])}{more}"
+            more = f" and {len(several) - 8} more" if len(several) > 8 else ""
+            reason = f"is no recording; name one of those in it: {', '.join(several[:8])}{more}"
             raise RecordingError(path, reason)
     raise RecordingError(path, "holds no recording (.mcap, .mcap.zstd or .db3)")
 
@@ -93,7 +90,7 @@ def _unpacked(path: Path, packed: IO[bytes]) -> IO[bytes]:
     stream = tempfile.TemporaryFile()  # noqa: SIM115 - the caller closes the recording
     try:
         with packed, zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as content:
-            while block := content.read(BLOCK):
+            while block := content.read(1024 * 1024):
                 if shutil.disk_usage(tempfile.gettempdir()).free < 2**30:  # a GB remains on the disk
                     raise RecordingError(path, f"cannot be unpacked: {tempfile.gettempdir()} has no room for it")
                 stream.write(block)

@@ -43,8 +43,8 @@ def run_export(args) -> Answer:
         for directory, kind in ((args.csv, "csv"), (args.parquet, "parquet")):
             if directory:
                 written = export_files(recording, directory, args.topics, report, kind)
-                files += written.files
-                refused |= written.refused
+                files += written[0]
+                refused |= written[1]
         first, last = recording.first_log_time or 0, recording.last_log_time or 0
     about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
     for sentence in () if args.json else refused.values():
