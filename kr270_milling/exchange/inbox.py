@@ -51,11 +51,9 @@ class ReceivedPass:
 
     @property
     def missing(self) -> int:
-        """Number of poses that are missing, where poses come at one period."""
-        if self.pose_ns.size < 2:
-            return 0
-        steps = np.diff(self.pose_ns) / np.median(np.diff(self.pose_ns))
-        return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0
+        """Number of poses that are missing, by the median of the times between two poses."""
+        steps = np.diff(self.pose_ns)
+        return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
 
     def until_wrench(self, count: int) -> ReceivedPass:
         """Return the pass with its first ``count`` wrenches only."""

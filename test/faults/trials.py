@@ -16,8 +16,8 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.exchange.replay.recorded import attached_cell
 from kr270_milling.live.ros.node import NOT_COMPLETE
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.recordings.bag.info import info

@@ -17,11 +17,10 @@ import numpy as np
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.cut import CutProtocol
-from kr270_milling.exchange.replay.attached import recorded_cells
+from kr270_milling.exchange.replay.recorded import Cells, recorded_cells
 from kr270_milling.exchange.replay.revisions import (
     NotRecorded,
     Revisions,
@@ -142,7 +141,7 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
 class _Robot:
     """The nodes of one namespace: counts, the first difference, and the reasons why something was not compared."""
 
-    def __init__(self, recording: Recording, cells: tuple[Cell, Cell], namespace: str, progress):
+    def __init__(self, recording: Recording, cells: Cells, namespace: str, progress):
         self.cell, self.plant = cells
         self.counts: dict[str, TopicCount] = {}
         self.first: tuple[tuple, Difference] | None = None  # its order by pass, time and cause

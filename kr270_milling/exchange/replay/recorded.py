@@ -10,14 +10,18 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import yaml
 
-from kr270_milling.base.errors import MessageError, MillingError, RecordingError
+from kr270_milling.base.errors import ConfigError, MessageError, MillingError, RecordingError, one_line
+from kr270_milling.base.parameter_file import find_file, read_yaml
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
 from kr270_milling.cell.path import MOST_STEPS
@@ -25,7 +29,6 @@ from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.compensator import end_of
 from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
-from kr270_milling.exchange.replay.attached import recorded_cells
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -33,7 +36,101 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import from_bytes
 from kr270_milling.recordings.passes import EXCHANGED, TYPES, GraphRecord, PassSeries, Series, read_graph, series
 
-__all__ = ["RecordedFacts", "pass_from_recording", "passes_from_recording", "read_passes", "too_long"]
+__all__ = [
+    "Cells",
+    "RecordedFacts",
+    "attached_cell",
+    "pass_from_recording",
+    "passes_from_recording",
+    "read_passes",
+    "recorded_cells",
+    "too_long",
+]
+
+CELL_FILE, PLANT_FILE = "cell.yaml", "plant.yaml"
+Cells = tuple[Cell, Cell]  #: the cell that planned a pass, and the cell that cut in it
+
+
+def attached_cell(recording: Recording) -> Cell:
+    """Return the cell of the attached ``cell.yaml``, or of the only attached YAML file.
+
+    Files that the cell names (includes, a tool path) are read from the attachments, else from the shipped files.
+    Raises RecordingError, ConfigError.
+    """
+    names = _names(recording)
+    parameter_files = [n for n in names if n.endswith((".yaml", ".yml")) and n != PLANT_FILE]
+    if CELL_FILE not in names and len(parameter_files) != 1:
+        what = f"has {', '.join(sorted(parameter_files))}" if parameter_files else "has no parameter file"
+        raise RecordingError(
+            recording.path, f"{what} attached, but {CELL_FILE} is needed to recompute it; give it by --cell"
+        )
+    if sum(a.size for a in recording.attachments) > 64 * 1024 * 1024:
+        raise RecordingError(recording.path, "holds more attachments than a cell needs")
+    return _read_attached(recording, CELL_FILE if CELL_FILE in names else parameter_files[0])
+
+
+def recorded_cells(recording: Recording, file=None) -> Cells:
+    """Return the cell that planned a pass and the one that cut in it, the attached ``plant.yaml`` if there is one.
+
+    file: of the cell, for a recording without it, as of ``ros2 bag record``. Raises RecordingError, ConfigError.
+    """
+    cell = attached_cell(recording) if file is None else read_cell(find_file(file))
+    return cell, _read_attached(recording, PLANT_FILE) if PLANT_FILE in _names(recording) else cell
+
+
+def _names(recording: Recording) -> set[str]:
+    """Return the names of the attachments that can be files in one directory."""
+    return {about.name for about in recording.attachments if _is_plain(about.name)}
+
+
+def _is_plain(name: str) -> bool:
+    alone = bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
+    return alone and len(name.encode()) <= 200  # bytes
+
+
+def _read_attached(recording: Recording, main: str) -> Cell:
+    with tempfile.TemporaryDirectory() as directory:
+        names, file = _names(recording), Path(directory, main)
+        for name in names:
+            Path(directory, name).write_bytes(recording.attachment(name))
+        _localise(recording, file, names, set())
+        try:
+            cell = read_cell(file)
+            path_of(cell).timed  # noqa: B018 - reads the tool path while its file is there
+        except ConfigError as error:
+            where = f"{recording.path}, attached {Path(error.file).name}"
+            raise ConfigError(where, error.key, error.value, error.allowed) from error
+    return cell
+
+
+def _localise(recording: Recording, file: Path, names: set[str], visited: set[str]) -> None:
+    """Make a parameter file, and its includes, name the attached files instead of their original places.
+
+    Raises RecordingError where a parameter file names a file that is neither attached nor shipped.
+    """
+    visited.add(file.name)
+    try:
+        tree = read_yaml(file)
+        parameters = tree["/**"]["ros__parameters"]
+    except (ConfigError, LookupError, TypeError):
+        return  # read_cell reports the error
+    includes, path = (parameters.get("includes"), parameters.get("path")) if isinstance(parameters, dict) else ([], {})
+    includes, path = includes if isinstance(includes, list) else [], path if isinstance(path, dict) else {}
+    named = [*includes, *filter(None, [path.get("file")])]
+    far = [n for n in named if not isinstance(n, str) or not _is_plain(n)]
+    foreign = [n for n in far if not isinstance(n, str) or Path(n).name not in names]
+    if foreign:
+        reason = f"its {file.name} names {repr(foreign[0])[:100]}, which is not attached"
+        raise RecordingError(recording.path, one_line(reason))
+    if far:
+        includes[:] = [Path(n).name for n in includes]
+        if path.get("file"):
+            path["file"] = Path(path["file"]).name
+        file.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    for name in includes:
+        if Path(name).name in names and Path(name).name not in visited:
+            _localise(recording, file.with_name(Path(name).name), names, visited)
+
 
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
 
@@ -141,15 +238,9 @@ def _at_exchanges(
         target,
         {name: Series(steps, times, values) for name, values in rows.items()},
         stamps=stamps,
-        driven_lost=_poses_lost(received),
+        driven_lost=received.missing,
         driven_whole=whole,
     )
-
-
-def _poses_lost(received: ReceivedPass) -> int:
-    """Return the number of poses that are missing, by the median of the times between two poses."""
-    steps = np.diff(received.pose_ns)
-    return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
 
 
 def _rsi_pass(recording: Recording, cell: Cell, graph: GraphRecord) -> PassSeries:
@@ -238,7 +329,7 @@ def passes_from_recording(
 
 
 def _scored(
-    recording: Recording, cells: tuple[Cell, Cell], series: PassSeries, name: str, program: str | None
+    recording: Recording, cells: Cells, series: PassSeries, name: str, program: str | None
 ) -> tuple[ScoredPass, RecordedFacts] | str:
     """Return the scored pass, or the reason why it cannot be used."""
     cell, plant = cells
@@ -296,7 +387,7 @@ def _program(recording: Recording, cell: Cell) -> str | None:
 
 
 def _result(
-    cells: tuple[Cell, Cell], target: Trajectory, run: Trajectory, steps: np.ndarray, rows: dict, wall: float
+    cells: Cells, target: Trajectory, run: Trajectory, steps: np.ndarray, rows: dict, wall: float
 ) -> PassResult:
     """Return the result of a pass; torque, volume and heights come from the recorded tool centres.
 

@@ -13,11 +13,10 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.samples import CompensatorState, LearnedRecording
 from kr270_milling.cell.arm import PlacedArm, commanded_joints
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.inbox import ReceivedPass
-from kr270_milling.exchange.replay.attached import recorded_cells
+from kr270_milling.exchange.replay.recorded import Cells, recorded_cells
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.methods import methods
@@ -104,7 +103,7 @@ class NotRecorded(MillingError):
 class Revisions:
     """The node publishes its n-th state together with its n-th reference."""
 
-    def __init__(self, recording: Recording, cells: tuple[Cell, Cell], graph: GraphRecord):
+    def __init__(self, recording: Recording, cells: Cells, graph: GraphRecord):
         self.graph = graph
         self.cell, plant = cells
         self._plant = None if plant is self.cell else plant.imperfections

@@ -51,13 +51,6 @@ class WrittenChannel:
         return dict(count=self.count, **(self.gaps.as_dict() if self.stamped else {}), **refused)
 
 
-def plain_name(path, name: str) -> str:
-    """Return ``name`` if it is the name of a file without a directory. Raises RecordingError."""
-    if not name or name in (".", "..") or "/" in name or "\0" in name or len(name.encode()) > 200:
-        raise RecordingError(path, f"{name[:80]!r} is not a file name")
-    return name
-
-
 class Output:
     """``directory/name.mcap`` for mcap's Writer.
 
@@ -66,7 +59,7 @@ class Output:
     """
 
     def __init__(self, directory: Path, name: str, chunk_size: int):
-        self.path = directory / f"{plain_name(directory, name)}.mcap"
+        self.path = directory / f"{name}.mcap"
         self.error: RecordingError | None = None
         self.count = self.saved = 0  #: messages given to mcap's Writer, and messages in the file
         self._file = self._create()

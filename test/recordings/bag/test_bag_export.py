@@ -30,7 +30,7 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag import export as module
-from kr270_milling.recordings.bag.export import WRITERS, export
+from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
@@ -248,6 +248,6 @@ def test_messages_are_played_in_the_order_of_the_file(tmp_path):
 def test_no_text_of_a_table_is_a_formula_for_a_spreadsheet():
     stream, texts = io.BytesIO(), ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1"]
     stream.close = lambda: None
-    WRITERS["csv"](stream, ["a", "b", "c"], [[text, "x=1", -1.5] for text in texts])
+    module._write_csv(stream, ["a", "b", "c"], [[text, "x=1", -1.5] for text in texts])
     _, *actual = csv.reader(io.StringIO(stream.getvalue().decode()))
     assert actual == [["'" + text, "x=1", "-1.5"] for text in texts]
