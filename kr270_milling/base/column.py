@@ -20,6 +20,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "columns_of",
     "computed",
     "fixed",
+    "plain",
     "table_of",
     "yes",
 ]
@@ -143,6 +145,21 @@ def _written(value, factor: float):
     if isinstance(value, dict):
         return {k: _written(v, factor) for k, v in value.items()}
     return value if value is None or factor == 1.0 else value * factor
+
+
+def plain(value, pack: Callable[[Any], Any] = lambda array: array.tolist()):
+    """Return a value as strict JSON has it: numbers that are not finite are None. pack: array -> its plain value."""
+    if dataclasses.is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(k): plain(v, pack) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v, pack) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(pack(value), pack)
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def columns_of(record, unit: str = "") -> tuple[tuple, ...]:

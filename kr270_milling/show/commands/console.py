@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
-import math
 import shlex
 import sys
 import threading
@@ -23,7 +22,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from kr270_milling.base.column import TextTable, fixed
+from kr270_milling.base.column import TextTable, fixed, plain
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_failure
 
@@ -121,21 +120,7 @@ def command_line(args) -> str:
 
 def print_json(value) -> None:
     """Strict JSON: numbers that are not finite become null."""
-    print(json.dumps(_plain(value), indent=2, allow_nan=False))
-
-
-def _plain(value):
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    print(json.dumps(plain(value), indent=2, allow_nan=False))
 
 
 def shown_path(path: object) -> str:

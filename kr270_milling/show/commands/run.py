@@ -123,8 +123,6 @@ def _repeated(method: str, run: Callable[[str], RunRow], original: RunRow, most:
 def run_graph(args) -> Answer:
     require_ros("run")
     keep_to_this_host()
-    from kr270_milling.show.commands.run import RunRow  # imports rclpy
-
     cell = read_cell(find_file(args.cell), args.set)
     if cell.stage:
         if cell.stage.earlier:

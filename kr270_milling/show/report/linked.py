@@ -24,7 +24,6 @@ from kr270_milling.show.report.charts import envelope_index, stations
 
 __all__ = ["linked", "part_surface", "robot_model"]
 
-LONGEST = 160  #: characters of a source line
 MOST_LINES = 4000  #: lines of the source; a longer source is cut to the lines with a station
 
 
@@ -95,7 +94,7 @@ def _source(file: str, used: np.ndarray, program: str | None) -> list[dict]:
             return []
     lines = program.splitlines()
     wanted = range(1, len(lines) + 1) if len(lines) <= MOST_LINES else np.unique(used[used > 0]).tolist()
-    return [{"number": n, "text": lines[n - 1][:LONGEST]} for n in wanted if n <= len(lines)]
+    return [{"number": n, "text": lines[n - 1][:160]} for n in wanted if n <= len(lines)]
 
 
 def part_surface(parts: Sequence[PartAssessment]) -> dict:
@@ -136,12 +135,11 @@ def _largest(blocks: np.ndarray) -> np.ndarray:
     return np.take_along_axis(blocks, best[..., None], axis=-1)[..., 0]
 
 
-MOST_POSTURES = 240
-
-
 def robot_model(placed: PlacedArm, settings: CompensationSettings, stock: Stock, shown: ScoredPass) -> dict:
     """Return links, parents first, and the commanded postures [rad] at p times of a pass; base_link, lengths in m."""
-    thinned = _thinned(shown.reference)
+    run = shown.reference
+    time_ns = np.unique(np.linspace(0, run.duration_ns, 240).round().astype(np.int64))  # postures
+    thinned = Trajectory(time_ns, run.sample(time_ns), run.sample_orientation(time_ns), None, run.frame)
     joints, low, high = commanded_joints(placed, settings, thinned), stock.min, stock.max
     corners = np.array([[(low, high)[(c >> k) & 1][k] for k in range(3)] for c in range(8)])
     colours = {name: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for name, rgb in COLOURS.items()}
@@ -156,8 +154,3 @@ def robot_model(placed: PlacedArm, settings: CompensationSettings, stock: Stock,
         "workpiece_rotation": placed.place.rotation,
         "workpiece_xyz": placed.place.position,
     }
-
-
-def _thinned(reference: Trajectory) -> Trajectory:
-    time_ns = np.unique(np.linspace(0, reference.duration_ns, MOST_POSTURES).round().astype(np.int64))
-    return Trajectory(time_ns, reference.sample(time_ns), reference.sample_orientation(time_ns), None, reference.frame)

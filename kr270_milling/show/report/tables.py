@@ -45,8 +45,6 @@ __all__ = [
     "warning",
 ]
 
-TEXT = Path(__file__).parent / "page" / "assumptions.txt"
-
 
 def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     """First natural frequencies [Hz] at the start of the path with each mass model that has an answer there."""
@@ -68,7 +66,8 @@ def assumptions(cell: Cell, paper: bool) -> list[tuple[str, ...]]:
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
     rows: list[tuple[str, ...]] = list(cell.cutting.active.assumptions(path_of(cell).feed_rate / passing))
     modes = model_frequencies(cell).items()
-    jinja2.Template(TEXT.read_text(encoding="utf-8"), undefined=jinja2.StrictUndefined).render(
+    text = (Path(__file__).parent / "page" / "assumptions.txt").read_text(encoding="utf-8")
+    jinja2.Template(text, undefined=jinja2.StrictUndefined).render(
         row=lambda *texts: rows.append(tuple(map(str, texts))),
         cell=cell,
         paper=paper,

@@ -55,16 +55,13 @@ def mode_outcome(
         )
     if shapes is None:
         sentences.append("the shapes are not scaled: use a hammer (--hammer) or the compliance of a cell (--cell)")
-    shown = ("mode", "mode", 0), *columns_of(Mode), ("shape x y z rx ry rz", "shape", _shape)
+    shape = ("shape x y z rx ry rz", "shape", lambda values: " ".join(f"{v:.2f}" for v in values))
+    shown = ("mode", "mode", 0), *columns_of(Mode), shape
     table = table_of(title, shown, [{"mode": i, **entry} for i, entry in enumerate(entries, 1)])
     use = "name this file in `includes`, or copy the keys that you need"
     sections = _sections(modes, shapes)
     refused = not result["usable"]
     return Outcome("modes", title, result, [table], sentences, lambda: _figures(signals), sections, use, refused)
-
-
-def _shape(values: list[float]) -> str:
-    return " ".join(f"{v:.2f}" for v in values)
 
 
 def _sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:

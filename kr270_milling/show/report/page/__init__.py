@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import dataclasses
 import functools
 import json
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from kr270_milling.base.column import plain
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.version import __version__
 
@@ -23,7 +23,6 @@ HERE = Path(__file__).parent
 #: names of the report's scripts, in the order in which the page runs them
 REPORT_SCRIPTS = ("base", "place", "maps", "series", "zoom", "source", "part", "robot", "charts", "start")
 PLOTLY_FILE = "plotly.min.js"  #: next to pages that do not contain plotly
-LONG = 12  #: a longer row is packed
 #: series: the colours of Okabe and Ito (black, vermilion, blue, green, purple, sky blue), darker or lighter for
 #: contrast, then grey and brown; diverging: from blue to vermilion about a neutral middle. Both are distinct for every
 #: kind of colour vision.
@@ -90,21 +89,13 @@ def to_json(value) -> Markup:
 
     Long rows become ``{"f32": base64, "shape": [...]}``, whole numbers ``i32``: little-endian, read into typed arrays.
     """
-    text = json.dumps(_plain(value), allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    text = json.dumps(plain(value, _packed), allow_nan=False, separators=(",", ":"), ensure_ascii=False)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _plain(value):
-    if dataclasses.is_dataclass(value):
-        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray) and value.size > LONG:
-        kind, dtype = ("i32", "<i4") if value.dtype.kind in "iub" else ("f32", "<f4")
-        raw = np.ascontiguousarray(value, dtype).tobytes()
-        return {kind: base64.b64encode(raw).decode(), "shape": list(value.shape)}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+def _packed(array: np.ndarray | np.generic):
+    if array.size <= 12:  # numbers
+        return array.tolist()
+    kind, dtype = ("i32", "<i4") if array.dtype.kind in "iub" else ("f32", "<f4")
+    raw = np.ascontiguousarray(array, dtype).tobytes()
+    return {kind: base64.b64encode(raw).decode(), "shape": list(array.shape)}
