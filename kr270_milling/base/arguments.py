@@ -12,21 +12,6 @@ from typing import NoReturn
 
 from kr270_milling.base.errors import MillingError, nearest
 
-__all__ = [
-    "PLAY",
-    "Parser",
-    "STOPS",
-    "UsageError",
-    "bounded",
-    "end_process",
-    "exit_code",
-    "flush",
-    "grid",
-    "numbers",
-    "stretch",
-    "words",
-]
-
 
 class UsageError(MillingError):
     """Words of a command line that no command takes."""

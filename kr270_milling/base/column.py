@@ -23,21 +23,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-__all__ = [
-    "CONVERGED",
-    "Column",
-    "TextTable",
-    "as_dict",
-    "column",
-    "columns",
-    "columns_of",
-    "computed",
-    "fixed",
-    "plain",
-    "table_of",
-    "yes",
-]
-
 Value = TypeVar("Value")
 
 #: [m]; a finer or coarser grid changes the deviation of the paper's pass by up to 0.06 um, see guide/numbers.md

@@ -10,8 +10,6 @@ from importlib.metadata import EntryPoint, entry_points
 
 from kr270_milling.base.errors import ConfigError
 
-__all__ = ["load_as", "refused", "register", "registered"]
-
 _of_script: list[EntryPoint] = []
 _complete: set[str] = set()  # groups whose table was made
 

@@ -6,8 +6,6 @@ import importlib.util
 
 from kr270_milling.base.errors import MillingError
 
-__all__ = ["require_extra"]
-
 
 def require_extra(what: str, extra: str, *modules: str, otherwise: str = "") -> None:
     """Raise MillingError where one of the modules is not installed.

@@ -18,17 +18,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.motion.periods import Exchange
 
-__all__ = [
-    "MOST_STEPS",
-    "check_duration",
-    "check_effort",
-    "check_feed",
-    "check_moves",
-    "check_path",
-    "check_postures",
-    "sinking",
-]
-
 MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
 MOST_VISITS = 1e13  #: nodes under the footprint, each time that it is swept as a whole, some ns each
 

@@ -18,8 +18,6 @@ from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.motion.periods import Clock, Exchange
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
-__all__ = ["CellPath", "ProgramPath", "StraightCut"]
-
 
 @dataclass(frozen=True, eq=False)
 class _Programmed:

@@ -30,8 +30,6 @@ from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.robot.arm import Arm
 from kr270_milling.physics.robot.kinematics import forward, joint_motion
 
-__all__ = ["CompensatorProtocol", "end_of", "joint_program"]
-
 SHARE = 0.1  #: share of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
 LEAST = 0.1  #: [s], of approach and run-out
 SMOOTH = 1e-9  #: [m] by which a jump of velocity or acceleration at a knot may move the path

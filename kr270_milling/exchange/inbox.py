@@ -22,8 +22,6 @@ from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.periods import Clock
 
-__all__ = ["BREAK_NS", "PassInbox", "ReceivedPass", "interpolated", "lag"]
-
 PositionQuaternion = tuple[np.ndarray, np.ndarray]
 FrameWrench = tuple[str, np.ndarray]
 GAP_NS = 100_000_000  # longest time between two messages of a pass without a report

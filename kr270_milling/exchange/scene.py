@@ -17,8 +17,6 @@ from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import from_bytes, named, serialise, time_fields
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["INPUTS", "OUTPUTS", "Scene", "path_bytes"]
-
 #: topic -> type of the derived messages; transforms are global, as viewers expect
 OUTPUTS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",

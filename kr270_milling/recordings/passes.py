@@ -20,18 +20,6 @@ from kr270_milling.recordings.messages.cdr import FIXED, layout_of, unpack_alike
 from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes, type_of
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = [
-    "EXCHANGED",
-    "GraphRecord",
-    "PassSeries",
-    "Series",
-    "TopicSeries",
-    "own_topics",
-    "read_graph",
-    "series",
-    "several",
-]
-
 
 class TopicSeries(NamedTuple):
     """A topic of one of the FIXED types; the arrays are read-only."""

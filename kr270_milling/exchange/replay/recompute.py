@@ -36,8 +36,6 @@ from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.messages.topics import TOPICS
 from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
 
-__all__ = ["Difference", "Recomputed", "TopicCount", "recompute"]
-
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
 AXES = {  # fields of the columns of a topic
     "tool_pose": [f"pose.position.{a}" for a in "xyz"] + [f"pose.orientation.{a}" for a in "xyzw"],

@@ -36,17 +36,6 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import from_bytes
 from kr270_milling.recordings.passes import EXCHANGED, TYPES, GraphRecord, PassSeries, Series, read_graph, series
 
-__all__ = [
-    "Cells",
-    "RecordedFacts",
-    "attached_cell",
-    "pass_from_recording",
-    "passes_from_recording",
-    "read_passes",
-    "recorded_cells",
-    "too_long",
-]
-
 CELL_FILE, PLANT_FILE = "cell.yaml", "plant.yaml"
 Cells = tuple[Cell, Cell]  #: the cell that planned a pass, and the cell that cut in it
 

@@ -26,17 +26,6 @@ from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.passes import GraphRecord, PassSeries, read_graph
 
-__all__ = [
-    "NotRecorded",
-    "Revised",
-    "Revisions",
-    "compensate_recording",
-    "pass_over",
-    "record_difference",
-    "robots_of",
-    "usable",
-]
-
 TRAJECTORY = ("time_ns", "position", "quaternion", "velocity")  # fields with the bits of a message
 
 

@@ -43,8 +43,6 @@ from kr270_milling.live.ros.node import ERROR, LOST, NOT_COMPLETE, Silence
 from kr270_milling.live.ros.readiness import Report, read_reports
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
-__all__ = ["CELL", "Driver", "Graph", "PLANNER", "RunValues"]
-
 
 class Driver:
     """A node in a separate context. ``check`` is called some 50 times a second while the node waits, and may raise."""

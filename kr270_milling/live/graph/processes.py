@@ -22,8 +22,6 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.live.ros.environment import child_environment
 from kr270_milling.recordings.messages.topics import ROBOT
 
-__all__ = ["AlreadyRunning", "Child", "RunError", "own_graph", "recording_parameters", "ros_arguments", "stop"]
-
 
 class RunError(MillingError):
     """The run cannot continue; node: the failed node; reason: what happened."""

@@ -20,8 +20,6 @@ from kr270_milling.live.ros.readiness import Report, read_reports
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import COMPENSATOR, ROBOT
 
-__all__ = ["CompliantRobot"]
-
 LOOK = 0.1  # [s] of the wall clock between two checks
 #: exchanges from one check that every subscriber has the poses to the next: a fifth of the history of the publisher.
 #: A check takes 0 to 20 ms, the time to the next heartbeat of the profile; a subscriber that was killed delays the pass

@@ -12,8 +12,6 @@ from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Si
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import CUT
 
-__all__ = ["CuttingProcess"]
-
 LOOK = 0.1  # [s] of the wall clock between two checks of the robot
 
 

@@ -19,9 +19,8 @@ from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded,
 from kr270_milling.live.ros.spin import own_arguments, run_nodes
 from kr270_milling.live.ros.topics import NameRefused, message_class
 from kr270_milling.recordings.bag.files import read_qos
-from kr270_milling.recordings.bag.reader import RawMessage, Recording, is_latched, playback, span
-
-__all__ = ["Player", "player_main", "run_player", "qos_of"]
+from kr270_milling.recordings.bag.mcap_file import RawMessage
+from kr270_milling.recordings.bag.reader import Recording, is_latched, playback, span
 
 DEPTH = 1000  # messages that may wait for a slow reader
 

@@ -22,8 +22,6 @@ from kr270_milling.live.ros.topics import LOOP, NameRefused, message_class, reso
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 from kr270_milling.recordings.messages.topics import RECORDER
 
-__all__ = ["Recorder", "RecordingSession"]
-
 DERIVED_QOS = QoSProfile(  # latched, so that late subscribers of a player receive them
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )

@@ -18,8 +18,6 @@ from kr270_milling.base.arguments import STOPS
 from kr270_milling.base.errors import MillingError
 from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
 
-__all__ = ["NODES", "start"]
-
 #: node -> class in the module of the same name
 CLASSES = {
     "compliant_robot": "CompliantRobot",

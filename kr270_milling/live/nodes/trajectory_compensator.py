@@ -27,8 +27,6 @@ from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.topics import COMPENSATOR
 
-__all__ = ["TrajectoryCompensator"]
-
 METHOD = "compensation.method"
 TARGET = "the target itself"
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start

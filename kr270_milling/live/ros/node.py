@@ -32,8 +32,6 @@ from kr270_milling.live.ros.readiness import SUBSCRIBERS, Report, joined
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 from kr270_milling.recordings.messages.topics import published_by
 
-__all__ = ["LOST", "NOT_COMPLETE", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
-
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
 NOT_COMPLETE = "its recording is not complete"

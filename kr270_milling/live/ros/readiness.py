@@ -7,10 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from kr270_milling.live.ros import topics
-from kr270_milling.recordings.messages.codec import deserialise
+from kr270_milling.recordings.messages.definitions import deserialise
 from kr270_milling.recordings.messages.topics import CUT, RECORDER, ROBOT
-
-__all__ = ["SUBSCRIBERS", "WAIT_FOR", "Readiness", "Report", "is_recorded", "joined", "read_reports", "unmatched"]
 
 WAIT_FOR = f"{CUT}, {ROBOT}?, {RECORDER}?"  #: names, separated by commas; with ?: only where the node is in the graph
 SUBSCRIBERS = "subscribers of "  #: begin of a key; then a topic that the node publishes

@@ -20,8 +20,6 @@ from kr270_milling.base.arguments import STOPS, end_process, flush
 from kr270_milling.base.errors import MillingError
 from kr270_milling.live.ros.environment import PARENT, keep_to_this_host
 
-__all__ = ["own_arguments", "run_nodes"]
-
 LAP = 0.1  # [s] between two checks for signals and for the parent process
 
 

@@ -20,18 +20,6 @@ from rclpy.validate_topic_name import validate_topic_name
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = [
-    "BY_NAME",
-    "EVERY",
-    "LATCHED",
-    "LOOP",
-    "NameRefused",
-    "RosTopic",
-    "full_namespace",
-    "message_class",
-    "resolved_topic",
-]
-
 
 class NameRefused(MillingError):
     """A message type that cannot be used here."""

@@ -14,8 +14,6 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table
 from kr270_milling.path.progress import PathProgress
 
-__all__ = ["Corrector", "CorrectionTable", "CorrectionLimits", "UNITS", "read_corrections"]
-
 SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
 PLACE = ("X_mm", "Y_mm", "Z_mm")
 UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  #: of X, Y, Z, A, B, C: mm and degrees -> m and rad

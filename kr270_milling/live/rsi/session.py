@@ -31,18 +31,6 @@ from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes, type_of
 
-__all__ = [
-    "Counts",
-    "MOST_BYTES",
-    "RobotTelegram",
-    "RsiRecording",
-    "RsiSession",
-    "open_socket",
-    "read_telegram",
-    "real_time",
-    "write_answer",
-]
-
 MOST_BYTES = 4096  #: size of a telegram; with all internal values it has about 1200
 AXES = ("X", "Y", "Z", "A", "B", "C")
 

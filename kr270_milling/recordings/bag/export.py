@@ -23,8 +23,6 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import FIXED, TRAJECTORY, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import plain
 
-__all__ = ["export", "rows"]
-
 MAX_FILES = 100  # most files of a topic; a new file begins when the columns change
 ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
 Row = tuple[list[str], list]  # names of the columns, cells

@@ -20,18 +20,6 @@ from kr270_milling.base.errors import ConfigError, RecordingError
 from kr270_milling.base.parameter_file import parse
 from kr270_milling.base.units import SECOND
 
-__all__ = [
-    "all_latched",
-    "bag_information",
-    "describe_qos",
-    "find_recording",
-    "is_rosbag",
-    "open_to_read",
-    "qos_text",
-    "read_qos",
-    "yaml_text",
-]
-
 
 def find_recording(path) -> Path:
     """Return the file of a recording, or its directory where rosbag2 wrote several files, a database or compressed

@@ -11,8 +11,6 @@ from kr270_milling.recordings.bag.reader import Recording, is_latched
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import starts_with_stamp
 
-__all__ = ["GapCounter", "PassStarts", "SHARED", "info", "info_text"]
-
 #: types of topics with many publishers: their stamps are several series
 SHARED = frozenset(["diagnostic_msgs/msg/DiagnosticArray"])
 

@@ -28,8 +28,6 @@ from kr270_milling.recordings.messages.definitions import (
 )
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["RawMessage", "Recording", "is_latched", "playback", "remapping", "span"]
-
 
 class RosbagFile:
     """The content of a recording, with the attributes of an ``McapFile``. Raises Damage."""

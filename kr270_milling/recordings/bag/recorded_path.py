@@ -17,8 +17,6 @@ from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import TRAJECTORY, Cursor, TrajectoryRecord, read_trajectory
 
-__all__ = ["PATH", "read_path", "read_recorded"]
-
 PATH = "nav_msgs/msg/Path"
 
 

@@ -15,8 +15,6 @@ from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
-__all__ = ["Recovered", "findings", "recover"]
-
 
 @dataclass
 class Recovered:

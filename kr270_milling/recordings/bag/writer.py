@@ -21,8 +21,6 @@ from kr270_milling.recordings.bag.info import SHARED, GapCounter, PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import definition, starts_with_stamp, type_hash
 
-__all__ = ["BagWriter", "MessageRefused", "WrittenChannel"]
-
 CHUNK_PERIOD = 0.2  # [s]; a SIGKILL loses the messages of this time
 
 

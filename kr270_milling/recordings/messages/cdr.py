@@ -16,20 +16,6 @@ import numpy as np
 
 from kr270_milling.base.units import SECOND
 
-__all__ = [
-    "Cursor",
-    "FIXED",
-    "LITTLE",
-    "TRAJECTORY",
-    "TrajectoryRecord",
-    "layout_of",
-    "pack_stamped",
-    "read_trajectory",
-    "stamp_of",
-    "unpack_alike",
-    "unpack_stamped",
-]
-
 STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 FRAME_AT = 16  #: offset of the frame's name in a message that begins with a Header; the length of the name comes first
 BIG, LITTLE = b"\0\0\0\0", b"\0\1\0\0"  #: the first four bytes of plain CDR, by byte order

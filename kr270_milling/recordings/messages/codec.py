@@ -31,17 +31,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.cdr import LITTLE, TRAJECTORY, pack_stamped, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import deserialise, store_of
 
-__all__ = [
-    "deserialise",
-    "from_bytes",
-    "named",
-    "serialise",
-    "time_fields",
-    "to_bytes",
-    "trajectory_from_bytes",
-    "type_of",
-]
-
 
 def serialise(type_name: str, fields: Mapping) -> bytes:
     """Return the bytes of a message, little endian; fields: nested mappings; what they leave out is zero or empty.

@@ -17,23 +17,6 @@ from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
 
-__all__ = [
-    "DEFINITION_ERRORS",
-    "RecordedTopic",
-    "TYPE_NAME",
-    "definition",
-    "deserialise",
-    "jazzy_store",
-    "make_decoder",
-    "members",
-    "plain",
-    "read_message",
-    "starts_with_stamp",
-    "store_for",
-    "store_of",
-    "type_hash",
-]
-
 TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
 STAMPS = ("Header", "std_msgs/Header", "std_msgs/msg/Header", "builtin_interfaces/Time", "builtin_interfaces/msg/Time")
 #: errors of rosbags for a text that is not a definition; SyntaxError and NameError come from the code it generates

@@ -26,23 +26,6 @@ from kr270_milling.base.column import TextTable, fixed, plain
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_failure
 
-__all__ = [
-    "Answer",
-    "Colored",
-    "Progress",
-    "command_line",
-    "joints_text",
-    "now",
-    "output_directory",
-    "print_json",
-    "print_table",
-    "progress",
-    "say_replaced",
-    "shown_path",
-    "steps",
-    "title_of",
-]
-
 WIDEST = 1000  # characters of a table
 
 

@@ -16,7 +16,6 @@ from kr270_milling.base.version import __version__
 if TYPE_CHECKING:
     from kr270_milling.show.commands.console import Answer
 
-__all__ = ["COMMANDS", "make_parser", "run"]
 
 MOTIONS = ("LIN", "SPLINE")
 POSTURE = numbers(6, most=720.0)

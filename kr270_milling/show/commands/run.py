@@ -35,8 +35,6 @@ from kr270_milling.show.report.tables import TABLE_2
 if TYPE_CHECKING:
     from kr270_milling.live.graph.graph import Graph, RunValues
 
-__all__ = ["RunRow", "run_plan"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunRow:

@@ -22,8 +22,6 @@ from kr270_milling.physics.robot.urdf import COLOURS, urdf
 from kr270_milling.physics.robot.urdf_links import links_of
 from kr270_milling.show.report.charts import envelope_index, stations
 
-__all__ = ["linked", "part_surface", "robot_model"]
-
 MOST_LINES = 4000  #: lines of the source; a longer source is cut to the lines with a station
 
 

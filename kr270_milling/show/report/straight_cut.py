@@ -24,8 +24,6 @@ from kr270_milling.show.report.charts import (
 )
 from kr270_milling.show.report.series import deviation_of
 
-__all__ = ["charts_of", "force_law", "machined_profile", "micro_step_forces"]
-
 SAMPLES = 1000  #: samples of a reference trajectory
 ZERO = ((0.0, ""),)  #: a level
 

@@ -24,8 +24,6 @@ from kr270_milling.studies.maps.lobes import engagement_text
 from kr270_milling.studies.maps.placements import MAPPED, PlacementRow, Summary
 from kr270_milling.studies.maps.sweep import SweepSummary
 
-__all__ = ["gain_text", "sweep_tables", "tools_page", "write_lobes", "write_map", "write_sweep"]
-
 RPM = 30.0 / math.pi
 
 

@@ -15,8 +15,6 @@ from kr270_milling.base.files import write_files
 from kr270_milling.show.report import page
 from kr270_milling.show.report.tables import micro, typographic
 
-__all__ = ["COLOURS", "DIVERGING", "figure_of", "fragment", "points", "write_page"]
-
 COLOURS: list[str] = page.COLOURS["light"]["series"]  # type: ignore[assignment]  #: a page replaces them in its dark theme
 DIVERGING = page.COLOURS["light"]["diverging"]  #: for values about zero
 

@@ -27,24 +27,6 @@ from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.robot import Arm
 from kr270_milling.physics.robot.mass import MODELS
 
-__all__ = [
-    "PAPER",
-    "TABLE_2",
-    "assumptions",
-    "details",
-    "feature_table",
-    "fixed_text",
-    "input_rows",
-    "line_scores",
-    "micro",
-    "model_frequencies",
-    "part_scores",
-    "shown",
-    "typeset",
-    "typographic",
-    "warning",
-]
-
 
 def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     """First natural frequencies [Hz] at the start of the path with each mass model that has an answer there."""

@@ -32,7 +32,8 @@ from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, NOT_COMPLETE, Silence
 from kr270_milling.live.ros.readiness import Report
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.codec import deserialise, to_bytes
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.definitions import deserialise
 from kr270_milling.show.commands import run as commands
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]

@@ -12,8 +12,6 @@ from kr270_milling.base.parameter_file import write_include
 from kr270_milling.base.version import __version__
 from kr270_milling.show.report.study_page import write_page
 
-__all__ = ["Outcome"]
-
 
 @dataclass(frozen=True)
 class Outcome:

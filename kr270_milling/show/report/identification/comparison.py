@@ -10,8 +10,6 @@ from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.comparison import ComparedChannel, LinearFit
 from kr270_milling.studies.identification.wall import WallComparison
 
-__all__ = ["advice", "comparison_outcome", "wall_outcome"]
-
 AGREES = 0.1  #: gains within this share of 1 need no new identification: batches of a material scatter by as much
 SURE = 2.0  #: standard deviations
 LARGE = 0.2  #: share of the largest force component from which a component is compared

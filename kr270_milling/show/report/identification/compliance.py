@@ -19,18 +19,6 @@ from kr270_milling.studies.identification.doubts import compliance_doubts
 from kr270_milling.studies.identification.measurements import Measurements, write_measurements
 from kr270_milling.studies.identification.plan import Candidates, Design
 
-__all__ = [
-    "BASE_Z",
-    "blind_spots",
-    "compliance_outcome",
-    "load_text",
-    "plan_as_dict",
-    "plan_tables",
-    "reason",
-    "sentences",
-    "write_plan",
-]
-
 COLUMNS = ("number", "arm file", "identified", "95 % +-", "identified by the data")
 BASE_Z = "not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance"
 

@@ -14,8 +14,6 @@ from kr270_milling.show.report.study_page import COLOURS, points
 from kr270_milling.studies.identification.doubts import force_doubts
 from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
 
-__all__ = ["force_outcome", "material_outcome"]
-
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 
 

@@ -13,8 +13,6 @@ from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.modes import Mode
 from kr270_milling.studies.identification.signals import Signals
 
-__all__ = ["mode_outcome"]
-
 
 def mode_outcome(
     modes: list[Mode],

@@ -16,9 +16,6 @@ from kr270_milling.base.column import plain
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.version import __version__
 
-__all__ = ["COLOURS", "PLOTLY_FILE", "REPORT_SCRIPTS", "page_text", "plotly_script", "to_json"]
-
-
 HERE = Path(__file__).parent
 #: names of the report's scripts, in the order in which the page runs them
 REPORT_SCRIPTS = ("base", "place", "maps", "series", "zoom", "source", "part", "robot", "charts", "start")
