@@ -16,7 +16,7 @@ from rosgraph_msgs.msg import Clock
 from kr270_milling.base.arguments import PLAY, end_process
 from kr270_milling.base.errors import RecordingError, one_line
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
-from kr270_milling.live.ros.spin import own_arguments, run_nodes
+from kr270_milling.live.ros.spin import own_arguments, run_node
 from kr270_milling.live.ros.topics import NameRefused, message_class
 from kr270_milling.recordings.bag.files import read_qos
 from kr270_milling.recordings.bag.mcap_file import RawMessage
@@ -171,7 +171,7 @@ def run_player(
         players.append(Player(args, progress, **kwargs))
         return players[0]
 
-    code = run_nodes([make], ros_args or [])
+    code = run_node(make, ros_args or [])
     return code, sum(player.count for player in players)
 
 

@@ -40,6 +40,11 @@ def _print_error(error: Exception) -> None:
     print(f"{os.path.basename(sys.argv[0])}: {' '.join(str(error).split())}", file=sys.stderr)
 
 
+def run_node(make: Callable, args: list[str] | None = None) -> int:
+    """Spin one node, ``make(context=...)``; see ``run_nodes``."""
+    return run_nodes([make], args)
+
+
 def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
     """Spin nodes, ``make(context=...)`` each, until a signal arrives, the parent process ends, or a node has finished.
 
