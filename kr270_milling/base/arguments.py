@@ -160,9 +160,8 @@ def flush() -> None:
             stream.flush()
 
 
-MOST = 9e9  # [s], 285 years, the largest log time in nanoseconds
 CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
-_ABOVE, _LEAST = bounded(0.0, 1e6, above=True), bounded(0.0, MOST)
+_ABOVE, _LEAST = bounded(0.0, 1e6, above=True), bounded(0.0, 9e9)  # [s], 285 years, the largest log time in ns
 #: names and keywords for ``add_argument`` of the options of ``ros2 bag play`` that the player has
 PLAY: tuple[tuple[tuple[str, ...], dict], ...] = (
     (("-r", "--rate"), dict(type=_ABOVE, default=1.0, help="how many times as fast as recorded")),

@@ -27,7 +27,6 @@ FrameWrench = tuple[str, np.ndarray]
 GAP_NS = 100_000_000  # longest time between two messages of a pass without a report
 START_TOLERANCE = 0.5e-3  #: [m], from the first point of the reference, in which a robot with another clock waits
 SEEK_NS = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
-MOST_EARLY = 2000  # poses and wrenches before the start is known
 BREAK_NS = 2_000_000_000  #: without progress, after which a pass is over; assumed: longer than any lag of a controller
 FAR = 5e-3  # [m], from the reference; far above the deflection of an arm
 
@@ -80,8 +79,8 @@ class StartSeeker:
 
     def __init__(self, reference: Trajectory, announced: bool = False):
         self.distance: float | None = None  #: [m], of the tool from the first point of the reference; None: no pose yet
-        self.poses: deque[PoseSample] = deque(maxlen=MOST_EARLY)
-        self.wrenches: deque[WrenchSample] = deque(maxlen=MOST_EARLY)
+        self.poses: deque[PoseSample] = deque(maxlen=2000)
+        self.wrenches: deque[WrenchSample] = deque(maxlen=2000)
         self._reference = reference
         self._announced = announced
 

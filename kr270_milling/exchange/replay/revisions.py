@@ -26,8 +26,6 @@ from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.passes import GraphRecord, PassSeries, read_graph
 
-TRAJECTORY = ("time_ns", "position", "quaternion", "velocity")  # fields with the bits of a message
-
 
 def robots_of(recording: Recording) -> list[str]:
     """Return the namespaces of the robots in a recording. Raises RecordingError where there is none."""
@@ -70,7 +68,9 @@ def array_difference(field: str, recorded: np.ndarray, expected: np.ndarray) -> 
 def record_difference(recorded, expected) -> tuple[str, object, object] | None:
     """Return name and both values of the first field of two records that differs."""
     is_trajectory = isinstance(expected, Trajectory)
-    names = TRAJECTORY if is_trajectory else [field.name for field in dataclasses.fields(expected)]
+    names = [field.name for field in dataclasses.fields(expected)]
+    if is_trajectory:  # fields with the bits of a message
+        names = ["time_ns", "position", "quaternion", "velocity"]
     for name in names:
         a, b = getattr(recorded, name), getattr(expected, name)
         if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):

@@ -18,13 +18,9 @@ from kr270_milling.base.samples import Text
 from kr270_milling.exchange.scene import INPUTS, OUTPUTS, Scene
 from kr270_milling.live.ros.node import ERROR, NOT_COMPLETE, OK, WARN, ManagedNode, ReportingNode
 from kr270_milling.live.ros.readiness import is_recorded, joined
-from kr270_milling.live.ros.topics import LOOP, NameRefused, message_class, resolved_topic
+from kr270_milling.live.ros.topics import LATCHED, LOOP, NameRefused, message_class, resolved_topic
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 from kr270_milling.recordings.messages.topics import RECORDER
-
-DERIVED_QOS = QoSProfile(  # latched, so that late subscribers of a player receive them
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
 
 
 class RecordingSession:
@@ -75,7 +71,7 @@ class RecordingSession:
         for kind, derived in self._node.used(topic, _derived, scene, topic, data) or ():
             name = namespace + kind
             if name in self._live or (name not in self._subscriptions and is_recorded(name, self._topics)):
-                self.writer.add_topic(name, OUTPUTS[kind], [DERIVED_QOS])
+                self.writer.add_topic(name, OUTPUTS[kind], [LATCHED])  # late subscribers of a player receive it
                 self.writer.write(name, derived, receipt)
                 self._show(name, OUTPUTS[kind], derived)
 
@@ -85,7 +81,7 @@ class RecordingSession:
             self._subscriptions[name] = None  # published by this node and written already
             self._live[name] = None
             with contextlib.suppress(ImportError, NameRefused):
-                self._live[name] = self._node.create_publisher(message_class(type_name), name, DERIVED_QOS)
+                self._live[name] = self._node.create_publisher(message_class(type_name), name, LATCHED)
         publisher = self._live[name]
         if publisher is not None:
             publisher.publish(data)

@@ -30,8 +30,7 @@ from kr270_milling.recordings.messages.topics import COMPENSATOR
 METHOD = "compensation.method"
 TARGET = "the target itself"
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
-#: reliable and best-effort publishers match; of the joints only the last message counts
-LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: reliable and best-effort publishers match
 SENSOR = QoSProfile(depth=topics.LOOP.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 
@@ -74,7 +73,8 @@ class TrajectoryCompensator(ReportingNode):
         names = self.declared("wait_for", WAIT_FOR, about)
         self._readiness = Readiness(self, names, (self._pose.topic_name, self._wrench.topic_name))
         self.set_values(waiting_for=self._readiness.waiting_for)
-        self.subscribe(topics.JOINT_STATES._replace(qos=LATEST), self._on_joints)
+        latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # only the last message counts
+        self.subscribe(topics.JOINT_STATES._replace(qos=latest), self._on_joints)
         self.serve("~/reset", self._reset)
         self.serve("~/send_joint_trajectory", self._send_program)
         self._revision = 0

@@ -94,8 +94,6 @@ def _write_lobes(args, cell, rows: list[dict], summary: str) -> list[str]:
 
 STUDIES = ("pyarrow", "dask", "distributed")  #: Dask with --scheduler only
 READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
-BEST = 5  #: placements that are written as cells
-TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
 
 
@@ -126,7 +124,7 @@ def run_map(args) -> Answer:
         share = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
         with whole("map") as report:
             seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
-    summary = Summary(axes[0], axes[1], BEST)
+    summary = Summary(axes[0], axes[1], 5)  # placements that are written as cells
     for table in study.tables(placements.chunks):
         summary.add(table)
     cells = write_cells(args.out, source, args.set, placements, summary.best, cell.posture_key)
@@ -165,7 +163,7 @@ def _along(args) -> Answer:
     turns = turning.Turns(
         arm_of(cell), places_at(path_of(cell), simulated, chosen), step, np.degrees(1e-6 * args.smooth)
     )
-    grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
+    grid = np.radians(np.linspace(*(args.tool_turn or (-180.0, 180.0, 73))))
     path, same, own = (
         turning.best_turns(turns, grid),
         turning.constant_turn(turns, grid),

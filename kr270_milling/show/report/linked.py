@@ -22,8 +22,6 @@ from kr270_milling.physics.robot.urdf import COLOURS, urdf
 from kr270_milling.physics.robot.urdf_links import links_of
 from kr270_milling.show.report.charts import envelope_index, stations
 
-MOST_LINES = 4000  #: lines of the source; a longer source is cut to the lines with a station
-
 
 def linked(
     programmed: CellPath, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
@@ -82,7 +80,7 @@ def _series(scored: ScoredPass, part: PartAssessment) -> np.ndarray:
 
 
 def _source(file: str, used: np.ndarray, program: str | None) -> list[dict]:
-    """Return the lines of the tool path file or its text: all of a short file, else the used lines."""
+    """Return the lines of the tool path file or its text: all of up to 4000 lines, else those with a station."""
     if not used.any():
         return []
     if program is None:
@@ -91,7 +89,7 @@ def _source(file: str, used: np.ndarray, program: str | None) -> list[dict]:
         except OSError:  # it was attached to a recording
             return []
     lines = program.splitlines()
-    wanted = range(1, len(lines) + 1) if len(lines) <= MOST_LINES else np.unique(used[used > 0]).tolist()
+    wanted = range(1, len(lines) + 1) if len(lines) <= 4000 else np.unique(used[used > 0]).tolist()
     return [{"number": n, "text": lines[n - 1][:160]} for n in wanted if n <= len(lines)]
 
 

@@ -10,11 +10,7 @@ from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.comparison import ComparedChannel, LinearFit
 from kr270_milling.studies.identification.wall import WallComparison
 
-AGREES = 0.1  #: gains within this share of 1 need no new identification: batches of a material scatter by as much
 SURE = 2.0  #: standard deviations
-LARGE = 0.2  #: share of the largest force component from which a component is compared
-MOST_POINTS = 5000  #: points of a channel in the figure
-DAY = 86400.0  #: [s]
 COLUMNS = ("quantity", "measured / simulated", "95 % +-", "offset", "difference RMS")
 UNITS = {"m": (1e6, "um", "um"), "N": (1.0, "n", "N")}  #: unit of a channel -> factor, suffix of keys, unit in tables
 
@@ -26,7 +22,7 @@ def comparison_outcome(
     sentences = advice(channels, ringing)
     clocks = [
         f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
-        if abs(lag) < DAY
+        if abs(lag) < 86400.0  # [s]
         else f"the clock of the {name} does not begin with the pass"
         for name, lag in lags.items()
     ]
@@ -45,7 +41,7 @@ def advice(channels: list[ComparedChannel], ringing: dict[str, tuple[float, floa
     """Return what to identify again."""
     sentences = []
     largest = max((float(np.abs(c.simulated).mean()) for c in channels if c.unit == "N"), default=0.0)
-    forces = [c for c in channels if c.unit == "N" and np.abs(c.simulated).mean() > LARGE * largest]
+    forces = [c for c in channels if c.unit == "N" and np.abs(c.simulated).mean() > 0.2 * largest]  # others are noise
     sentences += [
         f"{c.name} is {c.line.gain:.2f} +- {SURE * c.line.gain_sigma:.2f} times the simulated one: `identify forces`"
         for c in forces
@@ -72,7 +68,8 @@ def advice(channels: list[ComparedChannel], ringing: dict[str, tuple[float, floa
 
 def _differs(line: LinearFit, expected: float) -> bool:
     away = abs(line.gain - expected)
-    return away > AGREES * max(expected, 0.1) and away > SURE * line.gain_sigma
+    # batches of a material scatter by 10 %
+    return away > 0.1 * max(expected, 0.1) and away > SURE * line.gain_sigma
 
 
 def _rms(channel: ComparedChannel) -> float:
@@ -101,7 +98,7 @@ def _row(channel: ComparedChannel) -> list[str]:
 def _figures(channels: list[ComparedChannel]) -> list:
     figures = []
     for channel in channels:
-        thin = slice(None, None, max(1, len(channel.time) // MOST_POINTS))
+        thin = slice(None, None, max(1, len(channel.time) // 5000))
         factor, _, unit = UNITS[channel.unit]
         both = {"measured": channel.measured, "simulated": channel.simulated}
         series = {name: (channel.time[thin], factor * values[thin]) for name, values in both.items()}

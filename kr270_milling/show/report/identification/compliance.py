@@ -192,8 +192,6 @@ def _figures(fit: Fit) -> list:
 
 LOADS = ("hang", "pull outward", "pull sideways", "pull between both")  #: kind of a candidate -> text
 MODULE = "LOADTEST"
-JOINTS = 6  #: further sought numbers are those of the base
-SPEED = 10  #: [%] of the axis speeds
 
 
 def plan_as_dict(plan: Candidates, designs: Mapping[str, Design], chosen: Design, names: Sequence[str]) -> dict:
@@ -241,7 +239,7 @@ def blind_spots(relative: np.ndarray, names: Sequence[str]) -> list[str]:
     unseen = [name for name, deviation in zip(names, relative, strict=True) if deviation > 0.5]
     cure = "a horizontal pull turns joint 1, a --point off axis 6 turns joint 6, more tests help joints of small effect"
     texts = [f"{', '.join(unseen)}: these tests hardly identify the compliance; {cure}"] if unseen else []
-    return texts + [BASE_Z] * (len(names) > JOINTS)
+    return texts + [BASE_Z] * (len(names) > 6)  # more than the joints
 
 
 def load_text(plan: Candidates, row: int) -> str:
@@ -261,7 +259,7 @@ def write_plan(directory, plan: Candidates, notes: list[str]) -> list[Path]:
     head = [*(f"; {note}" for note in notes), "; VERIFY IN T1: THE MOTIONS ARE NOT CHECKED FOR COLLISION"]
     remarks = [f"test {row + 1}: {load_text(plan, row)}" for row in range(len(plan.tests))]
     write_measurements(place / "plan.csv", plan.tests, notes, remarks)
-    source = [*HEAD, f"DEF {MODULE}( )", *head, "BAS(#INITMOV,0)", f"BAS(#VEL_PTP,{SPEED})"]
+    source = [*HEAD, f"DEF {MODULE}( )", *head, "BAS(#INITMOV,0)", "BAS(#VEL_PTP,10)"]  # [%] of the axis speeds
     for remark, q in zip(remarks, np.degrees(plan.tests.q).tolist(), strict=True):
         axes = ",".join(f"A{i} {angle:.4f}" for i, angle in enumerate(q, 1))
         source += [f"; {remark}", f"PTP {{{axes}}}"]
