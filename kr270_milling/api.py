@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict, columns_of, fixed, table_of
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell_file, jobs

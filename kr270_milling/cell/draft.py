@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell.path import check_moves
+from kr270_milling.cell.paths import check_moves
 from kr270_milling.path.toolpath import Toolpath
 
 #: YAML with places for str.format

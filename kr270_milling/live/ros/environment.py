@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.parameter_file import find_file
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError, RecordingError
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording

@@ -44,7 +44,7 @@ from kr270_milling.show.commands.console import (
 )
 from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
-from kr270_milling.show.report.studies import tools_page
+from kr270_milling.show.report.study_page import tools_page
 from kr270_milling.studies.identification.measured_part import learn, learned_keys, read_part
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from kr270_milling.base.arguments import PLAY, Parser, bounded, grid, numbers, stretch, words
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.version import __version__
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import InputError, one_line
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.units import seconds
 from kr270_milling.recordings.bag import info as bag_info
 from kr270_milling.recordings.bag.export import export as export_files

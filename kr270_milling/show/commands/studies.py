@@ -9,7 +9,7 @@ import numpy as np
 
 from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
@@ -22,7 +22,7 @@ from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.cdr import TRAJECTORY
 from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.show.commands.console import Answer, output_directory, progress, shown_path, steps
-from kr270_milling.show.report.studies import gain_text, sweep_tables, write_lobes, write_map, write_sweep
+from kr270_milling.show.report.study_page import gain_text, sweep_tables, write_lobes, write_map, write_sweep
 from kr270_milling.studies.maps import along as turning
 from kr270_milling.studies.maps.engine import Study, content, run_chunks
 from kr270_milling.studies.maps.lobes import engagement_text, lobes

@@ -13,7 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from kr270_milling.base.column import plain
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.version import __version__
 
 HERE = Path(__file__).parent
