@@ -132,16 +132,16 @@ def _written(value, factor: float):
     return value if value is None or factor == 1.0 else value * factor
 
 
-def plain(value, pack: Callable[[Any], Any] = lambda array: array.tolist()):
+def json_value(value, pack: Callable[[Any], Any] = lambda array: array.tolist()):
     """Return a value as strict JSON has it: numbers that are not finite are None. pack: array -> its plain value."""
     if dataclasses.is_dataclass(value):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, dict):
-        return {str(k): plain(v, pack) for k, v in value.items()}
+        return {str(k): json_value(v, pack) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(v, pack) for v in value]
+        return [json_value(v, pack) for v in value]
     if hasattr(value, "tolist"):
-        return plain(pack(value), pack)
+        return json_value(pack(value), pack)
     if isinstance(value, Path):
         return str(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value

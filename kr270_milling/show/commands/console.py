@@ -22,7 +22,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from kr270_milling.base.column import TextTable, fixed, plain
+from kr270_milling.base.column import TextTable, fixed, json_value
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_failure
 
@@ -103,7 +103,7 @@ def command_line(args) -> str:
 
 def print_json(value) -> None:
     """Strict JSON: numbers that are not finite become null."""
-    print(json.dumps(plain(value), indent=2, allow_nan=False))
+    print(json.dumps(json_value(value), indent=2, allow_nan=False))
 
 
 def shown_path(path: object) -> str:

@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from kr270_milling.base.column import plain
+from kr270_milling.base.column import json_value
 from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.version import __version__
 
@@ -86,7 +86,7 @@ def to_json(value) -> Markup:
 
     Long rows become ``{"f32": base64, "shape": [...]}``, whole numbers ``i32``: little-endian, read into typed arrays.
     """
-    text = json.dumps(plain(value, _packed), allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    text = json.dumps(json_value(value, _packed), allow_nan=False, separators=(",", ":"), ensure_ascii=False)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
