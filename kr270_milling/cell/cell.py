@@ -22,8 +22,6 @@ from kr270_milling.physics.motion.periods import Exchange, Publish
 from kr270_milling.physics.robot import Arm, Mount
 from kr270_milling.physics.robot.sensor import ForceSensor
 
-__all__ = ["Cell"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cell(Record):

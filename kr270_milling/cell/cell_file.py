@@ -24,8 +24,6 @@ from kr270_milling.path.cam.readers import find_tool_path
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.physics.robot import pose
 
-__all__ = ["cell_text", "read_cell", "read_cells", "write_cell_file"]
-
 #: sections that a tool may override; its other keys are those of ``tool``
 SECTIONS = ("compensation", "cutting", "dynamics", "exchange", "limits", "mount", "part", "program", "stock", "timing")
 
