@@ -10,8 +10,9 @@ import numpy as np
 
 from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.path.source_program import SourceProgram
-from kr270_milling.path.trajectory import TOOL_DOWN, slerp
+from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, slerp, turned
 
 __all__ = ["MOST_BLOCKS", "REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
 
@@ -87,8 +88,12 @@ class Toolpath:
 
     @property
     def block_length(self) -> np.ndarray:
-        """Return the length of each block [m], (n,), along the arcs; 0 for block 0."""
-        return np.hypot(self.plane_length, np.diff(self.position[:, 2], prepend=self.position[0, 2]))
+        """Return the length of each block [m], (n,), along the arcs; 0 for block 0, LEVER times a turn in place."""
+        length = np.hypot(self.plane_length, np.diff(self.position[:, 2], prepend=self.position[0, 2]))
+        turns = np.flatnonzero(length[1:] == 0) + 1
+        if turns.size:
+            length[turns] = LEVER * turned(self.quaternion[turns - 1], self.quaternion[turns])
+        return length
 
     @property
     def plane_length(self) -> np.ndarray:
@@ -109,12 +114,13 @@ class Toolpath:
         return np.clip(np.searchsorted(ends, distance, side="right"), 1, len(self) - 1)
 
     def tangent(self, block: np.ndarray, travelled: np.ndarray) -> np.ndarray:
-        """Return the unit tangent, (m, 3), ``travelled`` [m] in the xy plane from the start of a block."""
+        """Return the unit tangent, (m, 3), ``travelled`` [m] in the xy plane from the start; 0 for a turn in place."""
         move = self.position[block] - self.position[block - 1]
         plane = self.plane_length[block]
         heading = np.arctan2(move[:, 1], move[:, 0]) + self.curvature[block] * (travelled - plane / 2)
         flat = np.stack([plane * np.cos(heading), plane * np.sin(heading), move[:, 2]], axis=1)
-        return flat / np.linalg.norm(flat, axis=1, keepdims=True)
+        length = np.linalg.norm(flat, axis=1, keepdims=True)
+        return flat / np.where(length > 0, length, 1.0)
 
     def position_at(self, distance: np.ndarray) -> np.ndarray:
         """Return the position [m], (m, 3), at distances [m], (m,); only a block of the tangents is in memory."""
@@ -176,9 +182,7 @@ class PathBuilder:
     def move(self, position: tuple[float, float, float], feed: float, rapid: bool, line: int, curvature=0.0) -> None:
         """Append one block; position [m], feed [m/s], curvature [1/m]."""
         self.line = line
-        if position == self.last:
-            if self.quaternion != self._last_quaternion:
-                raise InputError(self.source, "the tool turns without moving; that has no feed", line)
+        if position == self.last and self.quaternion == self._last_quaternion:
             return
         if len(self) >= MOST_BLOCKS:
             raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
@@ -211,12 +215,11 @@ class PathBuilder:
     def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:
         """Return the path; raise InputError for a path that cannot be run."""
         columns = self.columns()
-        position, away = columns["position"], np.isinf(columns["position"][:, 2])
+        away = np.isinf(columns["position"][:, 2])
         if away.any():
-            position = position.copy()
-            position[away, 2] = 0.0 if away.all() else position[~away, 2].max()
-            moves = np.append(True, np.any(np.diff(position, axis=0) != 0, axis=1))
-            columns = {name: values[moves] for name, values in (columns | {"position": position}).items()}
+            blocks = _taken_away(np.frombuffer(self._blocks).reshape(-1, 14), away)
+            moves = np.append(True, np.any(np.diff(blocks[:, :7], axis=0) != 0, axis=1))
+            columns = {name: blocks[moves, column] for name, column in COLUMNS.items()}
         line, feature = columns["line"], columns["feature"].astype(np.int64)
         if len(line) < 2:
             raise InputError(self.source, "the path never moves", int(line[0]) if len(line) else self.line)
@@ -230,6 +233,49 @@ class PathBuilder:
         except ToolpathError as error:
             at = None if error.index is None else int(line[error.index])
             raise InputError(self.source, error.reason, at) from None
+
+
+def _taken_away(blocks: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Return the blocks with the largest height for tools that were taken away; a tilted tool leaves along its axis.
+
+    It leaves the box of all places and, beside them, LEVER more, then goes up; it comes back in the same manner.
+    """
+    blocks, places = blocks.copy(), blocks[~away, :3]
+    top = places[:, 2].max() if len(places) else 0.0
+    blocks[away, 2] = top
+    turned = blocks[:, 5] ** 2 + blocks[:, 6] ** 2 > 1e-12  # z and w: the tool is not along z
+    if not turned.any():
+        return blocks
+    low, high = places.min(axis=0), places.max(axis=0)
+
+    def outside(block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The blocks of a place where a tool has left the box, and of the place above it."""
+        axis = -rotation_from_quaternion(block[3:7])[:, 2]
+        room = np.where(axis > 0, high - block[:3], block[:3] - low) / np.maximum(np.abs(axis), 1e-12)
+        room[:2] += LEVER / np.maximum(np.abs(axis[:2]), 1e-12)
+        out, above = block.copy(), block.copy()
+        out[:3] += max(room.min(), 0.0) * axis
+        above[:3] = *out[:2], top
+        for new in (out, above):
+            new[[COLUMNS["feed"], COLUMNS["curvature"], COLUMNS["drilling"]]] = 0.0
+            new[COLUMNS["rapid"]] = 1.0
+        return out, above
+
+    rows: list[np.ndarray] = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], away.astype(int), [0]])))
+    begin = 0
+    for first, end in edges.reshape(-1, 2).tolist():
+        before, after = first > 0, end < len(blocks)
+        rows.append(blocks[begin:first])
+        begin = end
+        if not (before and turned[first - 1]) and not (after and turned[end]):
+            rows.append(blocks[first:end])
+            continue
+        if before:
+            rows.append(np.array(outside(blocks[first - 1])))
+        if after:
+            rows.append(np.array(outside(blocks[end]))[::-1])
+    return np.concatenate([*rows, blocks[begin:]])
 
 
 def cut_features(columns: dict[str, np.ndarray]) -> list[int]:

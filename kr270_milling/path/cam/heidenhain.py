@@ -11,6 +11,10 @@ import math
 import re
 from collections.abc import Callable
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.base.frames import Pose
 from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.drilling import Cycle
@@ -21,6 +25,7 @@ from kr270_milling.path.cam.machine import INCH, MM, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.trajectory import TOOL_DOWN
 
 __all__ = ["read_heidenhain"]
 
@@ -33,16 +38,17 @@ WORD = re.compile(
 CONDITION = re.compile(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)")
 ASSIGNED = re.compile(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)")
 LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?)?")
-SILENT = re.compile(
-    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET|CYCL DEF (?:247|32\.|9\.)|PLANE RESET|FN ?(?:14|16|38):|M ?0*[01]\Z"
-)
-#: shifts, turns, planes that change nothing with zeros alone
-RESETS = re.compile(r"CYCL DEF (?:7|8|10|11|19)\.[0-9]+|PLANE SPATIAL|TRANS DATUM")
+SILENT = re.compile(r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z")
+#: turns, mirrors, scales that change nothing with zeros alone
+RESETS = re.compile(r"CYCL DEF (?:8|10|11|19)\.[0-9]+")
+SHIFT = re.compile(r"(?:CYCL DEF 7\.[0-9]+|TRANS DATUM)(?: DATUM SHIFT| AXIS| RESET)?")
+#: PLANE -> its angles and the axes of the rotations: of the fixed axes in small letters
+PLANES = {"SPATIAL": (("SPA", "SPB", "SPC"), "xyz"), "EULER": (("EULPR", "EULNU", "EULROT"), "ZXZ")}
 ADVICE = {
     **dict.fromkeys(("APPR", "DEP"), "let the CAM output lead-ins and lead-outs as L and C"),
     **dict.fromkeys(("CALL PGM", "SEL"), "post one program without calls of other files"),
     "CYCL DEF": "CYCL DEF 200 and 203 are read; let the CAM output other cycles as moves",
-    "PLANE": "post a 3-axis program: the tool must be parallel to z of the workpiece",
+    "PLANE": "let the CAM output PLANE SPATIAL or PLANE EULER",
     "TCH PROBE": "leave probing out of this program",
 }
 OTHERS = "let the CAM output L, C, CR, CT, LP and CP"
@@ -66,11 +72,14 @@ class _Refused(ValueError):
 class _Conversational(Machine):
     """Runs statements: L, C, CR, CT, LP and CP are blocks of G0 to G3."""
 
+    by_planes = True
+
     def __init__(self, program: ProgramBuilder, feed: float):
         super().__init__(program, feed)
         self.absolute_centre = True
         self.speed = 0.0  #: [rad/s]
         self.turning = 0
+        self.datum = [0.0] * 3  #: shift of the datum [m]
         self.pole: complex | None = None  #: CC [m]
         self.heading: complex | None = None  #: direction of the last move in the xy plane
         self.arc_centre: complex | None = None  #: [m], of the block; None: given by its radius
@@ -145,6 +154,10 @@ class _Conversational(Machine):
             self._define(text)
         elif text.startswith("CYCL CALL"):
             self._call_cycle(text[9:])
+        elif SHIFT.match(text):
+            self._shift(text)
+        elif word == "PLANE" and text.split()[1:2] and text.split()[1] in {*PLANES, "RESET"}:
+            self._plane(text)
         elif SILENT.match(text) or (RESETS.match(text) and not re.search(r"[1-9]", RESETS.sub("", text, count=1))):
             self._note(text)
         elif text.startswith("M"):
@@ -154,6 +167,42 @@ class _Conversational(Machine):
             reason = "" if known else f"{short(text)!r} is not read"
             self.program.refuse(short(text), reason, ADVICE.get(known, OTHERS), lost=True)
         return index
+
+    def _shift(self, text: str) -> None:
+        """A shift of the datum: of the axes that it names, from the datum of the workpiece; without any to zero."""
+        words, functions = self._words(SHIFT.sub("", text))
+        if words.keys() - {"X", "Y", "Z", "IX", "IY", "IZ"} or functions or self.tilt is not None:
+            raise _Refused("a shift of the datum takes X, Y and Z, before PLANE")
+        place = [*self.datum] if words else [0.0] * 3
+        for k, axis in enumerate("XYZ"):
+            if axis in words:
+                place[k] = words[axis] * self.unit
+            place[k] += words.get(f"I{axis}", 0.0) * self.unit
+        if "DATUM SHIFT" not in text:  # the head of the cycle
+            self.datum = place
+            self.set_shift((1 + 0j, complex(*place[:2]), place[2]) if any(place) else None)
+
+    def _plane(self, text: str) -> None:
+        """PLANE SPATIAL turns about the fixed x, y, z, PLANE EULER about z, the new x and the new z; RESET ends both.
+
+        The axes turn with MOVE and TURN; with STAY in a block that names A, B or C. (Heidenhain, TNC 620 User's Manual
+        Conversational Programming, 10/2017, "Tilting the working plane")
+        """
+        kind = text.split()[1]
+        names, axes = PLANES.get(kind, ((), ""))
+        angles = {name: self._value(value) for name, value in re.findall(r"(SP[ABC]|EUL[A-Z]+) ?([-+]?[0-9.Q]+)", text)}
+        if angles.keys() != set(names):
+            raise _Refused(f"PLANE {kind} needs {', '.join(names)}")
+        if self.shift is not None and self.shift[0] != 1:
+            raise _Refused("PLANE in coordinates that are turned")
+        turn = Rotation.from_euler(axes, [angles[name] for name in names], degrees=True) if axes else None
+        flat = turn is None or turn.magnitude() == 0.0
+        self.set_tilt(None if flat else Pose(np.zeros(3), turn.as_matrix()))
+        self.pole = self.heading = None
+        for number in (120, 121, 122):  # the angles of the machine's axes, which name the plane and no number here
+            self.variables.set(number, 0.0)
+        if re.search(r" (?:MOVE|TURN)\b", text):
+            self.program.turn(self.along_plane)
 
     def _note(self, text: str) -> None:
         """A statement that moves nothing; TOOL DEF states the radius of its tool."""
@@ -227,6 +276,9 @@ class _Conversational(Machine):
             advice = "post a 3-axis program" if other[0] == 128 else "leave it out where it moves no axis"
             self.program.refuse(word, advice=advice, lost=True)
             return
+        if words.keys() & {"A", "B", "C"}:
+            computed = re.search(r"[ABC] ?\+?Q12[012]", text)
+            self.program.turn(self.along_plane if computed else TOOL_DOWN)
         if 140 in functions:  # back along the tool axis
             words.pop("MB", None)
             self.home(["Z"])

@@ -11,11 +11,15 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+
+from kr270_milling.base.frames import Pose
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points, nurbs_points
 from kr270_milling.path.cam.contour import Stroke, planned
 from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, TOP
+from kr270_milling.path.trajectory import TOOL_DOWN, tool_along
 
 __all__ = ["INCH", "MM", "Machine"]
 
@@ -43,6 +47,8 @@ class Machine:
     Lengths inside are in [m], NaN where the program has not said where an axis is.
     """
 
+    by_planes = False  #: the tool is along z of the coordinates in each cut
+
     def __init__(self, program: ProgramBuilder, feed: float):
         self.program = program
         self.unit = MM  #: unit of lengths in blocks
@@ -68,6 +74,9 @@ class Machine:
         self.ended = False
         #: from coordinates of the program to those of the path: factor of x + i y, x + i y [m], z [m]; None: the same
         self.shift: tuple[complex, complex, float] | None = None
+        #: from coordinates of the program to those before the shift, where a plane is tilted: its z is the tool axis
+        self.tilt: Pose | None = None
+        self.along_plane: tuple[float, ...] = TOOL_DOWN  #: orientation of a tool along z of the plane
         self.side = 0  #: 1: the tool is to the left of the contour, -1: to the right
         self.radius = 0.0  #: [m], by which it is; NaN: that of the tool
         self.beside = 0j  #: [m], of the tool from ``position``
@@ -75,7 +84,10 @@ class Machine:
         self.contour: list[Stroke | None] | Iterator[list[Stroke] | str | None] | None = None
 
     def on_path(self, point) -> tuple[float, ...]:
-        """Return the place of a point on the path; an axis without a value keeps none."""
+        """Return the place of a point on the path; an axis without a value keeps none, in a tilted plane no axis."""
+        if self.tilt is not None:
+            known = all(map(math.isfinite, point))
+            point = self.tilt.apply(np.array(point)).tolist() if known else [math.nan] * 3
         if self.shift is None:
             return tuple(point)
         turn, xy, height = self.shift
@@ -99,8 +111,23 @@ class Machine:
             place = x, y, z
         self.position = list(place)
 
+    def set_tilt(self, tilt: Pose | None) -> None:
+        """Give the moves that follow the coordinates of a plane, None: those of the workpiece; the tool stays."""
+        self.ends_contour("other coordinates")
+        before, away = self.tilt or Pose(np.zeros(3), np.eye(3)), self.position[2] == TOP
+        place = (tilt.inverse() @ before if tilt else before).apply(np.array(self.position))
+        self.position = place.tolist() if all(map(math.isfinite, self.position)) else [math.nan] * 3
+        if away:
+            self.position[2] = TOP
+        self.tilt, self.cycle, self.along_plane = tilt, None, TOOL_DOWN
+        try:
+            if tilt is not None:
+                self.along_plane = tool_along(np.round(tilt.rotation[:, 2], 12))
+        except ValueError as fault:
+            self.program.refuse("", str(fault), lost=True)
+
     def go(self, end) -> None:
-        self.program.rapid(end if self.shift is None else self.on_path(end))
+        self.program.rapid(end if self.shift is None and self.tilt is None else self.on_path(end))
 
     # --- what moves no tool through material ---
 
@@ -146,6 +173,7 @@ class Machine:
             self.position[2] = TOP
             self.go(self.tip)
             self.beside = 0j
+            self.program.away |= self.tilt is not None
         for axis in axes:
             if axis != "Z":
                 self.position[AXES[axis]] = math.nan
@@ -373,11 +401,18 @@ class Machine:
         return end[2] == start[2] or math.isnan(end[2]) or end[2] > 0
 
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
+        if self.by_planes and self.program.quaternion != self.along_plane:
+            reason = "the tool is not along z of the coordinates of this cut"
+            advice = "turn it before: G53.1, PLANE with MOVE or TURN, CYCLE800 with DIR, A0 B0 C0 after their end"
+            self.program.refuse(f"G{self.mode:g}", reason, advice, derived=True)
+            self.program.lost = True
+            return
+        curvature = 0.0 if self.tilt is not None else curvature
         feed = self._feed_rate(length if math.isfinite(length) else 0.0)
         if self.feed_mode == 93:
             self.feed, self.no_feed = None, "G93 needs F in each line with a cutting move"
         if feed:
-            if self.shift is not None:
+            if self.shift is not None or self.tilt is not None:
                 start, ends = self.on_path(start), [self.on_path(end) for end in ends]
             self.program.cut(start, ends, feed, curvature)
         elif length and feed == 0:

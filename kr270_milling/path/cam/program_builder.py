@@ -64,10 +64,20 @@ class ProgramBuilder(PathBuilder):
         if not self.active or any(map(math.isnan, end)):
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
+            turned, self.quaternion = self.quaternion, self._last_quaternion
             self.move((*self.last[:2], TOP), 0.0, True, self.line)
+            self.quaternion = turned
             self.move((*end[:2], TOP), 0.0, True, self.line)
         self.away = False
         self.move(end, 0.0, True, self.line)
+
+    def turn(self, quaternion: tuple[float, ...]) -> None:
+        """Turn the tool: in place or, of a tool that was taken away, on its way to the next move."""
+        if quaternion == self.quaternion:
+            return
+        self.quaternion = quaternion
+        if self.active and self.last is not None and not self.away and self.last[2] != TOP:
+            self.move(self.last, 0.0, True, self.line)
 
     def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0) -> None:
         """Feed through points, from a start that is known."""

@@ -18,6 +18,7 @@ from kr270_milling.base.table import read_table
 from kr270_milling.path.source_program import ProgramError, SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
+from kr270_milling.path.trajectory import tool_along
 
 __all__ = [
     "READERS",
@@ -35,15 +36,20 @@ __all__ = [
 LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_per_s")
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
 COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}
+COLUMNS |= {name: (name, 1.0) for name in "ijk"}
+HEADERS = ["x_mm,y_mm,z_mm,feed_mm_per_min", "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min",
+           "x_mm,y_mm,z_mm,i,j,k,feed_mm_per_min"]  # fmt: skip
 
 
 def read_points(path) -> Toolpath:
-    """Read a CSV of points; a, b, c are KUKA angles of tcp in the workpiece frame; the feed leads to its point."""
+    """Read a CSV of points; the feed leads to its point.
+
+    a, b, c are KUKA angles of tcp in the workpiece frame; i, j, k are the tool axis from tip to holder, ``tool_along``.
+    """
     table = read_table(path, COLUMNS, whole=True)
     names, scales = zip(*(COLUMNS[name] for name in table.names), strict=True)
-    if sorted(names) not in (sorted({"x", "y", "z", "feed"}), sorted(UNITS_OF)):
-        headers = "x_mm,y_mm,z_mm,feed_mm_per_min or x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min"
-        raise InputError(path, f"the header must be {headers}", 1)
+    if sorted(names) not in [sorted(COLUMNS[name][0] for name in header.split(",")) for header in HEADERS]:
+        raise InputError(path, f"the header must be {' or '.join(HEADERS)}", 1)
     builder = PathBuilder(path)
     for number, row in zip(table.lines, (table.numbers(table.names) * scales).tolist(), strict=True):
         values = dict(zip(names, row, strict=True))
@@ -55,6 +61,11 @@ def read_points(path) -> Toolpath:
         if "a" in values:
             rotation = rotation_from_abc([values["a"], values["b"], values["c"]])
             builder.quaternion = tuple(quaternion_from_rotation(rotation).tolist())
+        elif "i" in values:
+            try:
+                builder.quaternion = tool_along([values["i"], values["j"], values["k"]])
+            except ValueError as fault:
+                raise InputError(path, str(fault), number) from None
         builder.move(point, values["feed"], len(builder) == 0, number)
     _, length, _, time = next(name for name in table.names if name.startswith("feed")).split("_")
     unit = f"{length} a {'second' if time == 's' else 'minute'}"

@@ -353,9 +353,14 @@ class GcodeReader:
         silent = []
         for name, rest in names:
             reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")
-            idle = name == "CYCLE800" and not re.search(r"[1-9]", rest.split(",,")[-1])
-            if name in SILENT or reset or idle:
+            if name in SILENT or reset:
                 silent.append(name)
+            elif name == "CYCLE800" and not further:
+                reason = self.machine.swivel([text.strip() for text in rest.strip("() ").split(",")])
+                if reason:
+                    self.program.refuse(name, reason, lost=True)
+                else:
+                    silent.append(name)
             else:
                 self.program.refuse(name, advice=ADVICE.get(name, UNKNOWN), lost=True)
         known = len(silent) == len(names)

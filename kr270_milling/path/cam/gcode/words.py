@@ -10,6 +10,7 @@ from kr270_milling.path.cam.machine import INCH, MM
 
 __all__ = [
     "ADVICE",
+    "AXES5",
     "BELONGS",
     "CLAIMS",
     "DATUM",
@@ -82,6 +83,8 @@ G_GROUPS: dict[float, str] = {
     10: "data",
     52: "shift",
     68: "turn",
+    68.2: "tilt",
+    **dict.fromkeys((53.1, 53.6), "orient"),
     92: "preset",
     **dict.fromkeys((40, 41, 41.1, 42, 42.1), "compensation"),
 }
@@ -138,8 +141,8 @@ ADVICE = {
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
     **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
-    **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
-    **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
+    **_each("G43.4 G43.5 G68.3 G68.4 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
+    **_each("TRAORI TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
     **_each(
         "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
         "leave threads out of this program; they are bound to the spindle's angle",
