@@ -8,9 +8,10 @@ import random
 import numpy as np
 import pytest
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.path.cam.readers import read_toolpath
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.timing import Timing, time_path
 from kr270_milling.path.toolpath import LEVER, Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, tool_along, turned
@@ -213,3 +214,128 @@ def test_a_tilted_tool_leaves_along_its_axis_and_turns_at_the_top(read):
 def test_a_plane_that_cannot_be_run_is_refused(read, lines, words):
     with pytest.raises(InputError, match=words):
         read(f"{SIDE}{lines}\nM30\n")
+
+
+# --- Rotary axes of a machine ---
+TABLES = Kinematics(kinematics="table_table", axes=("C", "A"), centre=np.array([10, 20, -50]) * 1e-3)
+MIXED = Kinematics(kinematics="head_table", axes=("C", "B"), centre=np.array([10, 20, -50]) * 1e-3, pivot=0.2)
+HEADS = Kinematics(kinematics="head_head", axes=("C", "B"), pivot=0.2)
+NUTATING = Kinematics(kinematics="head_table", axes=("C", "B"), second_direction=np.array([0, 1, 1]) / math.sqrt(2))
+
+
+def about(line: np.ndarray, place: np.ndarray, degrees: float) -> np.ndarray:
+    """The matrix (4, 4) of a rotation about a line through a place, by Rodrigues' formula."""
+    k, t = np.array([[0, -line[2], line[1]], [line[2], 0, -line[0]], [-line[1], line[0], 0]]), math.radians(degrees)
+    out = np.eye(4)
+    out[:3, :3] += math.sin(t) * k + (1 - math.cos(t)) * k @ k
+    out[:3, 3] = place - out[:3, :3] @ place
+    return out
+
+
+def machine_tip(machine: Kinematics, linear: np.ndarray, first: float, second: float) -> np.ndarray:
+    """The tip on the workpiece [mm], by moving the bodies of the machine: table or head, each about its line."""
+    lines = {"A": np.array([1.0, 0, 0]), "B": np.array([0, 1.0, 0]), "C": np.array([0, 0, 1.0])}
+    one, two = (lines[letter] for letter in machine.axes)
+    centre, pivot = 1e3 * machine.centre, linear + [0, 0, 1e3 * machine.pivot]
+    tip = np.append(linear, 1.0)
+    if machine.kinematics == "head_head":  # the outer axis carries the inner one
+        return (about(one, pivot, first) @ about(two, pivot, second) @ tip)[:3]
+    if machine.kinematics == "head_table":
+        return np.linalg.solve(about(one, centre, -first), about(two, pivot, second) @ tip)[:3]
+    return np.linalg.solve(about(two, centre, -second) @ about(one, centre, -first), tip)[:3]
+
+
+@pytest.mark.parametrize("machine", [TABLES, MIXED, HEADS], ids=lambda machine: machine.kinematics)
+def test_places_are_those_of_the_bodies_of_the_machine_or_of_the_tip_that_the_control_follows(tmp_path, machine):
+    one, two = machine.axes
+    of, lines = random.Random(7), {"A": "x", "B": "y", "C": "z"}
+    rows = np.array([[round(of.uniform(-30, 30), 3) for _ in range(5)] for _ in range(20)])
+    expected = [turn(lines[one], a) @ turn(lines[two], b)[:, 2] for *_, a, b in rows]
+    blocks = [f"X{x} Y{y} Z{z} {one}{a} {two}{b}\n" for x, y, z, a, b in rows]
+    for on, off in (("", ""), ("G43.4 H1", "G49"), ("TRAORI", "TRAFOOF"), ("M128", "M129")):
+        text = f"G90 G21 S9000 M3 F600\n{on}\nG0 {blocks[0]}G1 {''.join(blocks[1:])}{off}\nM30\n"
+        (tmp_path / "a.mpf").write_text(text)
+        path = read_toolpath(tmp_path / "a.mpf", machine=machine)
+        ends = np.append(np.flatnonzero(np.diff(path.line)), len(path) - 1)
+        places = rows[:, :3] if on else [machine_tip(machine, row[:3], *row[3:]) for row in rows]
+        np.testing.assert_allclose(1e3 * path.position[ends], places, atol=1e-9)
+        np.testing.assert_allclose(axes(path)[ends], expected, atol=1e-9)
+        assert np.degrees(turned(path.quaternion[1:-1], path.quaternion[2:])).max() < 4  # STEP of both axes
+        if on:
+            np.testing.assert_allclose(path.feed[1:], 0.01)
+        else:  # F is that of the linear axes
+            time = np.bincount(path.line, path.block_length / np.maximum(path.feed, 1e-9))[path.line[ends][1:]]
+            np.testing.assert_allclose(time, np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1) / 10, rtol=1e-6)
+
+
+@pytest.fixture
+def read_machine(tmp_path):
+    def read(text: str, machine: Kinematics = TABLES, suffix: str = ".nc") -> Toolpath:
+        head = "BEGIN PGM A MM\nTOOL CALL 1 Z S9000\n" if suffix == ".h" else "G90 G21 S9000 M3\n"
+        (tmp_path / f"a{suffix}").write_text(f"{head}{text}M30\n" + "END PGM A MM\n" * (suffix == ".h"))
+        return read_toolpath(tmp_path / f"a{suffix}", machine=machine)
+
+    return read
+
+
+def test_the_axis_between_two_points_is_that_of_the_turning_axes_and_conversational_programs_agree(read_machine):
+    path = read_machine("G43.4 H1\nG0 X0 Y0 Z0 C10 A20\nG1 X40 C70 A-15 F600\nG49\n")
+    run = time_path(path, Timing(controller_step=0.01)).trajectory
+    share = run.position[:, 0] / 0.04
+    exact = np.array([turn("z", 10 + 60 * s) @ turn("x", 20 - 35 * s)[:, 2] for s in share])
+    shown = -rotation_from_quaternion(run.quaternion)[:, :, 2]
+    assert np.degrees(np.linalg.norm(shown - exact, axis=1)).max() < 0.01
+    text = "L X+0 Y+0 Z+0 C+10 A+20 FMAX M3 M128\nL X+40 C+70 IA-35 F600\nM129\n"
+    other = read_machine(text, suffix=".h")
+    np.testing.assert_allclose(other.position[-30:], path.position[-30:], atol=1e-12)
+    np.testing.assert_allclose(other.quaternion[-30:], path.quaternion[-30:], atol=1e-12)
+
+
+def test_a_block_in_inverse_time_takes_its_time_and_a_turn_alone_its_degrees_a_minute(read_machine):
+    def seconds(path: Toolpath, line: int) -> float:
+        return float((path.block_length / np.maximum(path.feed, 1e-9))[path.line == line].sum())
+
+    for on in ("G43.4 H1\n", "\n"):
+        path = read_machine(on + "G0 X50 Y0 Z0 C0 A0\nG93\nG1 X60 C30 A10 F20\nA50 F12\nG94\n")
+        assert [seconds(path, line) for line in (5, 6)] == pytest.approx([3.0, 5.0], rel=1e-3)
+    path = read_machine("G0 X50 Y0 Z0 C0 A0\nG1 C30 F600\n")
+    assert seconds(path, 3) == pytest.approx(3.0)
+    radius = math.hypot(50 - 10, 20)  # about the centre of the table
+    assert path.length == pytest.approx(1e-3 * radius * math.radians(30), rel=1e-3)
+
+
+def test_a_nutating_axis_turns_by_its_direction_and_rotary_words_orient_the_tool_of_a_plane(read_machine):
+    path = read_machine("G43.4 H1\nG0 X0 Y0 Z0 B180 C0\nG1 X5 F600\n", NUTATING)
+    np.testing.assert_allclose(axes(path)[-1], [0, 1, 0], atol=1e-12)  # half a turn about (0, 1, 1)
+    plane = "G0 X0 Y0 Z9\nG68.2 I30 J20\nG0 C30. A20.\nX5 Y0 Z2\nG1 Z-1 F600\nG0 Z5\n"
+    path = read_machine(plane + "G69\nG91 G28 A0 C0\nG90 G0 X0 Y0 Z9\nG1 X1\n")
+    matrix = turn("z", 30) @ turn("x", 20)
+    np.testing.assert_allclose(cuts(path)[0], matrix @ [5, 0, -1], atol=1e-9)
+    np.testing.assert_allclose(axes(path)[-1], [0, 0, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "machine", "words"),
+    [
+        ("G43.4 H1\nG0 X0 Y0 Z0\nG1 X5 B30 F9\n", NO_ROTARY_AXES, "machine.kinematics"),
+        ("G0 X0 Y0 Z0\nG1 X5 B30 F9\n", TABLES, "machine.kinematics"),
+        ("G43.4 H1\nG0 X0 Y0 Z0 C350\nG1 X5 C5 F9\n", TABLES, "more than 180 deg"),
+        ("G43.4 H1\nG0 X0 Y0 Z0 A170 C0\nG1 X5 A180 F9\n", TABLES, "from below"),
+        ("G43.4 H1\nG0 X0 Y0 Z9 A30 C0\nG81 X5 Z-2 R1 F9\n", TABLES, "the tool is not along z"),
+    ],
+)
+def test_rotary_words_that_cannot_be_run_are_refused(read_machine, text, machine, words):
+    with pytest.raises(InputError, match=words):
+        read_machine(text, machine)
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [
+        ({"axes": ("C", "C")}, "axes"), ({"axes": ("C",)}, "axes"), ({"kinematics": "robot"}, "kinematics"),
+        ({"second_direction": [0, 1, 1]}, "second_direction"), ({"centre": [0.0, 1.0]}, "centre_mm"),
+    ],
+)  # fmt: skip
+def test_a_machine_that_is_none_is_refused_with_its_key(values, key):
+    with pytest.raises(ParameterError, match=key):
+        Kinematics(**({"kinematics": "head_head"} | values))

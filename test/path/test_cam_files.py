@@ -64,7 +64,7 @@ CONVERSATIONAL = {
         (10, 2), (14, 2), (18, 6), (18, 10), 0],
     "CYCL DEF 203 X ~\nQ200=2 ;A ~\nQ201=-3 ~\nQ206=90 Q202=9 Q203=-1\nL X+5 FMAX M99\nL X+6 FMAX\nCYCL CALL": [
         (5, 0, -4), (6, 0, -4)],
-    "L X+1 M128": "post a 3-axis program", "CYCL DEF 209 TAPPING": "CYCL DEF 200 and 203 are read",
+    "L X+1 M128": [1], "CYCL DEF 209 TAPPING": "CYCL DEF 200 and 203 are read",
     "CYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+5\nL X+1\nTRANS DATUM RESET\nL X+2": [6, 2],
     "PLANE SPATIAL SPA0 SPB10": "needs SPA, SPB, SPC", "PLANE VECTOR BX1": "let the CAM output PLANE SPATIAL",
     "L X+10,5": "',5' is no word", "L X+1 Q": "is no word", "L X+Q9": "#9 has no value",

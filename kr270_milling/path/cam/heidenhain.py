@@ -23,6 +23,7 @@ from kr270_milling.path.cam.gcode.expressions import NUMBER, ExpressionError, Sc
 from kr270_milling.path.cam.gcode.words import SILENT_M, word_of
 from kr270_milling.path.cam.machine import INCH, MM, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN
@@ -38,10 +39,13 @@ WORD = re.compile(
 CONDITION = re.compile(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)")
 ASSIGNED = re.compile(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)")
 LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?)?")
-SILENT = re.compile(r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z")
+SILENT = re.compile(
+    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET (?!TCPM)|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z"
+)
 #: turns, mirrors, scales that change nothing with zeros alone
 RESETS = re.compile(r"CYCL DEF (?:8|10|11|19)\.[0-9]+")
 SHIFT = re.compile(r"(?:CYCL DEF 7\.[0-9]+|TRANS DATUM)(?: DATUM SHIFT| AXIS| RESET)?")
+TCPM = re.compile(r"FUNCTION (RESET )?TCPM\b(?!.*AXIS SPAT)")
 #: PLANE -> its angles and the axes of the rotations: of the fixed axes in small letters
 PLANES = {"SPATIAL": (("SPA", "SPB", "SPC"), "xyz"), "EULER": (("EULPR", "EULNU", "EULROT"), "ZXZ")}
 ADVICE = {
@@ -57,12 +61,13 @@ SPINDLE = {3: 1, 13: 1, 4: -1, 14: -1, 5: 0}
 M_WORDS = {*SILENT_M, 6, 107, 108, 120, 126, 127, 129, 141}
 
 
-def read_heidenhain(path, tool: str = "", feed: float = 0.0) -> Toolpath:
-    """Read a conversational program; tool: "T1" where several cut; feed [m/s]: for a program without F."""
+def read_heidenhain(path, tool: str = "", feed: float = 0.0, machine: Kinematics = NO_ROTARY_AXES) -> Toolpath:
+    """Read a conversational program; options as of ``read_gcode``."""
     program = ProgramBuilder(path, f"T{int(tool)}" if tool.isdigit() else tool)
-    machine = _Conversational(program, feed)
-    machine.run_lines(read_lines(path))
-    return program.finish(machine.unit)
+    reader = _Conversational(program, feed)
+    reader.kinematics = machine
+    reader.run_lines(read_lines(path))
+    return program.finish(reader.unit)
 
 
 class _Refused(ValueError):
@@ -154,6 +159,9 @@ class _Conversational(Machine):
             self._define(text)
         elif text.startswith("CYCL CALL"):
             self._call_cycle(text[9:])
+        elif match := TCPM.match(text):
+            self.program.count("FUNCTION TCPM")
+            self.follow_tip(match[1] is None)
         elif SHIFT.match(text):
             self._shift(text)
         elif word == "PLANE" and text.split()[1:2] and text.split()[1] in {*PLANES, "RESET"}:
@@ -202,7 +210,7 @@ class _Conversational(Machine):
         for number in (120, 121, 122):  # the angles of the machine's axes, which name the plane and no number here
             self.variables.set(number, 0.0)
         if re.search(r" (?:MOVE|TURN)\b", text):
-            self.program.turn(self.along_plane)
+            self.turn_to_plane()
 
     def _note(self, text: str) -> None:
         """A statement that moves nothing; TOOL DEF states the radius of its tool."""
@@ -271,14 +279,17 @@ class _Conversational(Machine):
         if turned := [number for number in functions if number in SPINDLE]:
             self.turning = SPINDLE[int(turned[-1])]
             self.program.spindle_speed = self.turning * self.speed
-        if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 140}]:
-            word = word_of("M", other[0])
-            advice = "post a 3-axis program" if other[0] == 128 else "leave it out where it moves no axis"
-            self.program.refuse(word, advice=advice, lost=True)
+        if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 128, 140}]:
+            self.program.refuse(word_of("M", other[0]), advice="leave it out where it moves no axis", lost=True)
             return
-        if words.keys() & {"A", "B", "C"}:
+        if 128 in functions or 129 in functions:
+            self.follow_tip(128 in functions)
+        if not self.kinematics.letters and words.keys() & {"A", "B", "C"}:
             computed = re.search(r"[ABC] ?\+?Q12[012]", text)
             self.program.turn(self.along_plane if computed else TOOL_DOWN)
+        elif self.kinematics.letters and re.search(r"[ABC] ?\+?Q12[012]", text):
+            self.turn_to_plane()
+            words = {name: value for name, value in words.items() if name not in "ABC"}
         if 140 in functions:  # back along the tool axis
             words.pop("MB", None)
             self.home(["Z"])
@@ -289,7 +300,10 @@ class _Conversational(Machine):
                 self.program.silent[word_of("M", number)] += 1
         if 91 in functions or 92 in functions:
             self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None])
-        elif not words.keys() <= {"A", "B", "C"}:
+            self._swing(words, rapid)
+        elif words.keys() <= {"A", "B", "C", "IA", "IB", "IC"}:
+            self._swing(words, rapid)
+        else:
             self._go(kind, words, rapid)
         for axis in "ABC":
             if words.get(axis, 1.0) == 0.0:
@@ -300,6 +314,21 @@ class _Conversational(Machine):
             self._drill_here()
         if 2 in functions or 30 in functions:
             self.ended = True
+
+    def _swing(self, words: dict[str, float], rapid: bool) -> None:
+        """A block of rotary axes alone."""
+        self.set_mode(0 if rapid else 1)
+        self._take(words)
+        self.end_turn()
+        self.absolute = {}
+
+    def _take(self, words: dict[str, float]) -> None:
+        """Take the words of the rotary axes, absolute or not."""
+        self.absolute |= {axis: f"I{axis}" not in words for axis in "ABC"}
+        angles = {
+            axis: words.pop(name) for axis in self.kinematics.letters for name in (axis, f"I{axis}") if name in words
+        }
+        self.take_angles(angles)
 
     def _go(self, kind: str, words: dict[str, float], rapid: bool) -> None:
         start = complex(*self.position[:2])
@@ -312,10 +341,12 @@ class _Conversational(Machine):
                     self.absolute[axis] = name == axis
         if kind in ("LP", "CP"):
             self._polar_end(words, axes, start)
+        self._take(words)
         mode = self.moving[kind](kind, words, axes, start)
         self.heading = None if mode in (2, 3) else self.heading
         self.move(axes, 0 if rapid and mode == 1 else mode)
         self.absolute = {}
+        self.end_turn()
         self._turn_heading(mode, start)
 
     def _turn_heading(self, mode: int, start: complex) -> None:

@@ -75,7 +75,7 @@ class Interpreter(Machine):
         """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
         return (
             self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
-            and self.shift is None and self.tilt is None and self.program.quaternion == TOOL_DOWN
+            and self.shift is None and not self.skew and self.program.quaternion == TOOL_DOWN
             and not self.side and not self.polar and self.contour is None
             and bool(self.feed) and not self.watched
         )  # fmt: skip
@@ -99,7 +99,7 @@ class Interpreter(Machine):
         if "call" in groups or "L" in axes:
             self._call(groups, axes)
         self.pattern = []
-        if self.tilt is None and any(axes.get(letter) == 0.0 for letter in "ABC"):
+        if not self.kinematics.letters and self.tilt is None and any(axes.get(letter) == 0.0 for letter in "ABC"):
             self.program.turn(TOOL_DOWN)
         if not groups.keys() <= MOVES:
             self._set(groups, axes)
@@ -113,10 +113,13 @@ class Interpreter(Machine):
             self.no_feed = (
                 f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
             )
+        if self.kinematics.letters:
+            self.take_angles(axes, home=groups.get("home") in (28, 30))
         if axes or groups or self.pattern:
             self.move(axes, groups.get("motion"), groups.get("cycle"))
             for letter, value in axes.items():
                 self._left(letter, value)
+        self.end_turn()
         if "end" in groups:
             self.ended, self.end_word = True, groups["end"]
         fate = "used" if program.refusals == refusals else "refused"
@@ -256,11 +259,15 @@ class Interpreter(Machine):
         for group, word in DATA.items():
             if group in groups:
                 self._datum(word, groups, axes)
+        if "tip" in groups:
+            word = word_of("M" if groups["tip"] in (128, 129) else "G", groups["tip"])
+            self._read_over(word, axes, "H")
+            self.follow_tip(groups["tip"] != 129)
         if "orient" in groups:
             self._read_over(word_of("G", groups["orient"]), axes, "P")
             if self.tilt is None:
                 self.program.refuse(word_of("G", groups["orient"]), "G53.1 without G68.2", AXES5, lost=True)
-            self.program.turn(self.along_plane)
+            self.turn_to_plane()
         if "refused" in groups:
             axes.clear()
         if groups.get("spindle") == 19:
@@ -391,7 +398,8 @@ class Interpreter(Machine):
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
             if word == "G43":
                 self.program.length_offsets.add(self.program.tool)
-            if word in ("G43", "G49"):  # without H it is that of the tool
+            if word in ("G43", "G49"):
+                self.follow_tip(False)  # without H it is that of the tool
                 length = number.strip() or f"H{self.program.tool[1:]}"
                 self.program.set_frame("tool lengths", "H0" if word == "G49" else length)
             self._read_over(word + number, axes, letters)
@@ -521,7 +529,7 @@ class Interpreter(Machine):
         upright = not plane.position.any() and np.array_equal(plane.rotation, np.eye(3))
         self.set_tilt(None if upright else plane)
         if direction:
-            self.program.turn(self.along_plane)
+            self.turn_to_plane()
         return ""
 
     def _system_at(self, lengths: dict, system: list[float]) -> list[float]:
