@@ -7,6 +7,8 @@ every machine. The places of the axes matter only while the control does not fol
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,17 +67,29 @@ class Kinematics(Record):
     def letters(self) -> tuple[str, ...]:
         return () if self.kinematics == "none" else self.axes
 
-    def _turns(self, angles) -> list[np.ndarray]:
-        """The rotations by the angles [deg] of both axes."""
+    @functools.cached_property
+    def _directions(self) -> list[tuple[float, ...]]:
+        """The directions of both axes, of length 1."""
         stated = self.first_direction, self.second_direction
         rows = [given if given.size else LETTERS[letter] for given, letter in zip(stated, self.axes, strict=True)]
-        units = np.array(rows) / np.linalg.norm(rows, axis=1, keepdims=True)
-        return list(Rotation.from_rotvec(units * np.reshape(angles, (2, 1)), degrees=True).as_matrix())
+        return [tuple((np.array(row) / np.linalg.norm(row)).tolist()) for row in rows]
 
-    def tool_axis(self, angles) -> np.ndarray:
-        """Return the tool axis from tip to holder, (3,), in the frame of the program at angles [deg], (2,)."""
-        first, second = self._turns(angles)
-        return first @ second[:, 2]
+    def tool_axis(self, angles) -> tuple[float, ...]:
+        """Return the tool axis from tip to holder, (3,), in the frame of the program at angles [deg], (2,): R1 R2 z.
+
+        Each rotation by Rodrigues' formula, v cos + (k x v) sin + k (k . v) (1 - cos).
+        """
+        axis: tuple[float, ...] = (0.0, 0.0, 1.0)
+        for k, angle in reversed(list(zip(self._directions, angles, strict=True))):
+            s, c = math.sin(math.radians(angle)), math.cos(math.radians(angle))
+            along = (k[0] * axis[0] + k[1] * axis[1] + k[2] * axis[2]) * (1 - c)
+            x, y, z = axis
+            axis = (
+                x * c + (k[1] * z - k[2] * y) * s + k[0] * along,
+                y * c + (k[2] * x - k[0] * z) * s + k[1] * along,
+                z * c + (k[0] * y - k[1] * x) * s + k[2] * along,
+            )
+        return axis
 
     def tip(self, angles) -> Pose:
         """Return the map from X, Y, Z of the linear axes to the place of the tip on the workpiece, at angles [deg].
@@ -83,7 +97,8 @@ class Kinematics(Record):
         A head turns the tip about its pivot: m = x + p - H p. A table turns the workpiece about its axes, so that the
         place on it is c1 + R1 (c2 - c1 + R2 (m - c2)).
         """
-        first, second = self._turns(angles)
+        turns = np.array(self._directions) * np.reshape(angles, (2, 1))
+        first, second = Rotation.from_rotvec(turns, degrees=True).as_matrix()
         pivot, centres = np.array([0.0, 0.0, self.pivot]), np.resize(self.centre, 6).reshape(2, 3)
         if self.kinematics == "head_head":
             return Pose(pivot - first @ second @ pivot, np.eye(3))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from array import array
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.path.source_program import SourceProgram
-from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, slerp, turned
+from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, turned
 
 __all__ = ["MOST_BLOCKS", "REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
 
@@ -142,8 +144,40 @@ class Toolpath:
         turned, bent = heading + (bend * share * plane)[arc], bend[arc]
         position[arc, 0] = start[arc, 0] + (np.sin(turned) - np.sin(heading)) / bent
         position[arc, 1] = start[arc, 1] - (np.cos(turned) - np.cos(heading)) / bent
-        quaternion = slerp(self.quaternion[block - 1], self.quaternion[block], share[:, None])
-        return position, self.tangent(block, share * plane), quaternion
+        return position, self.tangent(block, share * plane), self._orientation(block, share[:, None])
+
+    def _orientation(self, block: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Return the quaternions at shares (m, 1) of blocks: those of the program at its points, and smooth in between.
+
+        The rotation vector from the start of a block is a monotone cubic, whose rates at the points are those of
+        PCHIP: a tool that turns along rows of short blocks has no jumps of its rate, and none overshoots.
+        """
+        if self._turns is None:
+            return np.broadcast_to(self.quaternion[0], (len(block), 4))
+        turn, first, last = (rows[block] for rows in self._turns)
+        bent = share**2 * (3 * turn - 2 * first - last) + share**3 * (first + last - 2 * turn)
+        moved = Rotation.from_rotvec(share * first + bent) * Rotation.from_quat(self.quaternion[block - 1])
+        return moved.as_quat()
+
+    @functools.cached_property
+    def _turns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Rotation vectors [rad] of the blocks, (n, 3), and their rates at both ends, a block; None: no turn."""
+        if not np.any(self.quaternion != self.quaternion[0]):
+            return None
+        length, at = self.block_length[:, None], Rotation.from_quat(self.quaternion)
+        turn = np.zeros((len(self), 3))
+        turn[1:] = (at[1:] * at[:-1].inv()).as_rotvec()
+        rate = turn[1:] / length[1:]
+        before, after, a, b = rate[:-1], rate[1:], length[1:-1], length[2:]
+        same = before * after > 0
+        safe = np.where(same, before, 1.0), np.where(same, after, 1.0)
+        mean = np.where(same, 3 * (a + b) / ((2 * b + a) / safe[0] + (b + 2 * a) / safe[1]), 0.0)
+        in_place = (np.diff(self.position, axis=0) == 0).all(axis=1)
+        apart = (in_place[:-1] | in_place[1:])[:, None]  # the tool rests there
+        first, last = np.zeros_like(turn), np.zeros_like(turn)
+        first[1:] = np.vstack([rate[:1], np.where(apart, after, mean)]) * length[1:]
+        last[1:] = np.vstack([np.where(apart, before, mean), rate[-1:]]) * length[1:]
+        return turn, first, last
 
 
 #: height of a tool at its home position, before ``PathBuilder.build`` sets the largest height

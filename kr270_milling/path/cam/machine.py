@@ -214,7 +214,7 @@ class Machine:
         if self.tilt is not None and math.dist(axis, self.tilt.rotation[:, 2]) < rounding:
             return self.along_plane
         try:
-            return tool_along(np.round(axis, 12))
+            return tool_along([round(v, 12) for v in axis])
         except ValueError as fault:
             self.program.refuse("".join(self.kinematics.letters), str(fault), derived=True)
             return self.program.quaternion
@@ -225,28 +225,31 @@ class Machine:
         Under G93 the block takes the stated time. Else the feed is that of the tip, which a control has that follows
         the tip, or that of the linear axes, and of a turn alone deg a minute (LinuxCNC).
         """
-        before, self.turned_from = np.array(self.turned_from), None
-        change = np.array(self.angles) - before
-        if not np.abs(change).max() <= 180:
+        before, self.turned_from = self.turned_from or self.angles, None
+        change = [b - a for a, b in zip(before, self.angles, strict=True)]
+        most, degrees = max(map(abs, change)), math.hypot(*change)
+        if not degrees <= 255 or most > 180:
             reason = "a rotary axis turns by more than 180 deg, or from an angle that is not known, in one feed move"
             self.program.refuse("".join(self.kinematics.letters), reason, "turn it in a rapid move", lost=True)
             return
+        # a turn about one axis alone is a shortest turn; the linear axes follow each turn on a curve
+        bend = math.sqrt(abs(change[0] * change[1])) if self.follows_tip else most
         lengths = [math.dist(a, b) for a, b in zip([start, *ends], ends, strict=False)]
         total, done, last = sum(lengths), 0.0, start
-        places, turned = [], []
-        self.swung = self._swung(before.tolist())
+        places: list[tuple[float, ...]] = []
+        turned = []
+        self.swung = self._swung(before)
         first = self.on_path(start)
         for end, part in zip(ends, lengths, strict=True):
             share = part / total if total else 1.0 / len(ends)
-            count = max(1, math.ceil(share * np.abs(change).max() / STEP - 1e-9))
+            count = max(1, math.ceil(share * bend / STEP - 1e-9))
             for k in range(1, count + 1):
-                angles = (before + (done + share * k / count) * change).tolist()
+                angles = [a + (done + share * k / count) * d for a, d in zip(before, change, strict=True)]
                 self.swung = self._swung(angles)
                 places.append(self.on_path([a + (b - a) * k / count for a, b in zip(last, end, strict=True)]))
                 turned.append(self._orientation(angles))
             done, last = done + share, end
         way = sum(math.dist(a, b) for a, b in zip([first, *places], places, strict=False))
-        degrees = float(np.hypot(*change))
         holder = LEVER * math.radians(degrees)
         feed = self._feed_rate(length or way or holder)
         if feed and not self.follows_tip:
