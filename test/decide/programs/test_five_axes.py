@@ -51,6 +51,9 @@ def test_joints_keep_their_limits_and_the_tool_its_path(planned):
     assert np.all(np.abs(acceleration) <= arm.arm.joint_acceleration_limit * (1 + 1e-6))
     np.testing.assert_array_equal(run.position, fed.position)
     np.testing.assert_array_equal(run.quaternion, fed.quaternion)
+    excess = np.abs(joint_rates(fed.time, arm.joints(fed))[1]) / arm.arm.joint_acceleration_limit
+    slower = run.duration_ns / fed.duration_ns
+    assert 1.0 < slower < max(1.1, 0.5 * np.sqrt(excess.max()))  # far less than one stretch of the whole path
     assert run.turns and run.feed(run.time_ns).max() <= fed.feed(fed.time_ns).max() * (1 + 1e-9)
     place = arm.place.inverse() @ pose(arm.arm, arm.mount, arm.joints(run))  # the forward kinematics
     assert np.abs(place.position - run.position).max() < 1e-9
