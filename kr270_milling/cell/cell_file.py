@@ -88,7 +88,9 @@ def _cell_of_tool(name: str, tree: dict, assigned: frozenset, path) -> Cell:
 def _one_cell(tree: dict, assigned: frozenset, path) -> Cell:
     """The placed cell of one tree, with its program, the spindle speed that it states and the cut that it needs."""
     cell = _placed(build(Cell, tree, path), assigned, path)
-    cell = cell.replace(path=cell.path.loaded())  # an error appears where the path is used
+    cell = cell.replace(
+        path=cell.path.replace(machine=cell.machine).loaded()
+    )  # an error appears where the path is used
     try:
         return _with_cut_model(_with_spindle(_with_shape(cell)))
     except ParameterError as error:

@@ -17,6 +17,7 @@ from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, derived, parameter, specs
 from kr270_milling.path.cam.readers import READERS, PathReader, known_reader, read_path_file
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
@@ -112,6 +113,7 @@ class PathSection(Record):
     )
 
     content: Toolpath | TimedPath | None = derived(None)  #: content of ``file``, once it is read
+    machine: Kinematics = derived(NO_ROTARY_AXES)  #: section ``machine`` of the cell
 
     @property
     def recorded(self) -> bool:
@@ -197,7 +199,7 @@ class PathSection(Record):
             raise InputError(self.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
         offsets = tuple(self.offsets.tolist())
         stamp = state.st_mtime_ns, state.st_size
-        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, offsets, stamp)
+        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, offsets, self.machine, stamp)
         if not (self.length or self.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
             _check_feed(self.file, read, self.feed_rate)
         return read
@@ -239,9 +241,11 @@ def _check_feed(file: str, path: Toolpath, feed: float) -> None:
 
 
 @functools.lru_cache(maxsize=8)
-def _read_once(file: str, tool: str, topic: str, feed: float, offsets: tuple, stamp: tuple) -> Toolpath | TimedPath:
+def _read_once(
+    file: str, tool: str, topic: str, feed: float, offsets: tuple, machine: Kinematics, stamp: tuple
+) -> Toolpath | TimedPath:
     """Return the tool path of a file, read once for each tool as long as its stamp is the same."""
-    return read_path_file(file, tool, topic, feed, offsets)
+    return read_path_file(file, tool, topic, feed, offsets, machine)
 
 
 @dataclass(frozen=True, eq=False)

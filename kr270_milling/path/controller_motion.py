@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.path.trajectory import AT_REST, Trajectory
+from kr270_milling.path.trajectory import AT_REST, Trajectory, chords
 
 __all__ = ["block_ends", "controller_motion", "other_motion", "places_on_program", "spline_slopes"]
 
@@ -87,7 +87,7 @@ def places_on_program(run: Trajectory, knots: np.ndarray, points: np.ndarray, st
     the SPLINE blocks. A place is as far along the path as the knot is along the chords of the run. spline: the C2 cubic
     spline over that distance in each block, without curvature at its ends; else straight lines.
     """
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(run.position, axis=0), axis=1))])
+    travelled = np.concatenate([[0.0], np.cumsum(chords(run))])
     step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
     first, last = step * _natural_slopes(step, move / step, stops) if spline else (move, move)
     place = np.empty(run.position.shape)
