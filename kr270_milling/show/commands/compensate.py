@@ -23,7 +23,14 @@ from kr270_milling.decide.compensation import compensate, limit_sentence
 from kr270_milling.decide.decision import CAUTION, NO, YES
 from kr270_milling.decide.levers import Lever, levers
 from kr270_milling.decide.part import FeatureRow, write_part
-from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, write_manifest, write_programs
+from kr270_milling.decide.programs.files import (
+    OLDER,
+    program_bytes,
+    set_aside,
+    time_law,
+    write_manifest,
+    write_programs,
+)
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
@@ -256,6 +263,7 @@ def _write_programs(draft, final, cell, result, level: str, args, date: str) -> 
     )
     placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
     placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
+    placed["program_bytes"] = {kind: program_bytes(files[kind]) for kind in ("krl_spline", "krl_lin") if kind in files}
     return placed, text
 
 
@@ -338,7 +346,9 @@ def _shown(cell, result, decision, values: dict, args, reached):
 
 def _files(values: dict):
     for kind, paths in values["programs"].items():
-        yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
+        more = f" and {len(paths) - 2} more files" if len(paths) > 2 else ""
+        size = values["program_bytes"].get(kind)
+        yield f"{kind}: {', '.join(paths[:2])}{more}{f'; the corrected program has {size:,} bytes' if size else ''}"
 
 
 def _details(cell, result, values: dict):
