@@ -131,9 +131,9 @@ def write_krl(
         files: dict[Path, list[str]] = {}
         size = 0
         for kind, run in runs.items():
-            values = _rows(run)[points], point_speeds(program, run, points), rests, comments
+            rows, speed = _rows(run)[points], point_speeds(program, run, points)
             moves = [
-                [motion_lines(program, *(value[slice(*module)] for value in values)) for module in own]
+                [motion_lines(program, rows[a:b], speed[a:b], rests[a:b], comments[a:b]) for a, b in own]
                 for own in modules
             ]
             for part in _sources(program, setup, kind, run, moves, ends):

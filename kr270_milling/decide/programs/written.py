@@ -18,6 +18,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.plant import Plant
+from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl
 from kr270_milling.decide.programs.files import as_commanded, notes_of, timed_by_cell
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
@@ -49,7 +50,7 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     quaternion = planned.quaternion[k]
     if commanded is planned:
         quaternion = quaternion_from_rotation(pose.rotation)
-    return _as_run(planned, target, k, position, quaternion, stops, motion == "SPLINE")
+    return _as_run(planned, target, k, position, quaternion, stops, cell.krl.replace(motion=motion))
 
 
 def _as_run(
@@ -59,10 +60,11 @@ def _as_run(
     position: np.ndarray,
     quaternion: np.ndarray,
     stops: np.ndarray,
-    spline: bool,
+    program: Program,
 ) -> Trajectory:
     """The motion through the points of a program, with the time law of the plan."""
-    place = places_on_program(planned, knots, position, stops, spline)
+    spline = program.motion == "SPLINE"
+    place = places_on_program(planned, knots, position, stops, spline, program.blend_distance)
     turned = Trajectory(planned.time_ns[knots], position, quaternion).sample_orientation(planned.time_ns)
     run = Trajectory(planned.time_ns, place, turned, None, planned.frame)
     if not spline:

@@ -43,7 +43,7 @@ from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.krl.reader import read_krl_program
-from kr270_milling.path.controller_motion import block_ends, controller_motion
+from kr270_milling.path.controller_motion import block_ends, controller_motion, places_on_program
 from kr270_milling.path.timing import Timing, time_path
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.physics.robot import BARE
@@ -556,13 +556,44 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
                 way[knots[points]], place, *([1] if straight else [0, "natural"])
             )
             gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
-            assert gap.max() < program.tolerance + 0.1 * UM  # frames are written to 0.1 um
+            assert gap.max() < program.tolerance + 0.1 * UM  # places are written to 0.1 um
     assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
     apart = point_numbers(program.replace(point_spacing=1e-3, tolerance=0.0), target, run)
     for planned in (target, run):
         assert np.linalg.norm(np.diff(planned.position[apart], axis=0), axis=1).min() >= 1e-3
     coarse = np.diff(run.time_ns[point_numbers(program.replace(tolerance=1e-3), target, run)])
     assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
+
+
+@pytest.mark.parametrize("blend", [0.0, 1e-3, 3e-3, 1.0])
+@pytest.mark.parametrize("stop", [False, True])
+def test_lin_motions_are_blended_by_the_parabola_that_touches_both_lines(blend, stop):
+    """A corner of 90 deg between legs of 4 and 10 mm, d at most half a leg: sqrt(y) + sqrt(10 - x) = sqrt(d)."""
+    s = np.linspace(0.0, 14e-3, 1401)
+    line = np.stack([np.minimum(s, 10e-3), np.maximum(s - 10e-3, 0.0), 0 * s], axis=1)
+    knots = np.array([0, 1000, 1400])
+    run = Trajectory(np.arange(1401) * 10**6, line, TOOL_DOWN)
+    place = places_on_program(run, knots, line[knots], np.array([True, stop, True]), False, blend)
+    d = 0.0 if stop else min(blend, 2e-3)
+    rounded = np.abs(s - 10e-3) < d - 1e-9
+    np.testing.assert_allclose(place[~rounded], line[~rounded], atol=1e-12)
+    x, y, _ = place[rounded].T
+    np.testing.assert_allclose(np.sqrt(y) + np.sqrt(10e-3 - x), np.sqrt(d), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(place[1000] - line[1000]), d * np.sqrt(2) / 4, atol=1e-12)
+
+
+def test_a_program_of_lin_motions_is_judged_by_its_blended_path(part):
+    cell, original = part
+    program = cell.krl.replace(motion="LIN", tolerance=50e-6, blend_distance=2e-3)
+    target = path_of(cell).target
+    exact, blended = (
+        written_trajectory(cell.replace(krl=program.replace(blend_distance=d)), target, "LIN") for d in (0.0, 2e-3)
+    )
+    knots = point_numbers(program, target, target)
+    stops = target.standing[knots]
+    expected = places_on_program(target, knots, target.position[knots], stops, False, program.blend_distance)
+    np.testing.assert_allclose(blended.position, expected, atol=1e-7)
+    assert np.linalg.norm(blended.position - exact.position, axis=1).max() > 5e-6
 
 
 def test_a_straight_cut_stops_where_a_module_ends_and_has_no_second_time_law():
