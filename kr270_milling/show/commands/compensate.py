@@ -54,7 +54,7 @@ from kr270_milling.show.report.tools_page import tools_page
 from kr270_milling.studies.identification.measured_part import learn, learned_keys, read_part
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
-SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
+SCORED = "decision and tables are those of the KRL program"
 ROBUST, ORIGINAL, LEARNED_FILE = "robust", "original", "learned.yaml"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: color of a level of the decision
 

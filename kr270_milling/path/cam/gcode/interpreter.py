@@ -363,6 +363,8 @@ class Interpreter(Machine):
                 self._restore(value)
             elif word == "G15":
                 self.polar = False
+            elif word == "G64":
+                self.program.rounding = max(self.program.rounding, axes.get("P", 0.0) * self.unit)
             elif word == "G69":
                 self._change(turn=1 + 0j, centre=0j)
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
