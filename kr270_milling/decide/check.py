@@ -156,7 +156,7 @@ def check(
         results += _correction(cell, path.target, run, robot_program)
         blocks = about["blocks"] = program_blocks(robot_program, path.target, run)
         if robot_program.motion == "LIN" and not robot_program.blend_distance:
-            results.append(violation("no blending", blocks.points, np.count_nonzero(path.target.standing)))
+            results.append(violation("no blending", blocks.points, int(path.target.standing.sum())))
         ran, cut = _cut(cell, run, ran, progress)
         results += cut
         about["ran"] = ran
