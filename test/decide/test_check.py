@@ -163,9 +163,7 @@ def test_blending_is_only_a_matter_of_lin_motions(cell, ran):
         assert ("corner blending" in kinds(check(strict, revised, motion, ran), "warning")) == blended
 
 
-@pytest.mark.parametrize(
-    ("distance", "motion", "stops"), [(0.0, "LIN", True), (0.0, "SPLINE", False), (1e-3, "LIN", False)]
-)
+@pytest.mark.parametrize(("distance", "motion", "stops"), [(0.0, "LIN", 1), (0.0, "SPLINE", 0), (1e-3, "LIN", 0)])
 def test_lin_motions_without_blending_stop_at_each_point(cell, ran, distance, motion, stops):
     own = cell.replace(krl=cell.krl.replace(blend_distance=distance))
     checked = check(own, path_of(own).target, motion, ran)

@@ -17,8 +17,10 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError, MessageError, RecordingError
 from kr270_milling.base.units import SECOND
+from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.live.rsi.corrector import Corrector
-from kr270_milling.live.rsi.telegram import MOST_BYTES, RobotTelegram, read_telegram, write_answer
+from kr270_milling.live.rsi.telegram import MOST_BYTES, Elements, RobotTelegram, read_telegram, write_answer
+from kr270_milling.physics.robot import jacobian, pose
 
 __all__ = ["Counts", "RsiSession", "open_socket", "real_time"]
 
@@ -51,7 +53,7 @@ class RsiSession:
     in the rest of the cycle: a second thread would keep the interpreter while a telegram waits. Its arguments are the
     stamp since the first telegram by the counter of the robot [ns], RIst, and RKorr, (6,) [m, rad]. After a
     RecordingError the session answers without a recording. from_actual: progress from RIst minus the correction
-    instead of RSol.
+    instead of RSol, as where the robot does not send RSol.
     """
 
     connection: socket.socket
@@ -60,6 +62,8 @@ class RsiSession:
     report: Callable[[str], None]
     record: Callable[[int, np.ndarray | None, np.ndarray], None] | None = None
     from_actual: bool = False
+    elements: Elements = field(default_factory=Elements)
+    arm: PlacedArm | None = None  #: for corrections of joints, and for a robot that sends joint positions alone
     stop: threading.Event = field(default_factory=threading.Event)
     recording_failed: bool = False  #: the file could not be written
 
@@ -94,7 +98,7 @@ class RsiSession:
                 self._refuse(f"a telegram from a second sender {sender[0]}:{sender[1]}")
                 continue
             try:
-                telegram = read_telegram(data)
+                telegram = read_telegram(data, self.elements)
                 point = self._point(telegram)
                 before = self._last if newest is None else newest[0].ipoc
                 ahead = 0 if before is None else (telegram.ipoc - before) % WRAP
@@ -127,7 +131,10 @@ class RsiSession:
     def _answer(self, telegram: RobotTelegram, point: np.ndarray, arrival: int) -> None:
         correction = self._correction(telegram, point)
         try:
-            self.connection.sendto(write_answer(telegram.ipoc, correction), self._robot or ())
+            answer = correction
+            if self.elements.of_joints and telegram.joints is not None:
+                answer = self._joint_correction(telegram.joints, correction)
+            self.connection.sendto(write_answer(telegram.ipoc, answer, self.elements), self._robot or ())
         except OSError as error:  # the cable, an interface
             self._refuse(f"no answer can be sent ({error.strerror})")
         took = max(time.clock_gettime_ns(time.CLOCK_REALTIME) - arrival, 0) * 1e-9
@@ -152,13 +159,33 @@ class RsiSession:
         return self.corrector.step(point, cycles)
 
     def _point(self, telegram: RobotTelegram) -> np.ndarray:
-        if self.from_actual:
-            if telegram.actual is None:
-                raise MessageError("a telegram has no RIst")
-            return telegram.actual[:3] - self.corrector.applied[:3]
-        if telegram.commanded is None:
-            raise MessageError("a telegram has no RSol")
-        return telegram.commanded[:3]
+        elements, corrected = self.elements, True
+        if elements.commanded and not self.from_actual:
+            name, place, corrected = elements.commanded, telegram.commanded, False
+        elif elements.actual:
+            name, place = elements.actual, telegram.actual
+        else:
+            name, place = elements.joints, self._place_of(telegram.joints)
+        if place is None or (elements.of_joints and telegram.joints is None):
+            raise MessageError(f"a telegram has no {elements.joints if place is not None else name}")
+        return place[:3] - self.corrector.applied[:3] * corrected
+
+    def _place_of(self, joints: np.ndarray | None) -> np.ndarray | None:
+        if self.arm is None or joints is None:
+            return None
+        return self.arm.place.inverse().apply(pose(self.arm.arm, self.arm.mount, joints).position)
+
+    def _joint_correction(self, joints: np.ndarray, correction: np.ndarray) -> np.ndarray:
+        """Return the change of the joints [rad], (6,), that moves the tool by a correction, (6,) [m, rad].
+
+        It is linear: 1 mm at 1 m of the axes is right to 1 um. Near a singularity it is reduced to the largest angle.
+        """
+        if self.arm is None:
+            return np.zeros(6)
+        turn = self.arm.place.rotation
+        twist = np.concatenate([turn @ correction[:3], turn @ correction[5:2:-1]])
+        change = np.linalg.lstsq(jacobian(self.arm.arm, self.arm.mount, joints)[:, -6:], twist, rcond=1e-9)[0]
+        return change * min(1.0, self.corrector.limits.angle / max(float(np.abs(change).max()), 1e-12))
 
     def _refuse(self, reason: str) -> None:
         if not self.counts.refused:

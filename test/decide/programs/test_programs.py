@@ -41,6 +41,7 @@ from kr270_milling.decide.programs.krl_motion import knot_notes
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
+from kr270_milling.live.rsi.telegram import Elements, read_elements
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.krl.reader import read_krl_program
 from kr270_milling.path.controller_motion import block_ends, controller_motion, places_on_program
@@ -367,6 +368,7 @@ def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_pat
     address = rsi_address("192.168.1.10:50000")
     files, _ = write_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
     src, context, _, ethernet = files["rsi_context"]
+    assert read_elements(ethernet) == Elements()  # the command ``rsi`` speaks as the written context
     network = ElementTree.parse(ethernet)
     assert [network.findtext(f"CONFIG/{key}") for key in ("IP_NUMBER", "PORT")] == ["192.168.1.10", "50000"]
     channel = {one.get("INDX"): one.get("TAG") for one in network.iterfind("RECEIVE/ELEMENTS/ELEMENT")}
