@@ -320,6 +320,10 @@ class Program(Record):
     name: str = parameter("MILLING", text="module name, to which _ORG_001 and the like are added")
     motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN")
     line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
+    # assumed: a KR C4 has about 4 MB for programs, of which other programs take their share
+    memory: float = parameter(
+        4e6, unit="mb", low=0.01, high=1000.0, text="most bytes of a program; a larger one is written in parts"
+    )
     blend_distance: float = parameter(1e-3, unit="mm", low=0.0, high=100.0, text="$APO.CDIS of LIN motions")
     tolerance: float = parameter(
         2e-6,

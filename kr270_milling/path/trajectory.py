@@ -183,6 +183,13 @@ class Trajectory:
         object.__setattr__(started, "start_ns", int(start_ns))
         return started
 
+    def between(self, first: int, last: int) -> Trajectory:
+        """The stretch from one knot to another; its time begins at zero."""
+        part = slice(first, last + 1)
+        velocity = None if self.velocity is None else self.velocity[part]
+        time_ns = self.time_ns[part] - self.time_ns[first]
+        return Trajectory(time_ns, self.position[part], self.quaternion[part], velocity, self.frame)
+
     def with_position(self, position, velocity=None) -> Trajectory:
         """Return a copy with other positions [m], (n, 3), and knot velocities [m/s]."""
         return Trajectory(self.time_ns, position, self.quaternion, velocity, self.frame)

@@ -52,7 +52,8 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed:
         later = np.searchsorted(time, middle)
         middle = later - (time[later] - middle > middle - time[later - 1])  # the knot nearest to the middle
         inside = (middle > chosen[:-1]) & (middle < chosen[1:])
-        split = inside & (_errors(program, runs, knots[chosen]) > program.tolerance)
+        wrong = _errors(program, runs, knots[chosen]) > program.tolerance
+        split = inside & np.logical_or.reduceat(wrong, knots[chosen[:-1]])
         if not split.any():
             return chosen
         new = middle[split]
@@ -65,14 +66,15 @@ def _thinned(
     program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray, fixed: np.ndarray
 ) -> np.ndarray:
     """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
-    limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
+    limit = np.maximum(program.tolerance, _errors(program, runs, knots[chosen]))  # rounded corners miss by more
     thinnings = 4  # times that each point is left out on trial
     reach = 2  # stretches to both sides in which a point that is left out changes the path
     for turn in range(3 * thinnings):
         out = np.arange(len(chosen)) % 3 == turn % 3
         out &= ~fixed[chosen]
         while out.any():
-            over = _errors(program, runs, knots[chosen[~out]]) > limit
+            points = knots[chosen[~out]]
+            over = np.logical_or.reduceat(_errors(program, runs, points) > limit, points[:-1])
             if not over.any():
                 break
             near = np.convolve(over, np.ones(2 * reach + 1), "same") > 0.0
@@ -157,16 +159,14 @@ def _near(spacing, original, revised, k, before):
 
 
 def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.ndarray:
-    """Return the largest distance [m] of a knot from its place on the program, of each stretch between points."""
-    stops, number = runs[0].standing[points], np.arange(len(runs[0]))
-    stretch = np.clip(np.searchsorted(points, number, side="right") - 1, 0, len(points) - 2)
-    worst = np.zeros(len(points) - 1)
+    """Return the distance [m] of each knot from its place on the program, (n,), the largest of the runs."""
+    stops, worst = runs[0].standing[points], np.zeros(len(runs[0]))
     for run in runs:
         spline = program.motion == "SPLINE"
-        place = places_on_program(run, points, run.position[points], stops, spline)
-        np.maximum.at(worst, stretch, np.linalg.norm(place - run.position, axis=1))
+        place = places_on_program(run, points, run.position[points], stops, spline, program.blend_distance)
+        worst = np.maximum(worst, np.linalg.norm(place - run.position, axis=1))
         if run.turns:
             written = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
             angle = turned(written.sample_orientation(run.time_ns), run.quaternion)
-            np.maximum.at(worst, stretch, LEVER * angle)
+            worst = np.maximum(worst, LEVER * angle)
     return worst

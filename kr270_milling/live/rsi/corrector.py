@@ -60,7 +60,7 @@ class Corrector:
         self._path = path = PathProgress(table.position, limits.reach, limits.window)
         self._value = np.append(table.correction[:-1][path.moved[1:]], table.correction[-1:], axis=0)  # last of a rest
         self._way = path.distance
-        self._limits, self._cycle = limits, cycle
+        self.limits, self._cycle = limits, cycle
         self.applied = np.zeros(6)
         self.share = 0.0  #: applied share of the wanted correction, 0 to 1
         self.reason = "waiting for the start of the path"  #: why the correction is what it is
@@ -79,7 +79,7 @@ class Corrector:
 
     def step(self, point: np.ndarray, cycles: int = 1) -> np.ndarray:
         """Return the correction (6,) for the commanded point [m], (3,); cycles: since the last telegram."""
-        limits = self._limits
+        limits = self.limits
         distance = self._path.advance(point)
         missed = cycles > limits.missed
         near = distance <= limits.reach
@@ -99,7 +99,7 @@ class Corrector:
 
     def _limit(self, wanted: np.ndarray) -> np.ndarray:
         """Bound the size, then the change since the last cycle, separately for the displacement and the angles."""
-        limits, result = self._limits, np.empty(6)
+        limits, result = self.limits, np.empty(6)
         share = self._cycle * limits.rate / limits.size
         reduced = False
         for part, most in ((slice(0, 3), limits.size), (slice(3, 6), limits.angle)):

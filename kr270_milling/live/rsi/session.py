@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-import re
 import select
 import socket
 import struct
@@ -18,7 +17,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -26,69 +24,13 @@ from kr270_milling.base.errors import InputError, MessageError, RecordingError
 from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotation_from_abc
 from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
-from kr270_milling.live.rsi.corrector import UNITS, CorrectionTable, Corrector
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.live.rsi.corrector import CorrectionTable, Corrector
+from kr270_milling.live.rsi.telegram import MOST_BYTES, Elements, RobotTelegram, read_telegram, write_answer
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.physics.robot import jacobian, pose
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes, type_of
-
-MOST_BYTES = 4096  #: size of a telegram; with all internal values it has about 1200
-AXES = ("X", "Y", "Z", "A", "B", "C")
-
-
-@dataclass(frozen=True, eq=False)
-class RobotTelegram:
-    """A telegram of the robot; poses are X, Y, Z [m], A, B, C [rad], (6,), of $TOOL in $BASE."""
-
-    ipoc: int  #: cycle counter [ms]
-    actual: np.ndarray | None  #: RIst
-    commanded: np.ndarray | None  #: RSol
-    delay: int  #: answers in a row that reached the robot too late
-
-
-def read_telegram(data: bytes) -> RobotTelegram:
-    """Read a telegram of the robot; raise MessageError. Document types and entities are refused."""
-    if len(data) > MOST_BYTES:
-        raise MessageError(f"a telegram has {len(data)} bytes, at most {MOST_BYTES} are allowed")
-    try:
-        text = data.decode("ascii")
-        if "<!" in text:
-            raise MessageError("a telegram contains a document type or a comment, which RSI does not send")
-        root = ElementTree.fromstring(text)  # noqa: S314 (a text without a document type has no entities)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise MessageError(f"a telegram is not XML ({error})") from None
-    if root.tag != "Rob":
-        raise MessageError(f"a telegram begins with <{root.tag[:20]}> instead of <Rob>")
-    delay = root.find("Delay")
-    return RobotTelegram(
-        _counter(root.findtext("IPOC"), "IPOC"),
-        _pose(root.find("RIst"), "RIst"),
-        _pose(root.find("RSol"), "RSol"),
-        0 if delay is None else _counter(delay.get("D"), "Delay"),
-    )
-
-
-def _counter(text: str | None, name: str) -> int:
-    if text is None or not re.fullmatch(r"\d{1,18}", text.strip()):
-        raise MessageError(f"a telegram has no whole number in {name}")
-    return int(text)
-
-
-def _pose(element, name: str) -> np.ndarray | None:
-    if element is None:
-        return None
-    try:
-        pose = np.array([float(element.attrib[axis]) for axis in AXES]) * UNITS
-    except (KeyError, ValueError):
-        raise MessageError(f"{name} of a telegram needs numbers for {', '.join(AXES)}") from None
-    if not (np.isfinite(pose).all() and np.abs(pose[:3]).max() <= 100.0):  # [m]
-        raise MessageError(f"{name} of a telegram is not finite or farther than 100 m")
-    return pose
-
-
-def write_answer(ipoc: int, correction: np.ndarray) -> bytes:
-    """Return the answer to the cycle ``ipoc``; correction: X, Y, Z [m], A, B, C [rad], (6,), absolute, in $BASE."""
-    values = " ".join(f'{axis}="{value:.4f}"' for axis, value in zip(AXES, correction / UNITS + 0.0, strict=True))
-    return f'<Sen Type="ImFree"><RKorr {values}/><IPOC>{ipoc}</IPOC></Sen>'.encode()
 
 
 class RsiRecording:
@@ -168,7 +110,7 @@ class RsiSession:
     in the rest of the cycle: a second thread would keep the interpreter while a telegram waits. Its arguments are the
     stamp since the first telegram by the counter of the robot [ns], RIst, and RKorr, (6,) [m, rad]. After a
     RecordingError the session answers without a recording. from_actual: progress from RIst minus the correction
-    instead of RSol.
+    instead of RSol, as where the robot does not send RSol.
     """
 
     connection: socket.socket
@@ -177,6 +119,8 @@ class RsiSession:
     report: Callable[[str], None]
     record: Callable[[int, np.ndarray | None, np.ndarray], None] | None = None
     from_actual: bool = False
+    elements: Elements = field(default_factory=Elements)
+    arm: PlacedArm | None = None  #: for corrections of joints, and for a robot that sends joint positions alone
     stop: threading.Event = field(default_factory=threading.Event)
     recording_failed: bool = False  #: the file could not be written
 
@@ -212,7 +156,7 @@ class RsiSession:
                 self._refuse(f"a telegram from a second sender {sender[0]}:{sender[1]}")
                 continue
             try:
-                telegram = read_telegram(data)
+                telegram = read_telegram(data, self.elements)
                 point = self._point(telegram)
                 before = self._last if newest is None else newest[0].ipoc
                 ahead = 0 if before is None else (telegram.ipoc - before) % WRAP
@@ -245,7 +189,10 @@ class RsiSession:
     def _answer(self, telegram: RobotTelegram, point: np.ndarray, arrival: int) -> None:
         correction = self._correction(telegram, point)
         try:
-            self.connection.sendto(write_answer(telegram.ipoc, correction), self._robot or ())
+            answer = correction
+            if self.elements.of_joints and telegram.joints is not None:
+                answer = self._joint_correction(telegram.joints, correction)
+            self.connection.sendto(write_answer(telegram.ipoc, answer, self.elements), self._robot or ())
         except OSError as error:  # the cable, an interface
             self._refuse(f"no answer can be sent ({error.strerror})")
         took = max(time.clock_gettime_ns(time.CLOCK_REALTIME) - arrival, 0) * 1e-9
@@ -270,13 +217,33 @@ class RsiSession:
         return self.corrector.step(point, cycles)
 
     def _point(self, telegram: RobotTelegram) -> np.ndarray:
-        if self.from_actual:
-            if telegram.actual is None:
-                raise MessageError("a telegram has no RIst")
-            return telegram.actual[:3] - self.corrector.applied[:3]
-        if telegram.commanded is None:
-            raise MessageError("a telegram has no RSol")
-        return telegram.commanded[:3]
+        elements, corrected = self.elements, True
+        if elements.commanded and not self.from_actual:
+            name, place, corrected = elements.commanded, telegram.commanded, False
+        elif elements.actual:
+            name, place = elements.actual, telegram.actual
+        else:
+            name, place = elements.joints, self._place_of(telegram.joints)
+        if place is None or (elements.of_joints and telegram.joints is None):
+            raise MessageError(f"a telegram has no {elements.joints if place is not None else name}")
+        return place[:3] - self.corrector.applied[:3] * corrected
+
+    def _place_of(self, joints: np.ndarray | None) -> np.ndarray | None:
+        if self.arm is None or joints is None:
+            return None
+        return self.arm.place.inverse().apply(pose(self.arm.arm, self.arm.mount, joints).position)
+
+    def _joint_correction(self, joints: np.ndarray, correction: np.ndarray) -> np.ndarray:
+        """Return the change of the joints [rad], (6,), that moves the tool by a correction, (6,) [m, rad].
+
+        It is linear: 1 mm at 1 m of the axes is right to 1 um. Near a singularity it is reduced to the largest angle.
+        """
+        if self.arm is None:
+            return np.zeros(6)
+        turn = self.arm.place.rotation
+        twist = np.concatenate([turn @ correction[:3], turn @ correction[5:2:-1]])
+        change = np.linalg.lstsq(jacobian(self.arm.arm, self.arm.mount, joints)[:, -6:], twist, rcond=1e-9)[0]
+        return change * min(1.0, self.corrector.limits.angle / max(float(np.abs(change).max()), 1e-12))
 
     def _refuse(self, reason: str) -> None:
         if not self.counts.refused:

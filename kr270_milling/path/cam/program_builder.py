@@ -41,6 +41,7 @@ class ProgramBuilder(PathBuilder):
         self.frame = {"work offsets": "", "tool lengths": "", "tool edges": ""}  #: kind -> word that is active
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts
+        self.rounding = 0.0  #: largest P of G64 [m]
         self.beside: dict[str, float] = {}  #: tool -> radius in its comment [m], by which G41 and G42 move the path
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: tools by the words of the program, not by its comments
@@ -220,6 +221,7 @@ class ProgramBuilder(PathBuilder):
             feeds=tuple(np.unique(columns["feed"][cutting]).tolist()),
             feed_units=tuple(self.feed_units),
             external=self.external,
+            rounding=self.rounding,
             beside=self.beside.get(chosen, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             operations=tuple(names[k] for k in cut_features(columns)),

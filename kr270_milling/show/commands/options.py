@@ -517,7 +517,16 @@ def _add_rsi(parser) -> None:
             "pose from which the place on the path is taken: RSol, or RIst minus the correction (default: %(default)s)"
         ),
     )
-    add("--cell", metavar="CELL.yaml", help="cell of the path, attached to the recording; report needs it")
+    add(
+        "--context",
+        metavar="ETHERNET.xml",
+        help="file of the object ETHERNET, which names the elements: RKorr, AK, RIst, RSol, AIPos or others",
+    )
+    add(
+        "--cell",
+        metavar="CELL.yaml",
+        help="cell of the path, attached to the recording; report and corrections of joints (AK) need it",
+    )
     add("--out", metavar="DIR", default="rsi", help="directory of the recording (default: %(default)s)")
 
 

@@ -392,6 +392,8 @@ class Interpreter(Machine):
                 self._restore(value)
             elif word == "G15":
                 self.polar = False
+            elif word == "G64":
+                self.program.rounding = max(self.program.rounding, axes.get("P", 0.0) * self.unit)
             elif word == "G69":
                 self.set_tilt(None)
                 self._change(turn=1 + 0j, centre=0j)
