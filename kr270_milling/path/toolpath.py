@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from array import array
 from dataclasses import dataclass, field
@@ -102,6 +103,21 @@ class Toolpath:
     def length(self) -> float:
         """Return the length of the path [m]."""
         return float(self.block_length.sum())
+
+    def repeated(self, times: int, height: float) -> Toolpath:
+        """Return the path and then the same path again, ``times`` times; in between rapid moves at a height [m]."""
+        top = max(height, float(self.position[:, 2].max()))
+        start, end = self.position[[0, -1]]
+        between = np.array([[*end[:2], top], [*start[:2], top], start])
+        between = between[np.any(between != np.vstack([end, between[:-1]]), axis=1)]
+        rows = np.concatenate([np.zeros(len(between), int), np.arange(1, len(self))])
+        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        again = {name: values[rows] for name, values in columns.items() if isinstance(values, np.ndarray)}
+        back = slice(0, len(between))
+        again["position"][back], again["rapid"][back], again["drilling"][back] = between, True, False
+        again["feature"][back], again["curvature"][back] = 0, 0.0
+        joined = {name: np.concatenate([columns[name], *[values] * times]) for name, values in again.items()}
+        return dataclasses.replace(self, **joined)
 
     def block_at(self, distance) -> np.ndarray:
         """Return the block, from 1, at each distance [m] along the path."""

@@ -40,6 +40,9 @@ class CompensationSettings(Record):
     max_change_per_tick: float = parameter(
         0.1e-3, unit="mm", above=0.0, high=50.0, text="largest change of the correction within one tick"
     )
+    finish: int = parameter(
+        0, low=0, high=3, text="further passes along the same path, a finishing or spring pass, which cut what is left"
+    )
     tick: float = parameter(12e-3, unit="ms", low=1.0, high=1000.0, text="cycle in which the controller corrects")
 
     @property

@@ -27,7 +27,7 @@ from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, writ
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
-from kr270_milling.decide.tolerance import um_text
+from kr270_milling.decide.tolerance import after_passes, um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.decide.verdict import SAMPLES
 from kr270_milling.path.trajectory_csv import read_csv
@@ -156,6 +156,8 @@ def _values(cell, result) -> dict:
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     values["planned_max_deviation_um"] = 1e6 * result.planned.scores.max_deviation
     values["time_law"] = time_law(path_of(cell))
+    if passes := after_passes(cell, revised):
+        values["finish"] = passes
     values["original"] = as_dict(original.scores)
     values["passes"] = [scored.row() for scored in (original, revised)]
     values |= _correction(cell, revised, result.by)
@@ -188,7 +190,7 @@ def _write(draft, final, jobs, decision, args, source, whole, reached) -> dict:
         placed, text = _write_programs(draft, final, cell, result, decision.level, args, date)
         tools.append(values | placed)
         texts.append(text)
-        pages.append(_report_of_tool(cell, result, args, source, date, whole, reached))
+        pages.append(_report_of_tool(cell, result, args, source, date, whole, reached, values))
         if result.parts and "stl" in args.write:
             stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
             write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock)
@@ -259,7 +261,7 @@ def _write_programs(draft, final, cell, result, level: str, args, date: str) -> 
     return placed, text
 
 
-def _report_of_tool(cell, result, args, source, date: str, whole, reached) -> str:
+def _report_of_tool(cell, result, args, source, date: str, whole, reached, values: dict) -> str:
     """Return the report of one tool as text."""
     revised = result.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
@@ -275,6 +277,7 @@ def _report_of_tool(cell, result, args, source, date: str, whole, reached) -> st
         checked=result.checked,
         tables=[
             *([_levers_table(reached)] if reached else []),
+            *([_passes_table(values["finish"])] if "finish" in values else []),
             _joints_table(cell, revised),
             _time_law_table(cell, result, whole),
         ],
@@ -348,6 +351,8 @@ def _details(cell, result, values: dict):
     else:
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
+    if "finish" in values:
+        yield _passes_table(values["finish"])
     yield (
         f"largest deviation of the written program {um_text(1e-6 * values['max_deviation_um'])}, of the plan "
         f"{um_text(1e-6 * values['planned_max_deviation_um'])}; {values['time_law']}"
@@ -372,6 +377,13 @@ def _details(cell, result, values: dict):
         yield TextTable(title, ["", "5 %", "50 %", "95 %"], rows)
         yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
     yield f"{values['points']} reference points: {values['trajectory']}"
+
+
+def _passes_table(rows: list[dict]) -> TextTable:
+    """The part after each pass along the same path."""
+    heads = (("pass", "pass", 0), ("wall [um]", "wall_um", 2), ("floor [um]", "floor_um", 2))
+    heads += (("force [N]", "max_force_n", 1), ("ends at [s]", "end_s", 1))
+    return table_of("After each pass along the path: errors that remain, largest force of the pass", heads, rows)
 
 
 def _features(features: dict, method: str) -> TextTable:
