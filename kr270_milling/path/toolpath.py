@@ -119,6 +119,29 @@ class Toolpath:
         joined = {name: np.concatenate([columns[name], *[values] * times]) for name, values in again.items()}
         return dataclasses.replace(self, **joined)
 
+    def with_feeds(self, ends: np.ndarray, shares: np.ndarray) -> Toolpath:
+        """Return the path with blocks that end at the stretches, and shares (s,) of the feed of each stretch.
+
+        ends: distances along the path [m], (s,), the last one is the end of the path. Rapid moves and drilling cycles
+        keep their feed.
+        """
+        own = np.cumsum(self.block_length)
+        apart = 1e-6  # [m], shorter blocks are not made
+        after = np.clip(np.searchsorted(own, ends), 1, len(own) - 1)
+        inner = ends[np.minimum(np.abs(own[after] - ends), np.abs(own[after - 1] - ends)) > apart]
+        distance = np.union1d(own, inner)
+        middle = (distance[1:] + distance[:-1]) / 2.0
+        block = np.append(0, self.block_at(middle))
+        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        divided = {name: values[block] for name, values in columns.items() if isinstance(values, np.ndarray)}
+        new = ~np.isin(distance, own)
+        if new.any():
+            divided["position"][new], _, divided["quaternion"][new] = self.on_path(distance[new])
+        stretch = np.clip(np.searchsorted(ends, middle), 0, len(ends) - 1)
+        changed = ~divided["rapid"] & ~divided["drilling"]
+        divided["feed"] = np.where(changed, divided["feed"] * np.append(1.0, shares[stretch]), divided["feed"])
+        return dataclasses.replace(self, **divided)
+
     def block_at(self, distance) -> np.ndarray:
         """Return the block, from 1, at each distance [m] along the path."""
         ends = np.cumsum(self.block_length)

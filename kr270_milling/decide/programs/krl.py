@@ -37,7 +37,7 @@ from kr270_milling.decide.programs.krl_motion import (
     position_text,
     shortest,
 )
-from kr270_milling.decide.programs.points import point_numbers
+from kr270_milling.decide.programs.points import fixed_knots, point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["Setup", "filled", "time_statements", "trajectory_hash", "write_krl"]
@@ -62,6 +62,7 @@ class Setup:
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
     acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
     jerk: float = 0.0  #: jerk of the time law [m/s3]
+    speed_digits: int = 3  #: decimals of the speeds [m/s]
     external: tuple[float, ...] = (0.0,) * 6  #: E1 to E6, as the program of the path has them during its cuts
     date: str = ""
     source_hash: str = ""  #: SHA-256 of the recording or the tool path
@@ -103,16 +104,19 @@ def write_krl(
     original: Trajectory,
     revised: Trajectory,
     notes: Sequence[str] = (),
+    feeds: np.ndarray | None = None,
 ) -> list[Path]:
     """Write all modules of both programs, or none; returns their paths.
 
-    notes: of ``knot_notes``. Raises TrajectoryError for trajectories of different knots,
+    notes: of ``knot_notes``; feeds: of ``fixed_knots``; None: not known.
+    Raises TrajectoryError for trajectories of different knots,
     and for more points than the modules can hold.
     """
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
     notes = notes or [""] * len(original)
-    points, stops = point_numbers(program, original, revised), original.standing
+    stops = original.standing
+    points = point_numbers(program, original, revised, fixed_knots(stops, feeds))
     heads = {kind: setup.heading(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
     head, foot = _head_and_foot(program, setup)
     frame_lines = 20  # of a module beside heading, templates and motions
@@ -122,8 +126,8 @@ def write_krl(
     pieces = modules_of(program, points, stops, notes, most)
     files: dict[Path, list[str]] = {}
     for kind, run in (("ORG", original), ("CMP", revised)):
-        speed = point_speeds(program, run, points)
-        moves = [motion_lines(program, points, piece, speed, stops, notes) for piece in pieces]
+        speed = point_speeds(program, run, points, feeds)
+        moves = [motion_lines(program, points, piece, speed, stops, notes, setup.speed_digits) for piece in pieces]
         frames = [_frames(run, points[slice(*piece)]) for piece in pieces]
         modules = _modules(f"{program.name}_{kind}", moves, frames, [head, foot, _places(program, setup, kind, run)])
         for name, (src, dat) in modules.items():

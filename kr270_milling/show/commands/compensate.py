@@ -88,6 +88,7 @@ def run_compensate(args) -> Answer:
             lambda cell: run(cell, whole),
             lambda result: result.revised if result.checked.may_be_run else None,
         )
+        jobs = [(result.cell, result) for _, result in jobs]
         several = len(jobs) > 1
         decision = DecisionOnTools.of(jobs) if several else jobs[0][1].decision
         if args.json and decision.level == CAUTION:
@@ -156,6 +157,8 @@ def _values(cell, result) -> dict:
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     values["planned_max_deviation_um"] = 1e6 * result.planned.scores.max_deviation
     values["time_law"] = time_law(path_of(cell))
+    if result.feeds:
+        values["feeds"] = result.feeds
     if passes := after_passes(cell, revised):
         values["finish"] = passes
     values["original"] = as_dict(original.scores)
@@ -351,6 +354,8 @@ def _details(cell, result, values: dict):
     else:
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
+    if "feeds" in values:
+        yield _feeds_text(values["feeds"])
     if "finish" in values:
         yield _passes_table(values["finish"])
     yield (
@@ -377,6 +382,20 @@ def _details(cell, result, values: dict):
         yield TextTable(title, ["", "5 %", "50 %", "95 %"], rows)
         yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
     yield f"{values['points']} reference points: {values['trajectory']}"
+
+
+def _feeds_text(feeds: dict) -> str:
+    """The feeds of the stretches as one line."""
+    least, most = feeds["feed_percent"]
+    before, after = feeds["duration_s"]
+    text = (
+        f"feeds: {feeds['slower']} of {feeds['stretches']} stretches slower, {least:.0f} to {most:.0f} % of the "
+        f"programmed feed; cycle time {before:.4g} s before, {after:.4g} s after"
+    )
+    if lines := feeds["lines_without_response"]:
+        shown = ", ".join(map(str, lines[:5])) + (f" and {len(lines) - 5} more" if len(lines) > 5 else "")
+        text += f"; the error in line {shown} does not respond to the feed, which stays as programmed there"
+    return text
 
 
 def _passes_table(rows: list[dict]) -> TextTable:
