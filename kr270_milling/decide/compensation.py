@@ -72,6 +72,7 @@ def compensate(
     robots: int = 0,
     seed: int = 1,
     former: Trajectory | None = None,
+    feeds: dict | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
 ) -> Compensated:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
@@ -79,12 +80,12 @@ def compensate(
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
     programs, LIN or SPLINE; robots: number of simulated robots of the verdict, drawn from ``seed``; 0: no verdict.
     former: the reference of the last measured part, which stays where a new one promises the robots no gain.
+    feeds: summary of the feeds that the path of the cell has already, of ``scheduled``.
     progress(name, passes at most, text): a context that yields a function for the progress of a step. Other methods
     are compared where none was compared before, unless the pass is long: that keeps its series, 180 MB an hour.
     """
     method, robots = (method or cell.compensation.method, robots) if path_of(cell).mills else (NO_METHOD, 0)
-    feeds = None
-    if cell.compensation.scheduled and path_of(cell).mills:
+    if feeds is None and cell.compensation.scheduled and path_of(cell).mills:
         with progress("feeds") as report:
             planning = NO_METHOD if method == NO_METHOD else QUICK  # the others take several times as long
             cell, feeds = scheduled(cell, planning, (*motions, cell.krl.motion)[0], report)

@@ -1,18 +1,20 @@
-"""Softer ramps of the path: a lever beside the correction, because an arm swings after each stop and corner.
+"""Levers beside the correction: softer ramps, the feed of each stretch, a finishing pass, a turn of the tool.
 
-The swing of the slowest mode follows from the acceleration of the path. A ramp that lasts longer than a period of this
-mode leaves little. Scaling the acceleration by s and the jerk by s^2 makes all ramps 1/s times as long; the feed stays.
+An arm swings after each stop and corner. The swing of the slowest mode follows from the acceleration of the path. A
+ramp that lasts longer than a period of this mode leaves little. Scaling the acceleration by s and the jerk by s^2 makes
+all ramps 1/s times as long; the feed stays.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.column import column
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import PLANNED, compensated, compensator, simulate
@@ -25,14 +27,18 @@ from kr270_milling.decide.part.surface import ideal_part
 from kr270_milling.decide.programs.written import written_trajectory
 from kr270_milling.decide.tolerance import Judgement, judge_part
 from kr270_milling.decide.verdict import CHOOSING_SEED, NO_METHOD, drawn_errors
-from kr270_milling.path.timing import Timing
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 
 __all__ = ["QUICK", "Lever", "levers", "scheduled", "softened"]
 
-RATIOS = (1.0, 1.1, 1.25, 1.5)  #: cycle times that are tried, of the programmed one; ramps take no more than the last
+RATIOS = (
+    1.0,
+    1.1,
+    1.25,
+    1.5,
+)  #: cycle times of softer ramps, of the programmed one; also feeds stay below the last
 NEEDS = "needs part.tolerance_um, and a program without times in path.file"
 SOFTEST = 0.02  #: share of the programmed acceleration
 QUICK = "inverse"  #: method that plans while feeds are chosen; ``robust`` takes eight times as long
@@ -47,7 +53,7 @@ AIM = 0.95  #: load at which the feeds aim: the linear rule misses by some perce
 
 @dataclass(frozen=True)
 class Lever:
-    """A path and its correction, run by the simulated robots of a verdict."""
+    """A cell with some of the levers, run by the simulated robots of a verdict."""
 
     name: str = column("lever", short="lever")
     within: int = column("within_tolerance", short="within")
@@ -55,20 +61,27 @@ class Lever:
     median: float = column("median_um", 1e6, unit="um", short="median")
     high: float = column("q95_um", 1e6, unit="um", short="95 %")
     duration: float = column("duration_s", unit="s", short="time")
-    timing: Timing = column("")
+    cell: Cell = column("")
+    feeds: dict | None = column("", default=None)  #: of ``scheduled``
 
     @property
     def enough(self) -> bool:
         return self.within >= ENOUGH * self.robots
 
     @property
-    def keys(self) -> tuple[str, ...]:
+    def rank(self) -> tuple[int, float, float]:
+        """Greater for a better row: robots within the tolerance, then their median error, then the time."""
+        return self.within, -self.median, -self.duration
+
+    @computed("set")
+    def keys(self) -> list[str]:
         """The values of the cell file, as behind ``--set``."""
-        timing = self.timing
-        return (
+        timing, settings = self.cell.timing, self.cell.compensation
+        return [
             f"timing.acceleration_m_per_s2={timing.acceleration:.3g}",
             f"timing.jerk_m_per_s3={timing.jerk:.3g}",
-        )
+            *(f"compensation.{name}={getattr(settings, name)}" for name in ("feed", "finish", "turn")),
+        ]
 
 
 def softened(cell: Cell, ratio: float) -> Cell:
@@ -88,7 +101,11 @@ def _with_share(cell: Cell, share: float) -> Cell:
 
 
 def scheduled(
-    cell: Cell, method: str, motion: str, count: Callable[[int, int], None] | None = None
+    cell: Cell,
+    method: str,
+    motion: str,
+    count: Callable[[int, int], None] | None = None,
+    longest: float = math.inf,
 ) -> tuple[Cell, dict]:
     """Return the cell with a feed for each stretch of its path, and a summary.
 
@@ -97,7 +114,8 @@ def scheduled(
     taken as linear in the feed f, through its last two values; the first slope is r / f. Where a feed of 0 would leave
     90 % of the load, it does not respond to the feed: the edges plough, or the servo lags. The programmed feed stays.
 
-    method: that plans the correction in these rounds; motion: of the programs; count(done, total): in robots.
+    method: that plans the correction in these rounds; motion: of the programs; count(done, total): in robots;
+    longest [ns]: duration of the path, default ``RATIOS[-1]`` times the programmed one.
     """
     path, settings = cell.path.loaded().read(), cell.compensation
     if not isinstance(path, Toolpath) or not any(cell.tolerances.of()):
@@ -139,7 +157,7 @@ def scheduled(
         wanted = share + (AIM - loads) / np.maximum(slope, 1e-9)
         wanted = np.where(slope * share < (1.0 - UNMOVED) * loads, np.where(loads > AIM, 1.0, np.inf), wanted)
         before, share = (loads, share), np.clip(wanted.min(axis=0), least, most)
-        share = _within_time(cell, path, ends, share, RATIOS[-1] * programmed)
+        share = _within_time(cell, path, ends, share, min(longest, RATIOS[-1] * programmed))
         if np.abs(share - before[1]).max() < 0.01:
             break
     *_, best, share, seconds = min(rounds, key=lambda row: row[:3])
@@ -244,43 +262,82 @@ def _program(cell: Cell, method: str, motion: str) -> Trajectory:
     original = simulate(cell)
     if method == NO_METHOD:
         return written_trajectory(cell, original.reference, motion)
-    by = compensator(cell, path_of(cell).target, method)
+    by = compensator(cell, path_of(cell).target, cell.compensation.replace(method=method).planned_method)
     return written_trajectory(cell, compensated(cell, original, by.method, None, by).reference, motion)
 
 
 def levers(
-    cell: Cell, robots: int, seed: int, motion: str, progress: Callable[[int, int], None] | None = None
-) -> list[tuple[Lever, Cell]]:
-    """Try softer and softer ramps, without and with the correction, until enough robots meet the tolerance.
+    cell: Cell,
+    robots: int,
+    seed: int,
+    motion: str,
+    progress: Callable[[int, int], None] | None = None,
+    turned: Callable[[Cell], Cell] | None = None,
+) -> tuple[list[Lever], Lever]:
+    """Try the levers, and return a row for each and the row to run.
 
-    Returns two rows for each time of the path, each with its cell; the last row is the cheapest that is enough, or
-    else the softest one. Raises InputError for a straight cut and for a cell without a tolerance.
+    That row is the one with the shortest time of those that are enough, or else the one with the most robots within
+    the tolerance. A lever that takes longer than one that is enough is not tried. Without a finishing pass the path
+    takes at most ``RATIOS[-1]`` times as long. turned: the cell with the best turn of the tool. Raises InputError for a
+    straight cut and for a cell without a tolerance.
     """
     fed = path_of(cell).fed
     if fed is None or fed.timed_by_source or not any(cell.tolerances.of()):
         raise InputError("--reach", NEEDS)
-    rows: list[tuple[Lever, Cell]] = []
-    done = 0
+    rows: list[Lever] = []
+    longest, most_tried, done = RATIOS[-1] * path_of(cell).target.duration_ns, 10, 0
 
-    def count(robot: int) -> None:
+    def count(robot: float) -> None:
         if progress:
-            progress(done + robot, len(RATIOS) * robots)
+            progress(round(done * robots + robot), most_tried * robots)
 
-    for ratio in RATIOS:
+    def tried(name: str, variant: Cell, feeds: dict | None = None) -> Lever:
+        """Plan the variant, run the robots, and append its row; the first one also has the path as programmed."""
+        nonlocal done
         count(0)
-        softer = softened(cell, ratio)
-        path, original = path_of(softer), simulate(softer)
-        by = compensator(softer, path.target)
-        planned = compensated(softer, original, by.method, None, by)
-        program = written_trajectory(softer, planned.reference, motion)
-        errors = drawn_errors(softer, (path.target, program), robots, seed, count)
-        done += robots
-        seconds = path.target.duration_ns * 1e-9
-        for name, (error, share) in zip(("as programmed", by.method), np.moveaxis(errors, 0, -1), strict=True):
-            shown = name if ratio == 1.0 else f"{name}, softer ramps"
+        program = _program(variant, variant.compensation.method, motion)
+        names, references = (name,), (program,)
+        if not rows:
+            names, references = ("nothing", name), (path_of(variant).target, program)
+        errors = drawn_errors(variant, references, robots, seed, count)
+        done += 1
+        seconds = path_of(variant).target.duration_ns * 1e-9
+        for shown, (error, share) in zip(names, np.moveaxis(errors, 0, -1), strict=True):
             median, high = np.quantile(np.nan_to_num(error, nan=1.0), (0.5, 0.95)).tolist()
             within = int(np.sum(share <= 1.0))
-            rows.append((Lever(shown, within, robots, median, high, seconds, softer.timing), softer))
-        if rows[-1][0].enough:
-            break
-    return rows
+            rows.append(Lever(shown, within, robots, median, high, seconds, variant, feeds))
+        return rows[-1]
+
+    def fed_by(name: str, variant: Cell) -> Lever:
+        nonlocal done
+        variant = variant.replace(compensation=variant.compensation.replace(feed="schedule"))
+        fed_cell, feeds = scheduled(variant, QUICK, motion, lambda k, n: count(robots * k / n), longest)
+        done += 1
+        return tried(name, fed_cell, feeds)
+
+    def none_enough() -> bool:
+        return not any(row.enough for row in rows)
+
+    tried("correction", cell)
+    plain = rows[-1]
+    if none_enough() and turned is not None:
+        other = turned(cell.replace(compensation=cell.compensation.replace(turn="best")))
+        if other.path.content is not cell.path.content:
+            tried("turn of the tool", other)
+    best = max(rows[1:], key=lambda row: row.rank).cell
+    for ratio in RATIOS[1:]:
+        if none_enough():
+            tried(f"softer ramps, {ratio:g} x", softened(cell, ratio))
+    fastest = min((row.duration for row in rows if row.enough), default=np.inf)
+    if fastest > plain.duration:
+        fed_by("feed", cell)
+    if none_enough():
+        fed_by("all without finish", softened(best, RATIOS[-2]))
+    if none_enough():
+        once = cell.compensation.replace(finish=min(3, cell.compensation.finish + 1))
+        tried("finishing pass", cell.replace(compensation=once))
+    if none_enough():
+        last = next(row for row in rows if row.name == "all without finish")
+        tried("all", last.cell.replace(compensation=last.cell.compensation.replace(finish=once.finish)), last.feeds)
+    enough = [row for row in rows[1:] if row.enough]
+    return rows, min(enough, key=lambda row: row.duration) if enough else max(rows[1:], key=lambda row: row.rank)

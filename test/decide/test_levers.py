@@ -6,13 +6,14 @@ import re
 
 import numpy as np
 import pytest
-from samples.small_part import GCODE, small_part, swayed
+from samples.small_part import GCODE, assignments, small_part, swayed
 
 from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.frames import TOOL0, Pose, rotation_from_abc, rotation_from_quaternion
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.models import cut_of, path_of
+from kr270_milling.cell.models import arm_of, cut_of, path_of
 from kr270_milling.decide import levers as module
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.levers import RATIOS, levers, softened
@@ -20,6 +21,8 @@ from kr270_milling.decide.programs.files import knot_feeds, write_programs
 from kr270_milling.decide.programs.gcode import write_gcode
 from kr270_milling.decide.tolerance import after_passes, judge
 from kr270_milling.path.cam.gcode.reader import read_gcode
+from kr270_milling.physics.robot.kinematics import pose
+from kr270_milling.studies.maps.along import turn_of, turned_cell
 
 WALL = """\
 G21 G90 S8000 M3
@@ -73,16 +76,51 @@ def test_softer_ramps_take_at_most_the_stated_time(tmp_path):
         assert softer.timing.jerk / cell.timing.jerk == pytest.approx(scale**2, rel=0.01)
 
 
-def test_the_first_rows_are_those_of_the_verdict_and_the_last_is_the_first_that_is_enough(tmp_path):
+def test_the_first_rows_are_those_of_the_verdict_and_the_cheapest_that_is_enough_is_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "ROUNDS", 2)
+    monkeypatch.setattr(module, "PLANNED", 4)
     cell = small_part(
         tmp_path, GCODE, "cutting.detail=engagement", "part.tolerance_um=80", "compensation.method=inverse"
     )
-    rows = [lever for lever, _ in levers(cell, 4, 1, "SPLINE")]
+    progress = []
+    rows, chosen = levers(cell, 4, 1, "SPLINE", lambda done, total: progress.append(done / total), turned_cell)
     verdict = compensate(cell, robots=4, seed=1, motions=("SPLINE",)).decision.verdict
     assert [rows[0].median, rows[1].median] == pytest.approx([verdict.band(k)[1] for k in ("original", "compensated")])
     assert rows[1].within == verdict.within
-    assert [row.enough for row in rows[1:-1:2]] == [False] * (len(rows) // 2 - 1)
-    assert rows[-1].enough or rows[-1].duration > 1.45 * rows[0].duration
+    assert progress == sorted(progress) and progress[-1] <= 1.0
+    enough = [row for row in rows[1:] if row.enough]
+    assert chosen is (min(enough, key=lambda row: row.duration) if enough else max(rows[1:], key=lambda row: row.rank))
+    assert all(row.duration <= 1.5 * rows[0].duration for row in rows if not row.cell.compensation.finish)
+    assert [row.name for row in rows[:2]] == ["nothing", "correction"]
+    again = read_cell(find_file("paper.yaml"), [*assignments(tmp_path, GCODE), *chosen.keys])
+    assert again.compensation.finish == chosen.cell.compensation.finish
+    assert again.timing.jerk == chosen.cell.timing.jerk
+
+
+def test_the_program_of_a_turned_tool_brings_the_arm_to_the_turned_posture(tmp_path):
+    settings = "workpiece.abc_deg=[60,0,0]", "cutting.detail=engagement", "compensation.turn=best"
+    cell = read_cell(find_file("test_piece.yaml"), [*assignments(tmp_path), *settings])
+    turned, turn = turned_cell(cell), turn_of(turned_cell(cell))
+    assert turn != 0.0 and turn_of(cell) == 0.0
+    before, after = path_of(cell).target, path_of(turned).target
+    assert after.position == pytest.approx(before.position, abs=1e-12)
+    relative = rotation_from_quaternion(before.quaternion[0]).T @ rotation_from_quaternion(after.quaternion[0])
+    assert relative == pytest.approx(rotation_from_abc(np.array([turn, 0.0, 0.0])), abs=1e-9)
+    # the program: $TOOL and the frame of its first point
+    files, _ = write_programs(
+        tmp_path, turned, after, after, method="x", date="2026-01-01", motions=["SPLINE"], tables=()
+    )
+    source, data = (files["krl_spline"][0].with_suffix(suffix).read_text() for suffix in (".src", ".dat"))
+    frames = []
+    for text in (re.search(r"\$TOOL=\{(.*?)\}", source)[1], re.search(r"XP1=\{(.*?)\}", data)[1]):
+        row = np.array([float(value) for value in re.findall(r"[XYZABC] (-?[\d.]+)", text)])
+        frames.append(Pose.from_abc(1e-3 * row[:3], np.radians(row[3:])))
+    flange = frames[1] @ frames[0].inverse()
+    arm = arm_of(turned)
+    joints = arm.joints(after)[0]
+    there = turned.workpiece.pose.inverse() @ pose(turned.arm, turned.mount, joints) @ turned.mount.pose.inverse()
+    assert flange.position == pytest.approx((there @ TOOL0).position, abs=1e-6)
+    assert np.abs(joints - arm.posture).max() < 0.2, "the posture is the hint of the turned cell"
 
 
 def test_a_cell_without_ramps_or_without_a_tolerance_has_no_lever(tmp_path):

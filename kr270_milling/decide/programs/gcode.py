@@ -73,6 +73,8 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
             "G-code states no joints, so the controller must compensate the sag: compensation.sag_compensated: true"
         )
         raise InputError("--gcode", reason)
+    if any(cell.compensation.turn == "best" for cell in cells):
+        raise InputError("--gcode", "has no words for a turn of the tool: compensation.turn must be keep")
     if not all(cell.path.source.spindle_speeds for cell in cells):
         raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
     if cells[0].path.offsets.size:
