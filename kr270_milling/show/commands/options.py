@@ -158,8 +158,8 @@ def _add_compensate(parser) -> None:
     _shared(parser, "cell", "--set", "--plant", "--noise-um")
     add(
         "--method",
-        choices=("best", *_methods()),
-        help="default: the cell's compensation.method; best: compare the methods and run the best",
+        choices=("best", "none", *_methods()),
+        help="default: the cell's compensation.method; best: compare the methods and run the best; none: no correction",
     )
     add(
         "--measured",
