@@ -201,7 +201,7 @@ def _add_compensate(parser) -> None:
     add(
         "--reach",
         action="store_true",
-        help="try softer ramps, feeds, a finishing pass and a turn of the tool until 90 %% of the robots meet the tolerance",
+        help="try ramps, feeds, a finishing pass and a turn of the tool until 90 %% of the robots meet the tolerance",
     )
     add(
         "--force",
