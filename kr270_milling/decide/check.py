@@ -155,9 +155,10 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
-        about["blocks"] = program_blocks(
-            robot_program, path.target, run, fixed_knots(path.target.standing, knot_feeds(path))
-        )
+        fixed = fixed_knots(path.target.standing, knot_feeds(path))
+        blocks = about["blocks"] = program_blocks(robot_program, path.target, run, fixed)
+        if robot_program.motion == "LIN" and not robot_program.blend_distance:
+            results.append(violation("no blending", blocks.points, int(path.target.standing.sum())))
         ran, cut = _cut(cell, run, ran, progress)
         results += cut
         about["ran"] = ran

@@ -1,9 +1,11 @@
 """The G-code program of a cell with corrected coordinates, for KUKA.CNC, other robots and machine tools.
 
-The points of a line are those that its part of the corrected path needs: straight lines between them are within
-``program.tolerance`` of the path, and the last point is the end of the line. N numbers, tool calls, cycles, comments
-and rapid moves stay; only a rapid move to the start of a cut ends at the corrected start. Feeds stay as programmed. The
-tool axis stays, too: 3-axis G-code has no words for the small turns of a correction.
+The points of a line are those that its part of the corrected path needs: the path through them is within
+``program.tolerance`` of the corrected path, and the last point is the end of the line. G1 blocks are joined as LIN
+motions are, by parabolas from ``program.blend_distance`` before a point, or by those that miss the point by P of G64.
+N numbers, tool calls, cycles, comments and rapid moves stay; only a rapid move to the start of a cut ends at the
+corrected start. Feeds stay as programmed. The tool axis stays, too: 3-axis G-code has no words for the small turns of a
+correction.
 """
 
 from __future__ import annotations
@@ -22,15 +24,17 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.text import encoding_of
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of, program_path
 from kr270_milling.decide.programs.krl import trajectory_hash
 from kr270_milling.decide.programs.krl_motion import WIDEST, printable_ascii
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.path.cam.gcode.rewriter import GcodeSource, read_source
 from kr270_milling.path.cam.readers import GCODE, read_toolpath, reader_of
+from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.timing import TimedPath, time_path
 from kr270_milling.path.toolpath import Toolpath
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 
 __all__ = ["WrittenGcode", "check_gcode", "write_gcode"]
 
@@ -46,6 +50,8 @@ class WrittenGcode:
     source_blocks: int = column("source_blocks")  #: lines with a feed move
     blocks: int = column("blocks")  #: G1 blocks in their place
     error: float = column("error_um", 1e6)  #: [m], distance of the read path from the planned path, in the feed moves
+    blended: float = column("blended_um", 1e6)  #: [m], the same distance of the path with rounded corners
+    deviation: float = column("max_deviation_um", 1e6)  #: [m], largest deviation of a pass along that path
     duration: float = column("duration_s")  #: [s], by the time law of the controller, without the limits of the joints
     planned_duration: float = column("planned_duration_s")  #: [s], duration of the source by the same law
     written_out: bool = column("written_out")  #: without the parameters, sub-programs and shifts of the source
@@ -56,8 +62,9 @@ class WrittenGcode:
         tool = f"{self.tool}: " if self.tool else ""
         return (
             f"{tool}{self.blocks} G1 blocks for {self.source_blocks} feed moves; read back, they are within "
-            f"{1e6 * self.error:.2g} um of the planned path and take {self.duration:.4g} s by the time law "
-            f"(the source {self.planned_duration:.4g} s)"
+            f"{1e6 * self.error:.2g} um of the planned path, with rounded corners within {1e6 * self.blended:.2g} um, "
+            f"and take {self.duration:.4g} s by the time law (the source {self.planned_duration:.4g} s); a pass along "
+            f"the rounded path has a largest deviation of {1e6 * self.deviation:.3g} um"
             + "; parameters, sub-programs and shifts of the source are written out"
             * self.written_out
         )
@@ -79,6 +86,10 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
         raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
     if cells[0].path.offsets.size:
         raise InputError(file, "corrected G-code is written in one work offset, so path.offsets_mm must be left out")
+    for path in (cell.path.read() for cell in cells):
+        if isinstance(path, Toolpath) and np.any(path.quaternion != TOOL_DOWN):
+            reason = "corrected G-code is written for a tool along z; the robot program takes a tilted one"
+            raise InputError(file, reason)
     tools = {cell.path.source.tool for cell in cells}
     return read_source(file, tools, float(cells[0].stock.max[2]), cells[0].path.feed_rate)
 
@@ -228,15 +239,43 @@ class _Plan:
         places[self.block] = read.position[ends]
         starts = np.flatnonzero(~self.block)
         places[starts] = read.position[ends[np.cumsum(self.block)[starts]] - 1]
+        motion = self._motion(places)
+        missed = np.linalg.norm(motion.position - self.run.sample(motion.time_ns), axis=1)
         return WrittenGcode(
             tool,
             self.source_blocks,
             len(ends),
             self._error(places),
+            float(missed.max()),
+            simulate(cell, motion).scores.max_deviation,
             _duration(cell, read),
             _duration(cell, _timed(cell).toolpath),
             self.written_out,
         )
+
+    def _motion(self, places: np.ndarray) -> Trajectory:
+        """Return the motion through places (p, 3) [m] with rounded corners, and the planned one on the other moves."""
+        run, program = self.run, self.cell.krl
+        times = np.union1d(np.concatenate([run.time_ns, self.time_ns]), _candidates(run, program.tolerance))
+        fine = Trajectory(times, run.sample(times), run.quaternion[0], None, run.frame)
+        time_ns, first = np.unique(self.time_ns, return_index=True)
+        ends = times[[0, -1]][~np.isin(times[[0, -1]], time_ns)]
+        at = np.argsort(np.concatenate([time_ns, ends]), kind="stable")
+        points = np.concatenate([places[first], run.sample(ends)])[at]
+        row = np.concatenate([self.row[first], np.full(len(ends), -1)])[at]
+        knots = np.searchsorted(times, np.concatenate([time_ns, ends])[at])
+        stops = np.concatenate([[True], (row[1:] != row[:-1])[:-1] | (row[1:] != row[:-1])[1:], [True]])
+        stops |= np.isin(times[knots], run.time_ns[run.standing])
+        blend: float | np.ndarray = program.blend_distance
+        if rounding := self.cell.path.source.rounding:
+            direction = np.diff(points, axis=0)
+            direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+            turn = np.linalg.norm(np.diff(direction, axis=0), axis=1)
+            blend = np.pad(4.0 * rounding / np.maximum(turn, 1e-9), 1)
+        place = places_on_program(fine, knots, points, stops, False, blend)
+        span = np.clip(np.searchsorted(knots, np.arange(len(times)), side="right") - 1, 0, len(knots) - 2)
+        between = (row[span] != row[span + 1]) | (row[span] < 0)  # rapid moves and drilling
+        return fine.with_position(np.where(between[:, None], fine.position, place))
 
     def _error(self, places: np.ndarray) -> float:
         """Return the largest distance [m] of the planned path from the straight lines between places (p, 3)."""
@@ -284,7 +323,8 @@ def _point_times(cell: Cell, run: Trajectory, needed: np.ndarray) -> np.ndarray:
     times = np.union1d(_candidates(run, cell.krl.tolerance), needed)
     fine = Trajectory(times, run.sample(times), run.quaternion[0], None, run.frame)
     fixed = np.isin(times, needed) | np.isin(times, run.time_ns[run.standing])
-    program = cell.krl.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.krl.tolerance)
+    blend = 0.0 if cell.path.source.rounding else cell.krl.blend_distance
+    program = cell.krl.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.krl.tolerance, blend_distance=blend)
     return times[point_numbers(program, fine, fine, fixed)]
 
 

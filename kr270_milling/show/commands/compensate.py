@@ -23,7 +23,14 @@ from kr270_milling.decide.compensation import compensate, limit_sentence
 from kr270_milling.decide.decision import CAUTION, NO, YES
 from kr270_milling.decide.levers import Lever, levers
 from kr270_milling.decide.part import FeatureRow, write_part
-from kr270_milling.decide.programs.files import OLDER, set_aside, time_law, write_manifest, write_programs
+from kr270_milling.decide.programs.files import (
+    OLDER,
+    program_bytes,
+    set_aside,
+    time_law,
+    write_manifest,
+    write_programs,
+)
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
@@ -39,16 +46,17 @@ from kr270_milling.show.commands.console import (
     command_line,
     joints_text,
     now,
+    steps,
+    title_of,
 )
-from kr270_milling.show.commands.progress import steps, title_of
 from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
-from kr270_milling.show.report.tools_page import tools_page
+from kr270_milling.show.report.study_page import tools_page
 from kr270_milling.studies.identification.measured_part import learn, learned_keys, read_part
 from kr270_milling.studies.maps.along import turn_of, turned_cell
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
-SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
+SCORED = "decision and tables are those of the KRL program"
 ROBUST, ORIGINAL, LEARNED_FILE = "robust", "original", "learned.yaml"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: color of a level of the decision
 
@@ -268,6 +276,7 @@ def _write_programs(draft, final, cell, result, level: str, args, date: str) -> 
     )
     placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
     placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
+    placed["program_bytes"] = {kind: program_bytes(files[kind]) for kind in ("krl_spline", "krl_lin") if kind in files}
     return placed, text
 
 
@@ -351,7 +360,9 @@ def _shown(cell, result, decision, values: dict, args, reached):
 
 def _files(values: dict):
     for kind, paths in values["programs"].items():
-        yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
+        more = f" and {len(paths) - 2} more files" if len(paths) > 2 else ""
+        size = values["program_bytes"].get(kind)
+        yield f"{kind}: {', '.join(paths[:2])}{more}{f'; the corrected program has {size:,} bytes' if size else ''}"
 
 
 def _details(cell, result, values: dict):

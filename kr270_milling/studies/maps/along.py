@@ -35,8 +35,6 @@ from kr270_milling.physics.robot import inverse_near
 from kr270_milling.studies.maps.placements import MARGIN, PathPlaces, about_z, places_at
 from kr270_milling.studies.maps.postures import postures
 
-__all__ = ["Turns", "TurnPath", "constant_turn", "best_turns", "turn_of", "turned", "turned_cell"]
-
 
 @dataclass(frozen=True, eq=False)
 class TurnPath:
