@@ -32,6 +32,7 @@ __all__ = [
     "low_frequency_of",
     "modal_model_of",
     "path_of",
+    "program_path",
     "removal_of",
 ]
 
@@ -48,6 +49,14 @@ def path_of(cell: Cell) -> CellPath:
     """Return the programmed path of a cell; its file is read and timed when the path is first used."""
     by_teeth = not cell.cutting.by_engagement
     return _path(_finished(cell), cell.stock, cell.tool, cell.timing, cell.exchange, arm_of(cell), by_teeth)
+
+
+def program_path(cell: Cell) -> Toolpath:
+    """Return the tool path of the program, without finishing passes; raises InputError without one or with times."""
+    content = cell.path.loaded().read() if cell.path.file else None
+    if not isinstance(content, Toolpath):
+        raise InputError("path.file", "must be a program without times")
+    return content
 
 
 def _finished(cell: Cell) -> PathSection:

@@ -131,7 +131,7 @@ def scheduled(
         most = np.minimum(most, np.maximum(cell.tool.max_feed_per_tooth / chip, least))
     least[fixed] = most[fixed] = 1.0
     share, before = np.minimum(1.0, most), None
-    silent = np.zeros(len(ends), bool)
+    slope = silent = np.zeros(len(ends))
     programmed = path_of(cell).target.duration_ns
     rounds: list[tuple] = []
 
@@ -147,15 +147,16 @@ def scheduled(
         within = int(np.sum(shares <= 1.0))
         high = float(np.quantile(np.nan_to_num(shares, nan=FAILED), ENOUGH))
         rounds.append((not enough, seconds if enough else -within, high, tried, share, seconds))
-        slope = loads / share
-        if before is not None:
+        if before is None:
+            slope = loads / share
+        else:
             moved = share - before[1]
             own = np.abs(moved) > 0.02
-            measured = (loads - before[0]) / np.where(own, moved, 1.0)
-            slope = np.where(own, measured, slope)
-        silent = np.where(loads[0] > 1.0, slope[0] * share < (1.0 - UNMOVED) * loads[0], silent)
+            slope = np.where(own, (loads - before[0]) / np.where(own, moved, 1.0), slope)
+        still = slope * share < (1.0 - UNMOVED) * loads
+        silent = (still & (loads > 1.0)).any(axis=0)
         wanted = share + (AIM - loads) / np.maximum(slope, 1e-9)
-        wanted = np.where(slope * share < (1.0 - UNMOVED) * loads, np.where(loads > AIM, 1.0, np.inf), wanted)
+        wanted = np.where(still, np.where(loads > AIM, 1.0, np.inf), wanted)
         before, share = (loads, share), np.clip(wanted.min(axis=0), least, most)
         share = _within_time(cell, path, ends, share, min(longest, RATIOS[-1] * programmed))
         if np.abs(share - before[1]).max() < 0.01:
@@ -296,9 +297,9 @@ def levers(
         nonlocal done
         count(0)
         program = _program(variant, variant.compensation.method, motion)
-        names, references = (name,), (program,)
+        names, references = [name], [program]
         if not rows:
-            names, references = ("nothing", name), (path_of(variant).target, program)
+            names, references = ["nothing", name], [path_of(variant).target, program]
         errors = drawn_errors(variant, references, robots, seed, count)
         done += 1
         seconds = path_of(variant).target.duration_ns * 1e-9

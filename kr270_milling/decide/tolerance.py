@@ -15,7 +15,7 @@ import numpy as np
 from kr270_milling.base.column import CONVERGED, as_dict, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import path_of, program_path
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
 from kr270_milling.decide.part.stations import stations_of
@@ -120,7 +120,7 @@ def after_passes(cell: Cell, ran: ScoredPass) -> list[dict]:
     timed, passes = path_of(cell).timed, cell.compensation.finish
     if not passes or timed is None:
         return []
-    length = cell.path.loaded().read().length
+    length = program_path(cell).length
     ends = length + np.arange(passes + 1) * (timed.toolpath.length - length) / passes
     result, rows, first = ran.result, [], 0
     counts = np.searchsorted(timed.distance_at(result.time_ns), ends - 1e-9) + 1

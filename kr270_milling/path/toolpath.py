@@ -7,6 +7,7 @@ import functools
 import math
 from array import array
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -117,14 +118,20 @@ class Toolpath:
         start, end = self.position[[0, -1]]
         between = np.array([[*end[:2], top], [*start[:2], top], start])
         between = between[np.any(between != np.vstack([end, between[:-1]]), axis=1)]
-        rows = np.concatenate([np.zeros(len(between), int), np.arange(1, len(self))])
+        again = np.append(np.zeros(len(between), int), np.arange(1, len(self)))
+        back = np.tile(np.arange(len(again)) < len(between), times)
+        back = np.append(np.zeros(len(self), bool), back)
+        taken = self._rows(np.append(np.arange(len(self)), np.tile(again, times)))
+        taken["position"][back] = np.tile(between, (times, 1))
+        taken["rapid"][back] = True
+        for name in ("drilling", "feature", "curvature"):
+            taken[name][back] = 0
+        return dataclasses.replace(self, **taken)
+
+    def _rows(self, rows: np.ndarray) -> dict[str, Any]:
+        """Return the columns of some blocks."""
         columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        again = {name: values[rows] for name, values in columns.items() if isinstance(values, np.ndarray)}
-        back = slice(0, len(between))
-        again["position"][back], again["rapid"][back], again["drilling"][back] = between, True, False
-        again["feature"][back], again["curvature"][back] = 0, 0.0
-        joined = {name: np.concatenate([columns[name], *[values] * times]) for name, values in again.items()}
-        return dataclasses.replace(self, **joined)
+        return {name: values[rows] for name, values in columns.items() if isinstance(values, np.ndarray)}
 
     def with_feeds(self, ends: np.ndarray, shares: np.ndarray) -> Toolpath:
         """Return the path with blocks that end at the stretches, and shares (s,) of the feed of each stretch.
@@ -138,9 +145,7 @@ class Toolpath:
         inner = ends[np.minimum(np.abs(own[after] - ends), np.abs(own[after - 1] - ends)) > apart]
         distance = np.union1d(own, inner)
         middle = (distance[1:] + distance[:-1]) / 2.0
-        block = np.append(0, self.block_at(middle))
-        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        divided = {name: values[block] for name, values in columns.items() if isinstance(values, np.ndarray)}
+        divided = self._rows(np.append(0, self.block_at(middle)))
         new = ~np.isin(distance, own)
         if new.any():
             divided["position"][new], _, divided["quaternion"][new] = self.on_path(distance[new])

@@ -19,6 +19,7 @@ from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.levers import RATIOS, levers, softened
 from kr270_milling.decide.programs.files import knot_feeds, write_programs
 from kr270_milling.decide.programs.gcode import write_gcode
+from kr270_milling.decide.programs.points import fixed_knots, point_numbers
 from kr270_milling.decide.tolerance import after_passes, judge
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.physics.robot.kinematics import pose
@@ -162,17 +163,19 @@ def test_a_robot_program_holds_the_feed_of_each_stretch_within_2_percent(tmp_pat
         tmp_path, cell, target, swayed(target), method="x", date="2026-01-01", motions=[motion], tables=()
     )
     (source,) = [file for file in files[f"krl_{motion.lower()}"] if file.name.endswith("CMP.src")]
-    speeds, usual = {}, 0.0
-    for line in source.read_text().splitlines():
+    feeds = knot_feeds(path_of(cell))
+    program = cell.krl.replace(motion=motion)
+    knots = point_numbers(program, target, swayed(target), fixed_knots(target.standing, feeds))
+    speeds, usual = [], 0.0
+    for line in source.read_text().partition("XP1")[2].splitlines():
         speed = re.search(r"\$VEL.CP=([\d.]+)", line)
-        if speed and "XP" not in line:
+        if re.match("(SPL|LIN) {", line):
+            speeds.append(float(speed[1]) if speed else usual)
+        elif speed:
             usual = float(speed[1])
-        if point := re.match(r"(?:SPL|LIN) XP(\d+)", line):
-            speeds[int(point[1]) - 1] = float(speed[1]) if speed else usual
-    knots = sorted(speeds)[1:]
-    feeds, ways = knot_feeds(path_of(cell)), zip([0, *knots], knots, strict=False)
-    for first, last in ways:
-        assert speeds[last] <= 1.02 * np.nanmin([np.inf, *feeds[first : last + 1]])
+    assert len(speeds) == len(knots) - 1
+    for first, last, speed in zip(knots, knots[1:], speeds, strict=False):
+        assert speed <= 1.02 * np.nanmin([np.inf, *feeds[first : last + 1]])
         inside = feeds[first + 1 : last]
         assert inside.size == 0 or np.nanmax(inside) == np.nanmin(inside), "a stretch has its own points"
 

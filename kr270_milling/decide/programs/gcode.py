@@ -25,7 +25,7 @@ from kr270_milling.base.text import encoding_of
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import path_of, program_path
 from kr270_milling.decide.programs.krl import trajectory_hash
 from kr270_milling.decide.programs.krl_motion import WIDEST, printable_ascii
 from kr270_milling.decide.programs.points import point_numbers
@@ -118,7 +118,7 @@ def write_gcode(
     if passes:
         if len(jobs) > 1:
             raise InputError("--gcode", "writes compensation.finish for a program with one tool only")
-        start, height = cell.path.loaded().read().position[0], float(cell.stock.max[2]) + cell.krl.safe_height
+        start, height = program_path(cell).position[0], float(cell.stock.max[2]) + cell.krl.safe_height
         source, every = source.repeated(passes, start, max(height, float(_timed(cell).toolpath.position[:, 2].max())))
     plans = [_Plan.of(cell, run, source, every) for cell, run in jobs if path_of(cell).mills]
     ends = {line: points for plan in plans for line, points in plan.ends.items()}
@@ -169,7 +169,7 @@ class _Plan:
         cuts = ~path.rapid & ~path.drilling
         lines = path.line if every else source.lines_of(path, cell.path.file, cell.path.feed_rate)
         if every:
-            again = np.arange(len(path)) - len(cell.path.loaded().read())  # blocks after the first pass
+            again = np.arange(len(path)) - len(program_path(cell))  # blocks after the first pass
             count = (again[-1] + 1) // cell.compensation.finish
             lines = lines + every * np.where(again < 0, 0, 1 + again // count)
         other = (lines[2:] != lines[1:-1]) | (cuts[2:] != cuts[1:-1])
@@ -210,8 +210,11 @@ class _Plan:
             cell,
             run,
             np.concatenate(stamps),
-            *(np.repeat(values, count) for values in (numbers, blocks, rates)),
-            *({number: np.concatenate(parts) for number, parts in each.items()} for each in (ends, feeds)),
+            np.repeat(numbers, count),
+            np.repeat(blocks, count),
+            np.repeat(rates, count),
+            {number: np.concatenate(parts) for number, parts in ends.items()},
+            {number: np.concatenate(parts) for number, parts in feeds.items()},
             len(set(np.array(line)[feed])),
             source.written_out,
         )

@@ -420,8 +420,8 @@ def _feeds_text(feeds: dict) -> str:
 
 def _passes_table(rows: list[dict]) -> TextTable:
     """The part after each pass along the same path."""
-    heads = (("pass", "pass", 0), ("wall [um]", "wall_um", 2), ("floor [um]", "floor_um", 2))
-    heads += (("force [N]", "max_force_n", 1), ("ends at [s]", "end_s", 1))
+    heads = [("pass", "pass", 0), ("wall [um]", "wall_um", 2), ("floor [um]", "floor_um", 2)]
+    heads += [("force [N]", "max_force_n", 1), ("ends at [s]", "end_s", 1)]
     return table_of("After each pass along the path: errors that remain, largest force of the pass", heads, rows)
 
 

@@ -199,7 +199,7 @@ def _add_compensate(parser) -> None:
     add(
         "--reach",
         action="store_true",
-        help="try softer ramps of the path, up to 1.5 times its time, until 90 %% of the robots meet the tolerance",
+        help="try ramps, feeds, a finishing pass and a turn of the tool until 90 %% of the robots meet the tolerance",
     )
     add(
         "--force",
