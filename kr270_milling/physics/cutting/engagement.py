@@ -58,6 +58,7 @@ __all__ = [
     "EngagementParams",
     "EngagementState",
     "cut_part",
+    "cut_tilted",
     "engage",
     "has_profile",
     "make_engagement_params",
@@ -75,6 +76,8 @@ BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # share of the radius: a longer move is divided
+UPRIGHT = 1e-7  # [rad], least tilt
+SWING = 4.0  # assumed: radii above the tip, up to which a turn of the axis counts as a move
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 16  # nodes, a power of two
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
@@ -151,14 +154,22 @@ class EngagementState(NamedTuple):
 
 
 def make_engagement_params(
-    tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
+    tool: Tool,
+    cutting: Cutting,
+    stock: Stock,
+    micro_step: float,
+    bins: int = BINS,
+    give: float = 0.0,
+    tilts: bool = False,
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
     bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give: as in the record.
+    tilts: poses have an axis, and a flat end has a profile, too.
     """
     widest = float(tool.radii.max())
-    profile, radius, flat = (None, widest, widest) if tool.has_flat_end else profile_of(tool, stock)
+    flat_end = tool.has_flat_end and not tilts
+    profile, radius, flat = (None, widest, widest) if flat_end else profile_of(tool, stock)
     return EngagementParams(
         **common_params(tool, cutting, stock, micro_step),
         radius=radius,
@@ -244,7 +255,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
 def engage(s, p, pose_from, pose_to, n, wrench):
     """Move the tool tip straight from one position to another while the spindle turns by n micro-steps.
 
-    s: state, changed; p: params; positions (3,) [m], workpiece frame; wrench: (6,), filled with the mean force and
+    s: state, changed; p: params; positions (3,) [m], workpiece frame, or (6,) with the axis after them; wrench: (6,), filled with the mean force and
     moment about the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
     """
     for j in range(s.ints.size):
@@ -264,34 +275,44 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     for j in range(6):
         wrench[j] = 0.0
     dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
-    parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
+    tilted, way = False, math.sqrt(dx * dx + dy * dy)
+    if pose_to.size == 6 and max(hypot2(pose_from), hypot2(pose_to)) > UPRIGHT * UPRIGHT:
+        tilted, dz = True, pose_to[2] - pose_from[2]
+        ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
+        way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
+    parts = 1 + int(way / (LONGEST * p.radius))
     passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
+    if tilted:
+        s.ints[FLOOR_LEVEL], s.load[RISE] = -1, 0.0
     start = pose_from[2] + s.load[RISE]
-    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 else -1
+    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 and not tilted else -1
     s.load[RISE] = _rise(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
     dz = pose_to[2] + s.load[RISE] - start
     torque = height = thrust = 0.0
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
-        part = cut_part(
-            s,
-            p,
-            pose_from[0] + a * dx,
-            pose_from[1] + a * dy,
-            start + a * dz,
-            pose_from[0] + b * dx,
-            pose_from[1] + b * dy,
-            start + b * dz,
-            passes,
-            wrench,
-        )
+        if tilted:
+            part = cut_tilted(s, p, pose_from, pose_to, a, b, passes, wrench)
+        else:
+            part = cut_part(
+                s,
+                p,
+                pose_from[0] + a * dx,
+                pose_from[1] + a * dy,
+                start + a * dz,
+                pose_from[0] + b * dx,
+                pose_from[1] + b * dy,
+                start + b * dz,
+                passes,
+                wrench,
+            )
         torque += part[0]
         height += part[1]
         thrust += part[2]
-    for j in range(5):
+    for j in range(6):
         wrench[j] /= parts
     torque /= parts
-    if p.moments:
+    if p.moments and not tilted:
         wrench[5] = -p.sense * torque
     for j in range(3):
         s.last[j] = pose_to[j]
@@ -330,6 +351,17 @@ def _rise(s, p, z, passes, give):
         else:
             high = rise
     return low
+
+
+@inlined
+def hypot2(pose):
+    """Return the square of the sine of the tilt of a pose (6,)."""
+    return pose[3] * pose[3] + pose[4] * pose[4]
+
+
+def cut_tilted(s, p, pose_from, pose_to, a, b, passes, wrench):
+    """Plain form of compiled code: the part of a step of a tilted tool, see ``revolution``."""
+    raise NotImplementedError
 
 
 def cut_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
