@@ -224,7 +224,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
     nodes = min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + BLOCK  # of which a last block may look beyond its tile
     footprint = (2 * p.reach + 3) ** 2
     if p.profile is not None:
-        lost = np.zeros((p.profile.length.size, 2 * bins))
+        lost = np.zeros((2 * bins, p.profile.length.size))
         edge = EdgeBins(np.zeros(nodes // RUN + 1, np.uint16), lost, np.zeros(2 * bins))
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
@@ -283,7 +283,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     parts = 1 + int(way / (LONGEST * p.radius))
     passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
     if tilted:
-        s.ints[FLOOR_LEVEL], s.load[RISE] = -1, 0.0
+        s.load[RISE] = 0.0
     start = pose_from[2] + s.load[RISE]
     s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 and not tilted else -1
     s.load[RISE] = _rise(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))

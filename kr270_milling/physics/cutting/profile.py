@@ -44,13 +44,14 @@ class Profile(NamedTuple):
     cosine_area: np.ndarray  # mean r cos(kappa) [m]
     rims: np.ndarray  # (n + 1,): radii of the edges of the pieces [m]
     parts: np.ndarray  # (m, 7): ``edge_parts`` and the cylinder above them
+    hollow: bool  # the profile is not convex
 
 
 class EdgeBins(NamedTuple):
     """Part of the state of a cut by a tool with a profile."""
 
     highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
-    lost: np.ndarray  # (n + 1, bins): levels removed in the present step, by piece and angle
+    lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
 
 
@@ -139,6 +140,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     lead[0] = lead[1]
     piece = np.clip(np.searchsorted(edges[:, 0], distance, side="right") - 1, 0, total.size - 1)
     piece[ENTRIES:] = total.size
+    parts = np.vstack([edge_parts(tool), [radius, edges[-1, 1], radius, math.inf, 0.0, 1.0, 0.0]])
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
@@ -146,6 +148,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
         edges[:, 1] / stock.level_step,
         *(np.append(values, last) for values, last in zip((total, bend, *means), cylinder, strict=True)),
         edges[:, 0].copy(),
-        np.vstack([edge_parts(tool), [radius, edges[-1, 1], radius, math.inf, 0.0, 1.0, 0.0]]),
+        parts,
+        bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any()),
     )
     return profile, radius, float(edges[1:, 0][flat].max(initial=0.0))

@@ -84,8 +84,10 @@ def _tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
     e2x, e2y, e2z = ay * e1z - az * e1y, az * e1x - ax * e1z, ax * e1y - ay * e1x
     frame = (e1x, e1y, e1z, e2x, e2y, e2z, ax, ay, az)
     end, axis, before = (second[0], second[1], second[2]), (second[3], second[4], second[5]), first[3:6]
-    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame)
-    if passes <= 0.0:
+    removed = s.floats[LEVEL_SUM]
+    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame, s.ints[FLOOR_LEVEL] >= 0)
+    s.ints[FLOOR_LEVEL] = 0
+    if passes <= 0.0 or s.floats[LEVEL_SUM] == removed:
         return 0.0, 0.0, 0.0
     # omega = a x da; its parts along e1 and e2 are -da.e2 and da.e1
     turn_1, turn_2 = -(bx * e2x + by * e2y + bz * e2z), bx * e1x + by * e1y + bz * e1z
@@ -144,9 +146,9 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
 @inlined
 def _empty(s):
     """Empty the bins."""
-    for b in range(s.edge.lost.shape[0]):
-        for k in range(s.edge.lost.shape[1]):
-            s.edge.lost[b, k] = 0.0
+    for k in range(s.edge.lost.shape[0]):
+        for b in range(s.edge.lost.shape[1]):
+            s.edge.lost[k, b] = 0.0
     for k in range(s.edge.raised.size):
         s.edge.raised[k] = 0.0
 
@@ -281,10 +283,10 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
             if edge > z:
                 if edge >= end:
                     break
-                edges.lost[b, angle] += each * (edge - z)
+                edges.lost[angle, b] += each * (edge - z)
                 z = edge
             b += 1
-        edges.lost[b, angle] += each * (end - z)
+        edges.lost[angle, b] += each * (end - z)
         if b == last_piece:
             edges.raised[angle] += each * (end - z) * 0.5 * (end + z)
     s.ints[LOGGED] = logged
@@ -324,12 +326,12 @@ def _load(s, p, motion, frame, passes, wrench):
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
         for n in range(last + 1):
             b = n if k < bins else last - n
-            volume = s.edge.lost[b, k] + left
+            volume = s.edge.lost[k, b] + left
             if volume <= 0.0:
                 continue
             middle = shape.middle[min(b, last - 1)]
-            if b == last and s.edge.lost[b, k] > 0.0:
-                middle = s.edge.raised[k] / s.edge.lost[b, k] * p.level_step
+            if b == last and s.edge.lost[k, b] > 0.0:
+                middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
             swing = turning * (middle * shape.sine[b] + shape.cosine_area[b])
             normal = forward * shape.sine[b] - dz * shape.cosine[b] + swing
             area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * shape.lever[b]

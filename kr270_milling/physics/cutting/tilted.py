@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.physics.cutting.compiled import compiled, inlined
 from kr270_milling.physics.cutting.engagement import BEYOND, FLOOR_LEVEL, LOG_LOST, RIM, SINES, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
@@ -45,10 +45,9 @@ def _turned(x, y, z):
     return x / s, y / s, s, z
 
 
-@inlined
-def _touch(p, u, v, s, c):
+@compiled
+def _touch(parts, u, v, s, c):
     """Return the lowest point of the tool at (u, v) from its tip and its outward normal along u, v, z; or MISSED."""
-    parts = p.profile.parts
     for k in range(parts.shape[0]):
         r0, z0, r1, z1, corner = parts[k, 0], parts[k, 1], parts[k, 2], parts[k, 3], parts[k, 4]
         if corner > 0.0 and r0 < FLAT:  # a sphere
@@ -71,7 +70,7 @@ def _touch(p, u, v, s, c):
                 out = max(rho - r0, 0.0)
                 far = math.sqrt(out * out + (middle - h) * (middle - h))
                 slope = (-out * x * s / (c * rho) - (middle - h)) / far
-                if far - corner <= FLAT * 1e-2:
+                if far - corner <= 2e-9:  # [m]
                     found = True
                     break
                 if slope >= 0.0:
@@ -103,10 +102,9 @@ def _touch(p, u, v, s, c):
     return MISSED, 0.0, 0.0, -1.0
 
 
-@inlined
-def _radius_at(p, h):
+@compiled
+def _radius_at(parts, h):
     """Return the radius of the tool at a height above its tip [m]."""
-    parts = p.profile.parts
     radius = 0.0
     for k in range(parts.shape[0]):
         if h >= parts[k, 1]:
@@ -121,27 +119,25 @@ def _radius_at(p, h):
     return radius
 
 
-@inlined
-def _inside(p, u, v, s, c):
+@compiled
+def _inside(parts, u, v, s, c):
     """Return how far a node is inside the shadow of the tool [m], and the direction out of it along u and v."""
-    parts = p.profile.parts
     best, best_u, best_v = -1e9, 1.0, 0.0
     for k in range(parts.shape[0]):
         corner, r, h = parts[k, 4], parts[k, 2], parts[k, 3]
         if corner > 0.0:
             r, h = parts[k, 0], parts[k, 1] + corner
-        if k == parts.shape[0] - 1:
-            r, h = parts[k, 0], parts[k, 1]
+        elif parts[k, 5] > FLAT:  # the height at which the line is widest beside the node
+            rise = parts[k, 6] / parts[k, 5]
+            bend = rise * c / max(s, FLAT)
+            if bend < 1.0:
+                h = (u + c * bend * abs(v) / math.sqrt(1.0 - bend * bend)) / max(s, FLAT)
+                h = min(max(h, parts[k, 1]), parts[k, 3])
+                r = parts[k, 0] + rise * (h - parts[k, 1])
         x = (u - h * s) / c
-        if k == parts.shape[0] - 1 and x > 0.0:
-            depth, out_u, out_v = r - abs(v), 0.0, 1.0 if v > 0.0 else -1.0
-            if s < FLAT:  # upright: a circle
-                rho = math.sqrt(x * x + v * v) + 1e-15
-                depth, out_u, out_v = r - rho, x / rho, v / rho
-        else:
-            q = math.sqrt(x * x + v * v) + 1e-15
-            slope = math.sqrt(x * x / (c * c) + v * v) / q
-            depth, out_u, out_v = (r - q) / slope + corner, x / (c * q * slope), v / (q * slope)
+        q = math.sqrt(x * x + v * v) + 1e-15
+        slope = math.sqrt(x * x / (c * c) + v * v) / q
+        depth, out_u, out_v = (r - q) / slope + corner, x / (c * q * slope), v / (q * slope)
         if depth > best:
             best, best_u, best_v = depth, out_u, out_v
     return best, best_u, best_v
@@ -162,7 +158,7 @@ def _look(p, step, t, x, y):
         scale = 1.0 / math.sqrt(a * a + b * b + e * e)
         ux, uy, s, c = _turned(a * scale, b * scale, e * scale)
     u, v = x * ux + y * uy, y * ux - x * uy
-    z, nu, nv, nz = _touch(p, u, v, s, c)
+    z, nu, nv, nz = _touch(p.profile.parts, u, v, s, c)
     if z == MISSED:
         return z, 0.0, 0.0
     nx, ny = nu * ux - nv * uy, nu * uy + nv * ux
@@ -208,10 +204,11 @@ def _lowest_on_way(p, step, x, y, last, rate, enough):
 
 
 @inlined
-def lower_tilted(s, p, tip, axis_from, axis, move, frame):
+def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
     """Lower the nodes that the tool reaches on a step that ends at ``tip`` with ``axis``, and fill the bins.
 
-    tip, axis_from, axis, move: three numbers each; frame: e1, e2 and a in the middle of the step, nine numbers.
+    tip, axis_from, axis, move: three numbers each; frame: e1, e2 and a in the middle of the step, nine numbers;
+    follows: the tool comes from its last place, so that it has cut all that its back covers.
     """
     tip_x, tip_y, tip_z = tip
     ax, ay, az = axis
@@ -231,7 +228,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame):
     under = p.top - tip_z - lowest + max(dz, 0.0)  # depth of the lowest point
     if under <= 1e-3 * p.level_step:
         return
-    levels = 1.0 / p.level_step
+    levels, hollow = 1.0 / p.level_step, p.profile.hollow
     most = under * levels
     rim = RIM * p.spacing
     reach = p.radius + rim
@@ -273,14 +270,24 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame):
             half = 0.5 * (end - j) * p.spacing
             y = (j * p.spacing - shift_y) + half
             z, rate, slope = _look(p, step, 1.0, x, y)
-            if z != MISSED and (p.top - tip_z - z + abs(slope) * half + max(rate, 0.0)) * levels < known + 0.5:
+            if hollow:
+                z = MISSED  # of no use for the other nodes of the run
+            bound = p.top - tip_z - z + max(rate, 0.0)
+            if z != MISSED and (bound + abs(slope) * half) * levels < known + 0.5:
                 continue
+            if follows and z != MISSED:
+                start, rate, _ = _look(p, step, 0.0, x, y - half)
+                if start != MISSED and rate >= 0.0:
+                    start, rate, _ = _look(p, step, 0.0, x, y + half)
+                    if start != MISSED and rate >= 0.0:
+                        continue
             if slot < 0:
                 slot = take_tile(s, i, j)
                 if slot < 0:
                     return
                 place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
-            _lower_run(s, p, step, frame, tip_z, i, j, end, place, x, shift_y)
+            plane = (bound, slope, y) if z != MISSED else (1e9, 0.0, 0.0)
+            _lower_run(s, p, step, frame, tip_z, i, j, end, place, x, shift_y, plane)
             run = np.uint64((place + j) // RUN)
             least = np.uint16(LEVELS)
             for n in range(RUN):
@@ -289,8 +296,11 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame):
 
 
 @inlined
-def _lower_run(s, p, step, frame, tip_z, i, low, high, base, x, shift_y):
-    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins."""
+def _lower_run(s, p, step, frame, tip_z, i, low, high, base, x, shift_y, plane):
+    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
+
+    plane: depth of the tangent plane below the top at a place y, its slope and y: no node is lowered further.
+    """
     ux, uy, sine, cosine = step[12], step[13], step[14], step[15]
     depth, levels, rim = p.top - tip_z, 1.0 / p.level_step, RIM * p.spacing
     logged, total, new = s.ints[LOGGED], 0, 0
@@ -300,15 +310,17 @@ def _lower_run(s, p, step, frame, tip_z, i, low, high, base, x, shift_y):
     near = False
     for j in (low, high):
         y = j * p.spacing - shift_y
-        inside, _, _ = _inside(p, x * ux + y * uy, y * ux - x * uy, sine, cosine)
+        inside, _, _ = _inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
         near = near or inside < rim
     for j in range(low, high + 1):
         y, at_x = j * p.spacing - shift_y, x
         place = np.uint64(base + j)
         before, rest = np.int64(s.pool[place]), np.int64(s.rest[place])
         part = 1.0
+        if (plane[0] - plane[1] * (y - plane[2])) * levels < rest + 0.5 and not near:
+            continue
         if near:
-            inside, out_u, out_v = _inside(p, x * ux + y * uy, y * ux - x * uy, sine, cosine)
+            inside, out_u, out_v = _inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
             if inside < rim:
                 out_x, out_y = out_u * ux - out_v * uy, out_u * uy + out_v * ux
                 part = min(0.5 + inside / (p.spacing * (abs(out_x) + abs(out_y))), 1.0)
@@ -364,10 +376,13 @@ def _sort_column(s, p, step, frame, share, column, lost):
     count = 1 + min(int(height / (SLICE * p.radius)), 1000)
     each, thick = lost / count, height / count
     entry = ENTRIES / p.radius
-    top_height = (end_z + height) * step[8] + end_x * step[6] + end_y * step[7]
-    square = end_x * end_x + end_y * end_y + (end_z + height) * (end_z + height) - top_height * top_height
-    wide = _radius_at(p, top_height) + p.spacing
-    leaves = step[14] > FLAT and top_height > 0.0 and square > wide * wide
+    slant = end_x * step[6] + end_y * step[7]
+    at = (end_z + height) * step[8] + slant
+    leaves = False
+    if at > 0.0 and slant < at * step[14] * step[14]:
+        square = end_x * end_x + end_y * end_y + (end_z + height) * (end_z + height) - at * at
+        wide = _radius_at(p.profile.parts, at) + p.spacing
+        leaves = square > wide * wide
     b = np.int64(-1)
     for n in range(count):
         up = (n + 0.5) * thick
@@ -378,10 +393,10 @@ def _sort_column(s, p, step, frame, share, column, lost):
         rho = math.sqrt(e1 * e1 + e2 * e2) + 1e-15
         across = e2 / rho
         if leaves:
-            at = (end_z + up) * step[8] + end_x * step[6] + end_y * step[7]
+            at = (end_z + up) * step[8] + slant
             square = end_x * end_x + end_y * end_y + (end_z + up) * (end_z + up) - at * at
-            radius = _radius_at(p, at) + slack
-            if at > 0.0 and square > radius * radius and end_x * step[6] + end_y * step[7] < at * step[14] * step[14]:
+            radius = _radius_at(p.profile.parts, at) + slack
+            if at > 0.0 and square > radius * radius and slant < at * step[14] * step[14]:
                 s.floats[UNDERCUT] += each * p.level_step
                 if e1 <= 0.0 or abs(e2) >= radius:
                     continue
@@ -395,6 +410,6 @@ def _sort_column(s, p, step, frame, share, column, lost):
         angle = np.int64(p.front[np.int64(BEYOND + 0.5 * SINES * (1.0 + across))])
         if e1 < 0.0:
             angle += bins
-        s.edge.lost[b, angle] += each
+        s.edge.lost[angle, b] += each
         if b == last:
             s.edge.raised[angle] += each * h / p.level_step
