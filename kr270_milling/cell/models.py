@@ -64,7 +64,10 @@ def cut_of(cell: Cell, rigid: bool = False) -> CutModel:
     """Fresh workpiece; of a later tool the stock that the earlier tools leave, rigid: on their programmed paths."""
     cut: CutModel
     common = cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step
-    cut = EngagementCut(*common, give=_give(cell)) if cell.cutting.by_engagement else Cut(*common)
+    if cell.cutting.by_engagement:
+        cut = EngagementCut(*common, give=_give(cell), tilts=path_of(cell).tilts)
+    else:
+        cut = Cut(*common)
     if cell.earlier:
         cut.continue_from(cleared(cell.earlier, cell.stock, not rigid))
     return cut

@@ -11,7 +11,7 @@ import numpy as np
 
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError, ParameterError
-from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
@@ -19,7 +19,9 @@ from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.motion.periods import Exchange
 
 __all__ = [
+    "BY_TEETH",
     "MOST_STEPS",
+    "UPRIGHT",
     "check_duration",
     "check_effort",
     "check_feed",
@@ -27,9 +29,12 @@ __all__ = [
     "check_path",
     "check_postures",
     "sinking",
+    "tilt_of",
 ]
 
 MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
+UPRIGHT = math.radians(0.01)  #: the heel of a flat end of 10 mm then rises by 1 um
+BY_TEETH = math.radians(1.0)  #: the sweep is that of a tool along z: beyond this its floors and chips are others
 MOST_VISITS = 1e13  #: nodes under the footprint, each time that it is swept as a whole, some ns each
 
 
@@ -78,21 +83,23 @@ def check_postures(count: int, spacing: float) -> None:
         raise ParameterError("dynamics.posture_spacing_mm", spacing * 1e3, allowed)
 
 
-def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
+def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock, by_teeth: bool = True) -> None:
     """Raise InputError, with the line where there is one, for a path that does not belong to tool and stock."""
     path = timed.toolpath
-    check_moves(file, path)
-    wrong = _other_spindle(path, tool) or _beside_stock(timed, tool, stock)
+    check_moves(file, path, by_teeth)
+    wrong = _other_spindle(path, tool)
+    if not wrong and not (tilt_of(path) > UPRIGHT).any():  # the side of a leaning tool cuts beside its tip
+        wrong = _beside_stock(timed, tool, stock)
     if wrong:
         reason, block = wrong
         raise InputError(file, reason, int(path.line[block]) or None)
 
 
-def check_moves(file: str, path: Toolpath) -> None:
-    """Raise InputError for a path without a cutting move, and for one with a tilted tool."""
+def check_moves(file: str, path: Toolpath, by_teeth: bool = True) -> None:
+    """Raise InputError for a path without a cutting move, and for a tilt that the cut does not model."""
     if path.rapid[1:].all():
         raise InputError(file, "has no cutting move: every block is a rapid one")
-    tilted = _tilted(path)
+    tilted = _tilted(path, by_teeth)
     if tilted:
         reason, block = tilted
         raise InputError(file, reason, int(path.line[block]) or None)
@@ -122,18 +129,25 @@ def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
     )
 
 
-def _tilted(path: Toolpath) -> tuple[str, int] | None:
-    """Return the reason and the block where the tool tilts: the cut supports one tool axis, z of the workpiece."""
-    axis = rotation_from_quaternion(path.quaternion)[:, :, 2]
-    tilt = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), -axis[:, 2])
-    upright = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
-    over = ~path.rapid & (tilt > upright)
-    if not over.any():
+def tilt_of(path: Toolpath) -> np.ndarray:
+    """Return the angle between the tool and z of the workpiece at each block [rad], (n,); 0 for rapid moves."""
+    axis = tool_axis(path.quaternion)
+    return np.where(path.rapid, 0.0, np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), axis[:, 2]))
+
+
+def _tilted(path: Toolpath, by_teeth: bool) -> tuple[str, int] | None:
+    """Return the reason and the block where the tool tilts by more than the model of the cut supports."""
+    tilt = tilt_of(path)
+    # assumed: beyond 75 deg the side of the tool hides most of the material from the height map
+    most = BY_TEETH if by_teeth else math.radians(75.0)
+    if not (tilt > most).any():
         return None
-    block = int(np.argmax(over))
+    block = int(np.argmax(tilt > most))
+    model = "cutting.detail: teeth is the cut" if by_teeth else "the height map of cutting.detail: engagement is that"
+    advice = "; cutting.detail: engagement cuts with a tilted axis" if by_teeth else ""
     reason = (
-        f"point {block + 1} of the path: the tool is tilted by {np.degrees(tilt[block]):.4g} deg, but the cut is "
-        f"that of a tool along z of the workpiece (within {np.degrees(upright):g} deg)"
+        f"point {block + 1} of the path: the tool is tilted by {np.degrees(tilt[block]):.4g} deg, but {model} "
+        f"of a tool along z of the workpiece (within {np.degrees(most):g} deg){advice}"
     )
     return reason, block
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.cell.arm import PlacedArm
-from kr270_milling.cell.path import MOST_STEPS, check_duration, check_effort, check_path
+from kr270_milling.cell.path import MOST_STEPS, UPRIGHT, check_duration, check_effort, check_path
 from kr270_milling.cell.sections import PathSection
 from kr270_milling.path.timing import TimedPath, Timing, limit_by_joints, time_path
 from kr270_milling.path.trajectory import Trajectory
@@ -43,6 +43,7 @@ class StraightCut(_Programmed):
     by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
+    tilts = False  #: the axis of the tool leaves z of the workpiece while it cuts
     drills = False  #: the program has a drilling cycle
     mills = True  #: the program cuts in more than drilling cycles
 
@@ -142,7 +143,7 @@ class ProgramPath(_Programmed):
         """
         timed = _timed_by_controller(self.path, self.timing)
         check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock, self.by_teeth)
-        check_path(self.path.file, timed, self.tool, self.stock)
+        check_path(self.path.file, timed, self.tool, self.stock, self.by_teeth)
         return timed
 
     @functools.cached_property
@@ -180,6 +181,11 @@ class ProgramPath(_Programmed):
     def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Return whether the tool makes a rapid move at times (n,) [ns]."""
         return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
+
+    @property
+    def tilts(self) -> bool:
+        """Return whether the axis of the tool leaves z of the workpiece by more than ``UPRIGHT`` while it cuts."""
+        return self.path.tilt > UPRIGHT
 
     @property
     def drills(self) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, derived, parameter, specs
-from kr270_milling.cell.path import check_feed
+from kr270_milling.cell.path import check_feed, tilt_of
 from kr270_milling.path.cam.readers import READERS, PathReader, known_reader, read_path_file
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.timing import TimedPath
@@ -160,6 +160,14 @@ class PathSection(Record):
             return read.trajectory.duration_ns * 1e-9
         cutting = ~read.rapid & (read.feed > 0.0)  # a recorded path may begin with a block without a feed
         return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
+
+    @property
+    def tilt(self) -> float:
+        """Return the largest angle between the tool and z of the workpiece in a cutting move [rad]; 0: no program."""
+        if not self.file:
+            return 0.0
+        read = self.read()
+        return float(tilt_of(read.toolpath if isinstance(read, TimedPath) else read).max())
 
     @property
     def feeds(self) -> tuple[float, float, float]:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
@@ -147,7 +148,8 @@ def _result(
     planned = run.sample(stamps)
     shift = planned + rows["deflection"][:, :3] - tool
     cut, counts = cut_of(plant), steps * path_of(plant).clock.micro_steps
-    _, torque, volume = cut.along(tool, counts, predicted=True)
+    axes = tool_axis(rows["tool_pose"][:, 3:7]) if cut.tilts else None
+    _, torque, volume = cut.along(tool, counts, predicted=True, axes=axes)
     silent = silent_periods(path_of(plant).drilling_at(stamps))
     torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(

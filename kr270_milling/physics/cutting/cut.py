@@ -55,10 +55,12 @@ class CutModel:
         """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
 
         first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
-        A tool that tilts has the axis after each position, (6,). Returns the mean wrench (6,) on the tool, moments about
-        its tip [N, N m]. Raises MillingError.
+        Of a tool that tilts, each position may have the axis after it, (6,). Returns the mean wrench (6,) on the tool,
+        moments about its tip [N, N m]. Raises MillingError.
         """
         start, end = np.array(pose_from, float), np.array(pose_to, float)
+        if self.tilts and start.shape == end.shape == (3,):
+            start, end = self.poses(np.vstack([start, end]), None)
         size = 6 if self.tilts else 3
         sound = start.shape == end.shape == (size,) and all(map(math.isfinite, start.tolist() + end.tolist()))
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):

@@ -127,6 +127,7 @@ class EngagementParams(NamedTuple):
     directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
     profile: Profile | None  # None: a flat end, which is compiled without ``revolution``
+    tilts: bool  # poses have an axis
 
 
 class EngagementState(NamedTuple):
@@ -151,6 +152,7 @@ class EngagementState(NamedTuple):
     ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
     sunk: np.ndarray  # (sectors, 3): removed below the former footprint: levels, nodes, and nodes times R / r
     edge: EdgeBins | None  # None: a flat end
+    axis: np.ndarray | None  # (3,): axis of the tool at the end of the last step; None: it is always upright
 
 
 def make_engagement_params(
@@ -179,6 +181,7 @@ def make_engagement_params(
         twist=math.tan(tool.helix) / widest,
         give=give,
         profile=profile,
+        tilts=tilts,
         **tables(widest, stock.grid_step, bins),
     )
 
@@ -248,6 +251,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
         ahead=np.zeros((bins, 2)),
         sunk=np.zeros((SECTORS, 3)),
         edge=edge,
+        axis=np.array([0.0, 0.0, 1.0]) if p.tilts else None,
     )
 
 
@@ -255,8 +259,8 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
 def engage(s, p, pose_from, pose_to, n, wrench):
     """Move the tool tip straight from one position to another while the spindle turns by n micro-steps.
 
-    s: state, changed; p: params; positions (3,) [m], workpiece frame, or (6,) with the axis after them; wrench: (6,), filled with the mean force and
-    moment about the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
+    s: state, changed; p: params; positions (3,) [m], workpiece frame, or (6,) with the axis after them; wrench: (6,),
+    filled with the mean force and moment about the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
     """
     for j in range(s.ints.size):
         s.saved_ints[j] = s.ints[j]
@@ -276,7 +280,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         wrench[j] = 0.0
     dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
     tilted, way = False, math.sqrt(dx * dx + dy * dy)
-    if pose_to.size == 6 and max(hypot2(pose_from), hypot2(pose_to)) > UPRIGHT * UPRIGHT:
+    if p.tilts and max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT:
         tilted, dz = True, pose_to[2] - pose_from[2]
         ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
         way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
@@ -354,7 +358,7 @@ def _rise(s, p, z, passes, give):
 
 
 @inlined
-def hypot2(pose):
+def slant(pose):
     """Return the square of the sine of the tilt of a pose (6,)."""
     return pose[3] * pose[3] + pose[4] * pose[4]
 
@@ -369,9 +373,9 @@ def cut_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     raise NotImplementedError
 
 
-def has_profile(s) -> bool:
-    """Return whether a state, its type in compiled code, is that of a tool with a profile."""
-    return s.types[s.fields.index("edge")] != types.none
+def has_profile(s, field: str = "edge") -> bool:
+    """Return whether a state, its type in compiled code, is that of a tool with a profile, or with another field."""
+    return s.types[s.fields.index(field)] != types.none
 
 
 @overload(cut_part, inline="always")

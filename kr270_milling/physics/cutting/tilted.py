@@ -10,8 +10,8 @@ root of a quadratic; the torus of a corner takes some Newton steps, which approa
 
 In a step a node is lowered to the lowest point that the tool has there on its way. The height falls with the rate
 (d.n) / n_z, d the move of that point of the tool and n its normal. As the height is convex, its least value lies where
-the rate changes its sign. The volume that a column loses is divided into slices. Each is sorted by its angle phi and its
-piece of the edge, seen from the middle of the way that cuts the column.
+the rate changes its sign. The volume that a column loses is divided into slices. Each is sorted by its angle phi and
+its piece of the edge, seen from the middle of the way that cuts the column.
 
 The map has no material below a leaning tool's flank. What a column loses above the tool is counted as ``UNDERCUT``; it
 has a force where the tool will meet this material on its way ahead, and none where the tool has passed it.
@@ -24,7 +24,7 @@ import math
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined
-from kr270_milling.physics.cutting.engagement import BEYOND, FLOOR_LEVEL, LOG_LOST, RIM, SINES, take_tile
+from kr270_milling.physics.cutting.engagement import BEYOND, LOG_LOST, RIM, SINES, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT, UNDERCUT
@@ -43,6 +43,12 @@ def _turned(x, y, z):
     if s < FLAT:
         return 1.0, 0.0, 0.0, 1.0
     return x / s, y / s, s, z
+
+
+@inlined
+def _normal(x, v, rho, sine, cosine, s, c):
+    """Return the outward normal along u, v and z, at the place (x, v) of a circle about the axis."""
+    return sine * x * c / rho - cosine * s, sine * v / rho, -sine * x * s / rho - cosine * c
 
 
 @compiled
@@ -79,8 +85,7 @@ def _touch(parts, u, v, s, c):
                 if h > z1 + FLAT:
                     break
             if found:
-                sine, cosine = out / corner, (middle - h) / corner
-                return (h - u * s) / c, sine * x * c / rho - cosine * s, sine * v / rho, -sine * x * s / rho - cosine * c
+                return (h - u * s) / c, *_normal(x, v, rho, out / corner, (middle - h) / corner, s, c)
         elif parts[k, 5] < FLAT:  # level: the end, or a ledge
             x = (u - z0 * s) / c
             square = x * x + v * v
@@ -98,7 +103,7 @@ def _touch(parts, u, v, s, c):
             h = (v * v + u * u / (c * c) - base * base) / (b + math.sqrt(square))
             if z0 <= h <= z1:
                 x, rho = (u - h * s) / c, base + rise * h + 1e-15
-                return (h - u * s) / c, sine * x * c / rho - cosine * s, sine * v / rho, -sine * x * s / rho - cosine * c
+                return (h - u * s) / c, *_normal(x, v, rho, sine, cosine, s, c)
     return MISSED, 0.0, 0.0, -1.0
 
 
@@ -224,7 +229,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
         if corner > 0.0:
             lowest = min(lowest, (parts[k, 1] + corner) * cosine - parts[k, 0] * sine - corner)
         else:
-            lowest = min(lowest, min(parts[k, 1] * cosine - parts[k, 0] * sine, parts[k, 3] * cosine - parts[k, 2] * sine))
+            lowest = min(lowest, parts[k, 1] * cosine - parts[k, 0] * sine, parts[k, 3] * cosine - parts[k, 2] * sine)
     under = p.top - tip_z - lowest + max(dz, 0.0)  # depth of the lowest point
     if under <= 1e-3 * p.level_step:
         return
@@ -403,9 +408,9 @@ def _sort_column(s, p, step, frame, share, column, lost):
                 across, rho = e2 / radius, radius
         if b < 0:
             b = np.int64(shape.piece[min(np.int64(rho * entry), ENTRIES)])
-        while b < last and (rho - shape.rims[b + 1]) * shape.cosine[b] + (h - shape.edges[b + 1] * p.level_step) * shape.sine[b] > 0.0:
+        while b < last and _above(shape, b, rho, h / p.level_step, p.level_step):
             b += 1
-        while b > 0 and (rho - shape.rims[b]) * shape.cosine[b - 1] + (h - shape.edges[b] * p.level_step) * shape.sine[b - 1] < 0.0:
+        while b > 0 and not _above(shape, b - 1, rho, h / p.level_step, p.level_step):
             b -= 1
         angle = np.int64(p.front[np.int64(BEYOND + 0.5 * SINES * (1.0 + across))])
         if e1 < 0.0:
@@ -413,3 +418,10 @@ def _sort_column(s, p, step, frame, share, column, lost):
         s.edge.lost[angle, b] += each
         if b == last:
             s.edge.raised[angle] += each * h / p.level_step
+
+
+@inlined
+def _above(shape, b, rho, level, level_step):
+    """Return whether a place at a distance [m] from the axis and a level above the tip is beyond the piece b."""
+    up = (level - shape.edges[b + 1]) * level_step
+    return (rho - shape.rims[b + 1]) * shape.cosine[b] + up * shape.sine[b] > 0.0
