@@ -127,7 +127,7 @@ class EngagementParams(NamedTuple):
     directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
     profile: Profile | None  # None: a flat end, which is compiled without ``revolution``
-    tilts: bool  # poses have an axis
+    tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
 
 
 class EngagementState(NamedTuple):
@@ -138,7 +138,7 @@ class EngagementState(NamedTuple):
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
     floats: np.ndarray  # (FLOATS,)
-    last: np.ndarray  # (3,): tool tip at the end of the last step [m]; NaN: none
+    last: np.ndarray  # (3,): tool tip at the end of the last step [m]; NaN: none; (6,) with the axis after it
     saved_ints: np.ndarray  # as they were before the last step
     saved_floats: np.ndarray
     saved_last: np.ndarray
@@ -152,7 +152,6 @@ class EngagementState(NamedTuple):
     ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
     sunk: np.ndarray  # (sectors, 3): removed below the former footprint: levels, nodes, and nodes times R / r
     edge: EdgeBins | None  # None: a flat end
-    axis: np.ndarray | None  # (3,): axis of the tool at the end of the last step; None: it is always upright
 
 
 def make_engagement_params(
@@ -181,7 +180,7 @@ def make_engagement_params(
         twist=math.tan(tool.helix) / widest,
         give=give,
         profile=profile,
-        tilts=tilts,
+        tilts=tilts or None,
         **tables(widest, stock.grid_step, bins),
     )
 
@@ -237,10 +236,10 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
         table=np.full(tiles, -1, np.int32),
         ints=ints,
         floats=np.zeros(FLOATS),
-        last=np.full(3, math.nan),
+        last=np.full(6 if p.tilts else 3, math.nan),
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
-        saved_last=np.full(3, math.nan),
+        saved_last=np.full(6 if p.tilts else 3, math.nan),
         load=np.zeros(10),
         saved_load=np.zeros(10),
         log_place=np.empty(8 * footprint, np.int64),
@@ -251,7 +250,6 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
         ahead=np.zeros((bins, 2)),
         sunk=np.zeros((SECTORS, 3)),
         edge=edge,
-        axis=np.array([0.0, 0.0, 1.0]) if p.tilts else None,
     )
 
 
@@ -266,21 +264,23 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         s.saved_ints[j] = s.ints[j]
     for j in range(s.floats.size):
         s.saved_floats[j] = s.floats[j]
-    for j in range(3):
+    follows = True  # the tool comes from its last place
+    for j in range(s.last.size):
         s.saved_last[j] = s.last[j]
+        follows = follows and s.last[j] == pose_from[j]
     for j in range(s.load.size):
         s.saved_load[j] = s.load[j]
     s.ints[LOGGED] = 0
     s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
-    if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
-        s.ints[FLOOR_LEVEL] = -1  # the tool did not come from its last place: what its footprint has cut is not known
+    if not follows:
+        s.ints[FLOOR_LEVEL] = -1  # what the footprint of the tool has cut is not known
         s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
         s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.end_radius
     for j in range(6):
         wrench[j] = 0.0
     dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
     tilted, way = False, math.sqrt(dx * dx + dy * dy)
-    if p.tilts and max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT:
+    if is_tilted(p, pose_from, pose_to):
         tilted, dz = True, pose_to[2] - pose_from[2]
         ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
         way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
@@ -318,7 +318,7 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     torque /= parts
     if p.moments and not tilted:
         wrench[5] = -p.sense * torque
-    for j in range(3):
+    for j in range(s.last.size):
         s.last[j] = pose_to[j]
     fresh = turn / (turn + p.lag + p.twist * height / parts)
     for j in range(6):
@@ -374,8 +374,20 @@ def cut_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
 
 
 def has_profile(s, field: str = "edge") -> bool:
-    """Return whether a state, its type in compiled code, is that of a tool with a profile, or with another field."""
+    """Return whether a state, its type in compiled code, is that of a tool with a profile, or a record has a field."""
     return s.types[s.fields.index(field)] != types.none
+
+
+def is_tilted(p, pose_from, pose_to):
+    """Plain form of compiled code: whether the axis leaves z of the workpiece in a step."""
+    raise NotImplementedError
+
+
+@overload(is_tilted, inline="always")
+def _is_tilted_of(p, pose_from, pose_to):
+    if has_profile(p, "tilts"):
+        return lambda p, pose_from, pose_to: max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT
+    return lambda p, pose_from, pose_to: False
 
 
 @overload(cut_part, inline="always")
@@ -731,7 +743,7 @@ def undo_engagement(s):
         s.ints[j] = s.saved_ints[j]
     for j in range(s.floats.size):
         s.floats[j] = s.saved_floats[j]
-    for j in range(3):
+    for j in range(s.last.size):
         s.last[j] = s.saved_last[j]
     for j in range(s.load.size):
         s.load[j] = s.saved_load[j]

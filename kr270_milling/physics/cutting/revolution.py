@@ -33,7 +33,6 @@ from kr270_milling.physics.cutting.engagement import (
     FLOOR_NEAR,
     RIM,
     SINES,
-    UPRIGHT,
     cut_part,
     cut_tilted,
     has_profile,
@@ -56,7 +55,7 @@ MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 @overload(cut_tilted, inline="always")
 def _cut_tilted_of(s, p, pose_from, pose_to, a, b, passes, wrench):
-    if has_profile(s, "axis"):
+    if has_profile(p, "tilts"):
         return lambda s, p, pose_from, pose_to, a, b, passes, wrench: _tilted_part(
             s, p, pose_from, pose_to, a, b, passes, wrench
         )
@@ -74,6 +73,8 @@ def _tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
     ax, ay, az = ax * scale, ay * scale, az * scale
     bx, by, bz = second[3] - first[3], second[4] - first[4], second[5] - first[5]
     sink = dx * ax + dy * ay + dz * az
+    if abs(sink) < 1e-9 * (abs(dx) + abs(dy) + abs(dz)):  # rounding, which would press the end on the floor
+        sink = 0.0
     e1x, e1y, e1z = dx - sink * ax + p.radius * bx, dy - sink * ay + p.radius * by, dz - sink * az + p.radius * bz
     swing = e1x * ax + e1y * ay + e1z * az
     e1x, e1y, e1z = e1x - swing * ax, e1y - swing * ay, e1z - swing * az
@@ -86,12 +87,8 @@ def _tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
     frame = (e1x, e1y, e1z, e2x, e2y, e2z, ax, ay, az)
     end, axis, before = (second[0], second[1], second[2]), (second[3], second[4], second[5]), first[3:6]
     removed = s.floats[LEVEL_SUM]
-    turned = abs(before[0] - s.axis[0]) + abs(before[1] - s.axis[1]) + abs(before[2] - s.axis[2])
-    follows = s.ints[FLOOR_LEVEL] >= 0 and turned < UPRIGHT
-    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame, follows)
-    s.ints[FLOOR_LEVEL] = 0
-    for j in range(3):
-        s.axis[j] = axis[j]
+    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame, s.ints[FLOOR_LEVEL] >= 0)
+    s.ints[FLOOR_LEVEL] = 0  # known
     if passes <= 0.0 or s.floats[LEVEL_SUM] == removed:
         return 0.0, 0.0, 0.0
     # omega = a x da; its parts along e1 and e2 are -da.e2 and da.e1

@@ -13,8 +13,8 @@ In a step a node is lowered to the lowest point that the tool has there on its w
 the rate changes its sign. The volume that a column loses is divided into slices. Each is sorted by its angle phi and
 its piece of the edge, seen from the middle of the way that cuts the column.
 
-The map has no material below a leaning tool's flank. What a column loses above the tool is counted as ``UNDERCUT``; it
-has a force where the tool will meet this material on its way ahead, and none where the tool has passed it.
+A column of the map also loses the material above a leaning flank. Where the tool meets this material on its way ahead,
+its force counts now. Where the tool has passed it, it has no force, and is counted as ``UNDERCUT``.
 """
 
 from __future__ import annotations
@@ -402,8 +402,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
             square = end_x * end_x + end_y * end_y + (end_z + up) * (end_z + up) - at * at
             radius = _radius_at(p.profile.parts, at) + slack
             if at > 0.0 and square > radius * radius and slant < at * step[14] * step[14]:
-                s.floats[UNDERCUT] += each * p.level_step
                 if e1 <= 0.0 or abs(e2) >= radius:
+                    s.floats[UNDERCUT] += each * p.level_step
                     continue
                 across, rho = e2 / radius, radius
         if b < 0:

@@ -68,6 +68,7 @@ class PassResult:
     wall_time: float  #: [s], of the pass alone
     heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not stored
     every: int = 1  #: exchange periods of a row
+    undercut_volume: float = 0.0  #: part of the removed volume that was above a leaning tool [m^3]
 
     @property
     def time(self) -> np.ndarray:
@@ -232,7 +233,7 @@ def run_pass(
     series["time_ns"] = np.zeros(count, np.int64)
     filled = 0
     cut_state = cut.state if iterations > 1 else cut.state_of_pass
-    area, volume, wall = cut.removed_area, cut.removed_volume, 0.0
+    area, volume, undercut, wall = cut.removed_area, cut.removed_volume, cut.undercut_volume, 0.0
     for begin in range(0, max(n, 1), window):
         end = min(begin + window, n)
         stamps = clock.stamp(np.arange(begin, end + 1))
@@ -278,6 +279,7 @@ def run_pass(
         removed_area=cut.removed_area - area,
         removed_volume=cut.removed_volume - volume,
         wall_time=wall,
+        undercut_volume=cut.undercut_volume - undercut,
         every=every,
     )
 
