@@ -75,6 +75,11 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(q.shape[:-1] + (3, 3))
 
 
+def tool_axis(quaternion: np.ndarray) -> np.ndarray:
+    """Return unit vectors from the tool tip to the holder, (..., 3), of orientations of tcp x, y, z, w, (..., 4)."""
+    return -rotation_from_quaternion(quaternion)[..., 2]
+
+
 def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """Return quaternions x, y, z, w with w >= 0, (..., 4), of rotation matrices (..., 3, 3)."""
     r = np.asarray(rotation, float)

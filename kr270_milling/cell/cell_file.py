@@ -17,7 +17,7 @@ from kr270_milling.base.parameter_file import merge
 from kr270_milling.base.record import build, override, read_tree, specs, tree_of
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import removal_of
-from kr270_milling.cell.paths import StraightCut
+from kr270_milling.cell.paths import BY_TEETH, StraightCut
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.cell.stage import Stage
 from kr270_milling.path.cam.readers import find_tool_path
@@ -122,7 +122,7 @@ def _with_cut_model(cell: Cell) -> Cell:
     if detail == "auto":
         with contextlib.suppress(InputError):
             long_cutting = 60.0  # [s]; a longer cut is not swept tooth by tooth
-            long = cell.path.cutting_time > long_cutting or not cell.tool.has_flat_end
+            long = cell.path.cutting_time > long_cutting or not cell.tool.has_flat_end or cell.path.tilt > BY_TEETH
             detail = "engagement" if long else "teeth"
     speed, radius = cell.tool.spindle_speed, float(cell.tool.radii.max())
     if detail == "engagement":

@@ -28,6 +28,7 @@ __all__ = [
     "arm_of",
     "cut_of",
     "cut_text_of",
+    "flat_floors",
     "thin_chips",
     "low_frequency_of",
     "modal_model_of",
@@ -89,10 +90,18 @@ def cut_of(cell: Cell, rigid: bool = False) -> CutModel:
     """Fresh workpiece; of a later tool the stock that the earlier tools leave, rigid: on their programmed paths."""
     cut: CutModel
     common = cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step
-    cut = EngagementCut(*common, give=_give(cell)) if cell.cutting.by_engagement else Cut(*common)
+    if cell.cutting.by_engagement:
+        cut = EngagementCut(*common, give=_give(cell), tilts=path_of(cell).tilts)
+    else:
+        cut = Cut(*common)
     if cell.earlier:
         cut.continue_from(cleared(cell.earlier, cell.stock, not rigid))
     return cut
+
+
+def flat_floors(cell: Cell) -> bool:
+    """Return whether the tool leaves level floors and upright walls: a flat end with an upright axis."""
+    return cell.tool.has_flat_end and not path_of(cell).tilts
 
 
 def _give(cell: Cell) -> float:

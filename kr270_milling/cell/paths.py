@@ -14,7 +14,6 @@ import numpy as np
 
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError, ParameterError
-from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.sections import PathSection
 from kr270_milling.path.timing import TimedPath, Timing, limit_by_joints, time_path
@@ -24,6 +23,8 @@ from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.motion.periods import Clock, Exchange
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
+UPRIGHT = math.radians(0.01)  #: the heel of a flat end of 10 mm then rises by 1 um
+BY_TEETH = math.radians(1.0)  #: the sweep is that of a tool along z: beyond this its floors and chips are others
 MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
 MOST_VISITS = 1e13  #: nodes under the footprint, each time that it is swept as a whole, some ns each
 
@@ -73,21 +74,23 @@ def check_postures(count: int, spacing: float) -> None:
         raise ParameterError("dynamics.posture_spacing_mm", spacing * 1e3, allowed)
 
 
-def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
+def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock, by_teeth: bool = True) -> None:
     """Raise InputError, with the line where there is one, for a path that does not belong to tool and stock."""
     path = timed.toolpath
-    check_moves(file, path)
-    wrong = _other_spindle(path, tool) or _beside_stock(timed, tool, stock)
+    check_moves(file, path, by_teeth)
+    wrong = _other_spindle(path, tool)
+    if not wrong and not (path.tilt > UPRIGHT).any():  # the side of a leaning tool cuts beside its tip
+        wrong = _beside_stock(timed, tool, stock)
     if wrong:
         reason, block = wrong
         raise InputError(file, reason, int(path.line[block]) or None)
 
 
-def check_moves(file: str, path: Toolpath) -> None:
-    """Raise InputError for a path without a cutting move, and for one with a tilted tool."""
+def check_moves(file: str, path: Toolpath, by_teeth: bool = True) -> None:
+    """Raise InputError for a path without a cutting move, and for a tilt that the cut does not model."""
     if path.rapid[1:].all():
         raise InputError(file, "has no cutting move: every block is a rapid one")
-    tilted = _tilted(path)
+    tilted = _tilted(path, by_teeth)
     if tilted:
         reason, block = tilted
         raise InputError(file, reason, int(path.line[block]) or None)
@@ -117,18 +120,18 @@ def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
     )
 
 
-def _tilted(path: Toolpath) -> tuple[str, int] | None:
-    """Return the reason and the block where the tool tilts: the cut supports one tool axis, z of the workpiece."""
-    axis = rotation_from_quaternion(path.quaternion)[:, :, 2]
-    tilt = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), -axis[:, 2])
-    upright = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
-    over = ~path.rapid & (tilt > upright)
-    if not over.any():
+def _tilted(path: Toolpath, by_teeth: bool) -> tuple[str, int] | None:
+    """Return the reason and the block where the tool tilts by more than the model of the cut supports."""
+    # assumed: beyond 75 deg the side of the tool hides most of the material from the height map
+    most = BY_TEETH if by_teeth else math.radians(75.0)
+    if not (path.tilt > most).any():
         return None
-    block = int(np.argmax(over))
+    block = int(np.argmax(path.tilt > most))
+    model = "cutting.detail: teeth is the cut" if by_teeth else "the height map of cutting.detail: engagement is that"
+    advice = "; cutting.detail: engagement cuts with a tilted axis" if by_teeth else ""
     reason = (
-        f"point {block + 1} of the path: the tool is tilted by {np.degrees(tilt[block]):.4g} deg, but the cut is "
-        f"that of a tool along z of the workpiece (within {np.degrees(upright):g} deg)"
+        f"point {block + 1} of the path: the tool is tilted by {np.degrees(path.tilt[block]):.4g} deg, but {model} "
+        f"of a tool along z of the workpiece (within {np.degrees(most):g} deg){advice}"
     )
     return reason, block
 
@@ -178,6 +181,7 @@ class StraightCut(_Programmed):
     by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
+    tilts = False  #: the axis of the tool leaves z of the workpiece while it cuts
     drills = False  #: the program has a drilling cycle
     mills = True  #: the program cuts in more than drilling cycles
 
@@ -277,7 +281,7 @@ class ProgramPath(_Programmed):
         """
         timed = _timed_by_controller(self.path, self.timing)
         check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock, self.by_teeth)
-        check_path(self.path.file, timed, self.tool, self.stock)
+        check_path(self.path.file, timed, self.tool, self.stock, self.by_teeth)
         return timed
 
     @functools.cached_property
@@ -315,6 +319,11 @@ class ProgramPath(_Programmed):
     def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Return whether the tool makes a rapid move at times (n,) [ns]."""
         return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
+
+    @property
+    def tilts(self) -> bool:
+        """Return whether the axis of the tool leaves z of the workpiece by more than ``UPRIGHT`` while it cuts."""
+        return self.path.tilt > UPRIGHT
 
     @property
     def drills(self) -> bool:

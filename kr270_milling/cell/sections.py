@@ -163,6 +163,14 @@ class PathSection(Record):
         return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
 
     @property
+    def tilt(self) -> float:
+        """Return the largest angle between the tool and z of the workpiece in a cutting move [rad]; 0: no program."""
+        if not self.file:
+            return 0.0
+        read = self.read()
+        return float((read.toolpath if isinstance(read, TimedPath) else read).tilt.max())
+
+    @property
     def feeds(self) -> tuple[float, float, float]:
         """Highest and slow feed of the milling moves [m/s], and the length of the path [m]; 0: not known.
 

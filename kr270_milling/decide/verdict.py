@@ -24,7 +24,7 @@ from kr270_milling.cell.jobs import (
     record_of,
     simulate,
 )
-from kr270_milling.cell.models import arm_model_of, cut_of, path_of
+from kr270_milling.cell.models import arm_model_of, cut_of, flat_floors, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
 from kr270_milling.path.trajectory import Trajectory
@@ -261,7 +261,7 @@ def monte_carlo(
     tracked = [value for _, value in drawn if value is not None]
     if tracked:
         methods[TRACKED] = np.array(tracked)
-    surface = SURFACE_ERROR if cell.tool.has_flat_end else NORMAL_ERROR
+    surface = SURFACE_ERROR if flat_floors(cell) else NORMAL_ERROR
     quantity, shares = (PATH_DEVIATION if straight else surface), rows[:, 1, 1]
     before, after = rows[:, 0, 0], rows[:, 1, 0]
     word, reason = judge_plants(before, after, cell.uncertainty.matters_above, quantity)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.base.frames import rotation_from_quaternion, tool_axis
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, turned
 
@@ -106,6 +106,12 @@ class Toolpath:
         bent = np.abs(self.curvature) > 0
         curvature = np.where(bent, np.abs(self.curvature), 1.0)
         return np.where(bent, 2 / curvature * np.arcsin(np.clip(curvature * chord / 2, 0, 1)), chord)
+
+    @functools.cached_property
+    def tilt(self) -> np.ndarray:
+        """Return the angle between the tool and z of the workpiece at each block [rad], (n,); 0 for rapid moves."""
+        axis = tool_axis(self.quaternion)
+        return np.where(self.rapid, 0.0, np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), axis[:, 2]))
 
     @property
     def length(self) -> float:

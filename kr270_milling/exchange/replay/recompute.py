@@ -16,6 +16,7 @@ import numpy as np
 
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
@@ -248,7 +249,8 @@ class _Robot:
         plant, steps = self.plant, np.arange(count)
         protocol = CutProtocol(plant)
         protocol.cut = cut_of(plant)
-        wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * path_of(plant).clock.micro_steps)
+        axes = tool_axis(pose.values[:count, 3:7]) if protocol.cut.tilts else None
+        wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * path_of(plant).clock.micro_steps, axes=axes)
         if path_of(plant).drills:
             wrench[silent_periods(path_of(plant).drilling_at(path_of(plant).clock.stamp(steps)))] = 0.0
         protocol.stamp_ns = series.reference.start_ns + int(path_of(plant).clock.stamp(count - 1))

@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 from kr270_milling.base.errors import ConfigError, MessageError, MillingError, RecordingError, one_line
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.base.parameter_file import find_file, read_yaml
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
@@ -387,7 +388,8 @@ def _result(
     planned = run.sample(stamps)
     shift = planned + rows["deflection"][:, :3] - tool
     cut, counts = cut_of(plant), steps * path_of(plant).clock.micro_steps
-    _, torque, volume = cut.along(tool, counts, predicted=True)
+    axes = tool_axis(rows["tool_pose"][:, 3:7]) if cut.tilts else None
+    _, torque, volume = cut.along(tool, counts, predicted=True, axes=axes)
     silent = silent_periods(path_of(plant).drilling_at(stamps))
     torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(

@@ -211,7 +211,7 @@ def _write(draft, final, jobs, decision, args, source, whole, reached) -> dict:
         pages.append(_report_of_tool(cell, result, args, source, date, whole, reached, values))
         if result.parts and "stl" in args.write:
             stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
-            write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock)
+            write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock, path_of(cell).target)
             tools[-1]["part"] = str(final(stl))
     gcode: dict = {}
     if args.gcode and (released or args.force):
