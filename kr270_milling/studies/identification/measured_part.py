@@ -151,7 +151,8 @@ def learn(
         agreeing, left_out = strange_places(parts, measured - offset, slopes @ slopes.T + noise + jumps)
         part = np.ix_(agreeing, agreeing)
         some, rest, error = slopes[agreeing], (measured - offset)[agreeing], (noise + jumps)[part]
-        grown = rest @ np.linalg.solve(some @ some.T + error, rest) / rest.size  # larger than stated [Birge1932]
+        shares = np.linalg.solve(some @ some.T + error, np.column_stack([rest, error]))  # of the rest and of its errors
+        grown = shares[:, 0] @ error @ shares[:, 0] / np.trace(shares[:, 1:])  # larger than stated [Birge1932]
         u, left = gaussian_update(np.zeros(count), np.eye(count), some, rest, max(1.0, float(grown)) * error)
     z, left = np.clip(mean + root @ u, *RANGE), root @ left @ root.T
     sources = (*assumed.learned_from, *(source for *_, source in parts))
