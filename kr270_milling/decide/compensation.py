@@ -145,21 +145,26 @@ def compensate(
 def better_program(cell: Cell, former: Trajectory, planned: Trajectory) -> tuple[Trajectory, str]:
     """Return the reference that is no risk, and the reason where it is not the planned one.
 
-    The planned one must leave half of the robots 10 % less error than the former one, and 90 % of them no more. The path
-    as programmed replaces both where half of the robots have 10 % less error with it.
+    The planned one must leave half of the robots 10 % less error than the former one, and 90 % of them no more. The
+    path as programmed replaces both where half of the robots have 10 % less error with it.
     """
     target = path_of(cell).target
     rows = np.nan_to_num(drawn_errors(cell, (former, planned, target), PLANNED, CHOOSING_SEED)[..., 0], nan=DIVERGED)
     (before, after, none), (worst, worst_after, _) = np.quantile(rows, (0.5, ENOUGH), axis=0)
     chosen, reason = planned, ""
     if after > (1.0 - SAME) * before:
-        reason = f"the former program stays: a new one leaves {um_text(after)} and not {um_text(before)}, no gain of 10 %"
+        reason = (
+            f"the former program stays: a new one leaves {um_text(after)} and not {um_text(before)}, no gain of 10 %"
+        )
     elif worst_after > worst:
         reason = f"the former program stays: a new one leaves a tenth of the robots more than {um_text(worst_after)}"
     if reason:
         chosen = former
     if none < (1.0 - SAME) * (before if reason else after):
-        return target, f"the path as programmed is better: it leaves {um_text(none)}, and the former program {um_text(before)}"
+        return (
+            target,
+            f"the path as programmed is better: it leaves {um_text(none)}, and the former program {um_text(before)}",
+        )
     return chosen, reason
 
 

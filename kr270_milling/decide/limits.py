@@ -1,11 +1,11 @@
 """Which uncertainty limits the part, and which measurement would take it away.
 
-One unknown at a time is drawn, all others are known, and the robot runs the corrected program. D_k is the deviation that
-makes walls and floors while the tool cuts. The share of unknown k in the band is
+One unknown at a time is drawn, all others are known, and the robot runs the corrected program. D_k is the deviation
+that makes walls and floors while the tool cuts. The share of unknown k in the band is
 
     s_k = var D_k / sum_j var D_j   first-order shares of independent unknowns [Sobol1993]
 
-The mean of D_k is no spread: ``robust`` plans for it, and an unknown that is identified has a narrow range and no share.
+The mean of D_k is no spread: ``robust`` plans for it, and an identified unknown has a narrow range and no share.
 
 A robot whose unknown k is measured keeps the share 1 - s_k of the square of its error.
 """
@@ -36,7 +36,10 @@ SHOWN = 3  #: unknowns in a line
 UNKNOWNS: dict[str, tuple[tuple[str, ...], str]] = {
     "servo lag": (("servo_frequency", "servo_delay"), "a test move with a tracker (identify servo), 20 min"),
     "base": (("base_compliance",), "3 load tests with a dial gauge (identify compliance --base), 30 min"),
-    "backlash": (("backlash", "least_backlash"), "push and pull at the tool with a dial gauge (identify backlash), 30 min"),
+    "backlash": (
+        ("backlash", "least_backlash"),
+        "push and pull at the tool with a dial gauge (identify backlash), 30 min",
+    ),
     "joint compliance": (("joint_compliance", "joint_compliances"), "12 load tests with a tracker, 90 min"),
     "force coefficients": (("force_coefficient", "force_coefficients"), "5 slots with a force sensor, 60 min"),
     "end edges": (("end_share",), "a plunge with a force sensor, 15 min"),

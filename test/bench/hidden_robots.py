@@ -4,9 +4,9 @@
 
 A hidden robot is drawn from ``uncertainty`` of the cell: tilting base, lag and dead time, backlash, worn tool, joining.
 Every second one cuts by the other force law, which no robot of the cell has, with the same force at the mean chip.
-Twenty places of its part are measured, with 5 um. The next program is that of ``compensate --measured``. Printed are the
-largest wall and floor error of each part, and the share of the places of the next part within the 90 % band of the robots
-that were learned, with the stated errors of measurement and model.
+Twenty places of its part are measured, with 5 um. The next program is that of ``compensate --measured``. Printed are
+the largest wall and floor error of each part, and the share of the places of the next part within the 90 % band of the
+robots that were learned, with the stated errors of measurement and model.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def places_of(x: float = 20e-3, on_walls: int = 12, on_floor: int = 8) -> WallPl
 def hidden_robots(cell: Cell, count: int, seed: int) -> list[Cell]:
     """Robots of the cell; every second one cuts by the fractional law with the same force at the mean chip."""
     model, rng, robots = coarser(cell), np.random.default_rng(seed), []
-    chip = 0.64 * float(path_of(cell).fed.toolpath.feed.max()) / (
-        cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
+    chip = (
+        0.64 * float(path_of(cell).fed.toolpath.feed.max()) / (cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth)
     )  # mean of a slot, 2 / pi of the feed per tooth
     for k in range(count):
         robot = perturbed(model, rng)
@@ -74,7 +74,7 @@ def plan(cell: Cell, former: Trajectory | None = None) -> Trajectory:
 
 
 def parts_of(cell: Cell, robot: Cell, first: Trajectory, parts: int, rng: np.random.Generator):
-    """Errors [m] of a robot as programmed, along the first program, and after each measured part; and shares in bands."""
+    """Errors [m] of a robot as programmed, along the first program, after each measured part; and shares in bands."""
     target, model, gauge = path_of(cell).target, coarser(cell), gauge_of(coarser(cell))
     places = places_of()
     at = PredictedPlaces(model, places)
@@ -82,7 +82,9 @@ def parts_of(cell: Cell, robot: Cell, first: Trajectory, parts: int, rng: np.ran
     errors += [float(run_sample(robot, target, (run,), gauge)[0, 0]) for run in (target, first)]  # of the same shift
     for _ in range(parts):
         (true,) = robot_errors([robot], model, [(reference, at)])
-        measured.append((dataclasses.replace(places, error=true + SIGMA * rng.normal(size=true.size)), reference, "part"))
+        measured.append(
+            (dataclasses.replace(places, error=true + SIGMA * rng.normal(size=true.size)), reference, "part")
+        )
         learned = learn(cell, measured).cell
         reference = plan(learned, reference)
         drawn = [perturbed(coarser(learned), rng) for _ in range(DRAWN)]
@@ -119,7 +121,9 @@ def main() -> None:
         rows.append(errors)
         bands.append(inside)
         shown = " ".join(f"{1e6 * e:7.1f}" for e in errors)
-        print(f"{k:3d} {robot.cutting.law[:4]} {shown}   in the band {' '.join(f'{b:.2f}' for b in inside)}", flush=True)
+        print(
+            f"{k:3d} {robot.cutting.law[:4]} {shown}   in the band {' '.join(f'{b:.2f}' for b in inside)}", flush=True
+        )
     table, inside = np.array(rows), np.array(bands)
     median = np.median(table, axis=0)
     print("median [um]:", " ".join(f"{1e6 * m:.1f}" for m in median))

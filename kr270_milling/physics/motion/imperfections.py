@@ -45,7 +45,9 @@ class Imperfections(Record):
         0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag; simulated robots have at least this one"
     )
     # assumed: the usual tuning without overshoot
-    servo_damping: float = parameter(0.7, low=0.05, high=5.0, text="damping ratio of this lag, also of simulated robots")
+    servo_damping: float = parameter(
+        0.7, low=0.05, high=5.0, text="damping ratio of this lag, also of simulated robots"
+    )
     # the rule of a controller is not public; slopes from the neighbours are assumed
     joining: float = parameter(
         0.0,

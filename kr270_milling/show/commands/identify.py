@@ -50,10 +50,10 @@ from kr270_milling.studies.identification.wall import compare_wall, read_wall
 
 #: what to record of a test move
 RECORD = (
-    "record time_s, commanded_mm and measured_mm across the line (y of the workpiece frame), every 4 ms or faster, from "
-    "half a second before the move:",
-    "with RSI run SERVOTEST_ORG and 'kr270_milling rsi' with the table rsi_offsets_servo: its recording has both series",
-    "without RSI run SERVOTEST_CMP and trace commanded and actual positions on the controller, or use a tracker",
+    "record time_s, commanded_mm and measured_mm across the line (y of the workpiece frame) at 100 % override, every "
+    "4 ms or faster, from half a second before the move:",
+    "with RSI run SERVOTEST_ORG, and 'kr270_milling rsi' with the table rsi_offsets_servo; its recording has both",
+    "without RSI run SERVOTEST_CMP, and trace commanded and actual positions on the controller, or use a tracker",
 )
 DESIGNS = ("planned for the test pose", "A-optimal", "D-optimal")  #: names of ``load_tests.CRITERIA``
 BLIND_DESIGNS = 201  #: random designs, of which the median is shown

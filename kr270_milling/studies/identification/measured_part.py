@@ -176,8 +176,8 @@ def linear_map(
 
     drawn (N, n): numbers of robots; rows (N, k): their errors; expected (k, n): slopes that count as much as ``weight``
     robots with a deviation of 1. The change of the slopes by number j shrinks by max(0, 1 - 1 / q_j), q_j the mean
-    square of the changes in their standard deviations [James1961]: few robots give every number some slope by chance, and
-    a place would show lag and damping that it does not show.
+    square of the changes in their standard deviations [James1961]: few robots give every number some slope by chance,
+    and a place would show lag and damping that it does not show.
     """
     ones = np.ones((len(drawn), 1))
     known = np.hstack([ones, drawn])
@@ -188,7 +188,9 @@ def linear_map(
     freedom = max(1.0, len(drawn) - used)
     left = rest - known @ change
     chance = np.outer(np.diag(inverse)[1:], np.mean(left**2, axis=0) * len(left) / freedom)
-    share = np.maximum(0.0, 1.0 - 1.0 / np.maximum(np.mean(change[1:] ** 2 / np.maximum(chance, 1e-300), axis=1), 1e-300))
+    share = np.maximum(
+        0.0, 1.0 - 1.0 / np.maximum(np.mean(change[1:] ** 2 / np.maximum(chance, 1e-300), axis=1), 1e-300)
+    )
     change[1:] *= share[:, None]
     left = rest - known @ change
     return change[0], expected + change[1:].T, left.T @ left / freedom

@@ -2,7 +2,8 @@
 
     d = o_i + c_i f + sum_k u . J_k b_k s_k / 2     reading d, force f, of stand i (posture and axis u)
 
-s_k is the flank of joint k (``physics.motion.backlash``): the sign of its torque of weight and force, beyond the friction.
+s_k is the flank of joint k (``physics.motion.backlash``): the sign of its torque of weight and force beyond
+friction.
 Gravity holds joints on one flank; only a joint whose flank changes shows its backlash b_k. Offset o and compliance c of
 each stand are fitted with the b_k, by least squares.
 """
@@ -73,12 +74,18 @@ def read_pushes(path) -> Pushes:
     sigma = 1e-6 * table.number("sigma_um", 0.0)
     table.refuse((sigma < 0.0) | ((sigma == 0.0) & (sigma > 0.0).any()), "sigma_um must be above 0 in each row or none")
     pushes = Pushes(
-        np.radians(table.numbers(JOINTS)), np.array([AXES.index(a) for a in axes]), table.number("force_n"), reading, sigma
+        np.radians(table.numbers(JOINTS)),
+        np.array([AXES.index(a) for a in axes]),
+        table.number("force_n"),
+        reading,
+        sigma,
     )
     for number in range(pushes.stand[-1] + 1):
         here = np.flatnonzero(pushes.stand == number)
         if not pushes.force[here].min() < 0.0 < pushes.force[here].max():
-            raise InputError(path, "needs push and pull, forces above and below 0, in each posture", table.lines[here[0]])
+            raise InputError(
+                path, "needs push and pull, forces above and below 0, in each posture", table.lines[here[0]]
+            )
     return pushes
 
 

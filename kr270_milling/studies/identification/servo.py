@@ -76,7 +76,9 @@ def test_move(rate: float = 1.0, size: float = 0.3e-3) -> tuple[np.ndarray, np.n
     return t, pulses + faded * np.minimum(size, rate / (2 * np.pi * frequency) ** 2) * np.sin(phase)
 
 
-def moved_along(place: np.ndarray, along: np.ndarray, across: np.ndarray, speed: float) -> tuple[Trajectory, Trajectory]:
+def moved_along(
+    place: np.ndarray, along: np.ndarray, across: np.ndarray, speed: float
+) -> tuple[Trajectory, Trajectory]:
     """Return a straight line through a place [m] along a direction (3,), and the same with the test move across."""
     t, shift = test_move()
     time_ns = np.rint(1e9 * t).astype(np.int64)
@@ -183,7 +185,9 @@ def fit_servo(move: Move, damping: float | None = None) -> Servo:
     )
     explained = scaled(numbers)
     left = measured - explained
-    slopes = [(scaled(numbers + ends[k]) - scaled(numbers - ends[k])) / (2.0 * ends[k, k]) for k in np.flatnonzero(free)]
+    slopes = [
+        (scaled(numbers + ends[k]) - scaled(numbers - ends[k])) / (2.0 * ends[k, k]) for k in np.flatnonzero(free)
+    ]
     columns = np.column_stack(slopes)
     columns -= np.outer(explained, explained @ columns) / max(float(explained @ explained), 1e-300)  # of the scale
     freedom = len(left) - LINEAR - columns.shape[1]

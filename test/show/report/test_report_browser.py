@@ -232,11 +232,15 @@ def test_the_bars_of_the_unknowns_have_their_shares(browser, milled, tmp_path, w
     cell, passes = milled
     judgements = [judge(cell, ran) for ran in passes[:2]]
     decision, checked = judged(cell, passes[:2], judgements)
-    limits = (Limit("servo lag", 0.6, "a test move"), Limit("base", 0.3, "3 load tests"), Limit("tool", 0.001, "a load"))
+    limits = (
+        Limit("servo lag", 0.6, "a test move"),
+        Limit("base", 0.3, "3 load tests"),
+        Limit("tool", 0.001, "a load"),
+    )
     more = dict(title="Bars", decision=dataclasses.replace(decision, limits=limits), checked=checked)
     with contextlib.closing(shown(browser, tmp_path, cell, passes[:2], width, **more)) as page:
         sizes = page.ask("""() => [...document.querySelectorAll("#limits tr")].map((row) => {
-          const [bar, track] = [row.querySelector("rect"), row.querySelector("svg")].map((e) => e.getBoundingClientRect());
+          const [bar, track] = ["rect", "svg"].map((e) => row.querySelector(e).getBoundingClientRect());
           return [row.querySelector("th").textContent, bar.width / track.width, track.width, track.height]; })""")
         assert [(name, round(share, 2)) for name, share, *_ in sizes] == [("servo lag", 0.6), ("base", 0.3)]
         assert min(size for row in sizes for size in row[2:]) > 8 and page.settled_overhang() <= 0.5

@@ -26,17 +26,16 @@ def servo_outcome(servo: Servo, move: Move, doubts: Sequence[Doubt], title: str,
     ]
     if same_clock:
         rows.append(("dead time [ms]", f"{1e3 * servo.delay:.3g}", f"{1e3 * servo.delay_half:.2g}"))
+    left = f"the lag leaves {100 * servo.unexplained:.2g} % of the motion unexplained, scale {servo.gain:.4g}"
     sentences = [
-        f"{len(move.measured)} samples every {1e3 * move.step:.3g} ms; the lag leaves {100 * servo.unexplained:.2g} % of "
-        f"the motion unexplained, scale {servo.gain:.4g}",
+        f"{len(move.measured)} samples every {1e3 * move.step:.3g} ms; {left}",
         *(doubt.text for doubt in doubts),
     ]
     refused = any(doubt.forbids for doubt in doubts)
     result = as_dict(servo) | {"doubts": [doubt.text for doubt in doubts], "usable": not refused}
     table = TextTable(title, ("servo lag", "value", "95 % +-"), tuple(rows))
-    return Outcome(
-        "servo", title, result, [table], sentences, lambda: _figures(servo, move), servo_keys(servo, same_clock), USE, refused
-    )  # fmt: skip
+    keys = servo_keys(servo, same_clock)
+    return Outcome("servo", title, result, [table], sentences, lambda: _figures(servo, move), keys, USE, refused)
 
 
 def _figures(servo: Servo, move: Move) -> list:
