@@ -230,12 +230,12 @@ def identified_servo(move: Move) -> tuple[Servo, list[Doubt]]:
         servo = fit_servo(move, Imperfections().servo_damping)
         doubts.append(Doubt(f"the move does not show the damping ratio: {servo.damping:g} is assumed"))
     fastest = 0.25 / move.step
-    if servo.frequency > fastest:
-        text = f"the motors follow faster than samples every {1e3 * move.step:.3g} ms show ({fastest:.3g} Hz)"
-        doubts.append(Doubt(text, True))
-    elif not servo.frequency_half < shown * servo.frequency:
+    if not servo.frequency_half < shown * servo.frequency:
         text = f"the move does not show the frequency ({servo.frequency:.3g} +- {servo.frequency_half:.2g} Hz)"
         doubts.append(Doubt(f"{text}: move faster, as --plan does", True))
+    elif servo.frequency > fastest:
+        text = f"the motors follow faster than samples every {1e3 * move.step:.3g} ms show ({fastest:.3g} Hz)"
+        doubts.append(Doubt(text, True))
     most_unexplained = 0.25  # share, as of load tests
     if servo.unexplained > most_unexplained:
         text = f"the lag leaves {100 * servo.unexplained:.0f} % of the measured motion unexplained"
