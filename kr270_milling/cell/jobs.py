@@ -28,7 +28,7 @@ from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.dynamics import ArmFactors, ModalModel
-from kr270_milling.physics.motion.imperfections import SERVO_DAMPING, Imperfections
+from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
 
@@ -202,7 +202,7 @@ def robot_passes(
 def robot_response(robot: Cell, target: Trajectory) -> ArmResponse:
     """``arm_response`` of a simulated robot, with the lag and the dead time of its motors."""
     assumed = robot.imperfections
-    lag = Lag.of(2.0 * np.pi * assumed.servo_frequency, SERVO_DAMPING, assumed.servo_delay)
+    lag = Lag.of(2.0 * np.pi * assumed.servo_frequency, assumed.servo_damping, assumed.servo_delay)
     return dataclasses.replace(arm_response(robot, target), lag=lag)
 
 

@@ -207,11 +207,13 @@ def _drawn(cell: Cell, rng: np.random.Generator | Numbers) -> Cell:
     frequency = float(factors(np.array([assumed.frequency]))[0])
     moved = bool(rng.random() < assumed.reference_inertia)
     shift = assumed.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
-    noise, repeatability, backlash = rng.random(3) * (assumed.pose_noise, assumed.repeatability, assumed.backlash)
+    widest = assumed.backlash - assumed.least_backlash
+    noise, repeatability, backlash = rng.random(3) * (assumed.pose_noise, assumed.repeatability, widest)
+    backlash += assumed.least_backlash
     seed = int(rng.integers(2**31))
     law = law.grown(1.0 + assumed.tool_wear * float(rng.random()))
     servo = float(rng.uniform(*assumed.servo_frequency)) if assumed.servo_frequency.size else 0.0
-    delay = float(rng.random()) * assumed.servo_delay
+    delay = cell.imperfections.servo_delay + float(rng.random()) * assumed.servo_delay
     base, tool = _softer(cell, rng, factors(np.full(4, assumed.tool_compliance)))
     later = rng if isinstance(rng, Numbers) else np.random.default_rng(seed)  # the draws of earlier versions stay
     joining = assumed.joining * float(later.random())

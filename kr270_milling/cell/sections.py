@@ -454,6 +454,7 @@ class Uncertainty(Record):
     backlash: float = parameter(
         2.0, low=0.0, high=1000.0, text="largest backlash of a plant, a multiple of arm.backlash_arcsec"
     )
+    least_backlash: float = parameter(0.0, low=0.0, high=1000.0, text="smallest such multiple; at most backlash")
     # assumed: closed loops of the axes of heavy arms; one cycle of KUKA RSI
     servo_frequency: np.ndarray = parameter(
         [10.0, 40.0],
@@ -463,7 +464,11 @@ class Uncertainty(Record):
         text="lowest and highest frequency of a plant's servo lag, see imperfections.servo_frequency_hz; empty: none",
     )
     servo_delay: float = parameter(
-        4e-3, unit="ms", low=0.0, high=1000.0, text="longest dead time of a plant's servo lag"
+        4e-3,
+        unit="ms",
+        low=0.0,
+        high=1000.0,
+        text="longest dead time of a plant's servo lag, beyond imperfections.servo_delay_ms",
     )
     # assumed: between the planned motion and slopes from the neighbouring points
     joining: float = parameter(
@@ -488,6 +493,8 @@ class Uncertainty(Record):
         if self.learned_directions.size % max(1, self.learned.size) or not (self.learned.size or not self.learned_from):
             allowed = "empty, or rows with as many numbers as uncertainty.learned, which learned_from belongs to"
             raise ParameterError("learned_directions", self.learned_directions.size, allowed)
+        if self.least_backlash > self.backlash:
+            raise ParameterError("least_backlash", self.least_backlash, "at most uncertainty.backlash")
         if self.joint_compliances.size not in (0, 6):
             raise ParameterError("joint_compliances", self.joint_compliances.tolist(), "empty or one number a joint")
 

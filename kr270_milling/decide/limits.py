@@ -1,9 +1,11 @@
 """Which uncertainty limits the part, and which measurement would take it away.
 
-One unknown at a time is drawn, all others are known, and the robot runs the corrected program. D_k is the change of the
-deviation that makes walls and floors while the tool cuts. The share of unknown k in the band is
+One unknown at a time is drawn, all others are known, and the robot runs the corrected program. D_k is the deviation
+that makes walls and floors while the tool cuts. The share of unknown k in the band is
 
-    s_k = E |D_k|^2 / sum_j E |D_j|^2   first-order shares of independent unknowns [Sobol1993]
+    s_k = var D_k / sum_j var D_j   first-order shares of independent unknowns [Sobol1993]
+
+The mean of D_k is no spread: ``robust`` plans for it, and an identified unknown has a narrow range and no share.
 
 A robot whose unknown k is measured keeps the share 1 - s_k of the square of its error.
 """
@@ -32,9 +34,12 @@ SEED = 1_000_001  #: of these robots, beyond the seeds of verdicts and of ``robu
 SHOWN = 3  #: unknowns in a line
 #: name of each unknown: its keys of ``uncertainty``, and the measurement with its instrument and minutes (assumed)
 UNKNOWNS: dict[str, tuple[tuple[str, ...], str]] = {
-    "servo lag": (("servo_frequency", "servo_delay"), "a test move with a tracker, 20 min"),
-    "base": (("base_compliance",), "3 load tests with a dial gauge, 30 min"),
-    "backlash": (("backlash",), "push and pull at the tool with a dial gauge, 30 min"),
+    "servo lag": (("servo_frequency", "servo_delay"), "a test move with a tracker (identify servo), 20 min"),
+    "base": (("base_compliance",), "3 load tests with a dial gauge (identify compliance --base), 30 min"),
+    "backlash": (
+        ("backlash", "least_backlash"),
+        "push and pull at the tool with a dial gauge (identify backlash), 30 min",
+    ),
     "joint compliance": (("joint_compliance", "joint_compliances"), "12 load tests with a tracker, 90 min"),
     "force coefficients": (("force_coefficient", "force_coefficients"), "5 slots with a force sensor, 60 min"),
     "end edges": (("end_share",), "a plunge with a force sensor, 15 min"),
@@ -63,12 +68,13 @@ class Limit:
 def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     """The unknowns of a cell along the reference of a program, the largest share first.
 
-    count: robots drawn for each unknown; four know a share to about a third of it.
+    count: robots drawn for each unknown, at least two; four know a share to about a half of it.
     """
     model, assumed = coarser(cell), cell.uncertainty
     if assumed.learned.size:  # a measured part ties the unknowns to each other
         return ()
     ran = Plant(model, model, Imperfections()).run(reference)
+    scored = _across(model, ran), ran.wrench.any(axis=1)
     values = {key: getattr(assumed, key) for keys, _ in UNKNOWNS.values() for key in keys}
     nothing = {key: np.array([]) if isinstance(value, np.ndarray) else 0.0 for key, value in values.items()}
     known = assumed.replace(repeatability=0.0, **nothing)
@@ -79,29 +85,38 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
             rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
             drawn += [(name, perturbed(other, rng)) for _ in range(count)]
     with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
-        squares = list(pool.map(lambda one: _change(model, one[1], reference, ran), drawn))
-    size = dict.fromkeys((name for name, _ in drawn), 0.0)
-    for (name, _), square in zip(drawn, squares, strict=True):
-        size[name] += square
+        rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))
+    size = {}
+    for name in dict.fromkeys(name for name, _ in drawn):
+        some = [row for (other, _), row in zip(drawn, rows, strict=True) if other == name and row is not None]
+        size[name] = float(np.mean(np.var(some, axis=0))) if len(some) > 1 else 0.0
     total = sum(size.values())
     rows = (Limit(name, value / total, UNKNOWNS[name][1]) for name, value in size.items() if total > 0.0)
     return tuple(sorted(rows, key=lambda row: -row.share))
 
 
-def _change(model: Cell, robot: Cell, reference: Trajectory, ran: PassResult) -> float:
-    """Mean square [m^2] of the change of the deviation that makes walls and floors; 0 where the robot fails."""
-    try:
-        moved = Plant(model, robot).run(reference).actual - ran.actual
-    except MillingError:
-        return 0.0
+def _across(model: Cell, ran: PassResult) -> np.ndarray:
+    """Weights (n, 2, 3) of the deviation that makes walls and floors, at the samples of a pass."""
     feed = path_of(model).target.sample_velocity(ran.time_ns)
-    speed = np.linalg.norm(feed, axis=1)
-    level = np.abs(feed[:, 2]) <= SLOPE * speed
-    across = feed[:, 0] * moved[:, 1] - feed[:, 1] * moved[:, 0]
-    side = across / np.maximum(np.linalg.norm(feed[:, :2], axis=1), 1e-300)
-    square = side**2 + np.where(level, moved[:, 2], 0.0) ** 2
-    cutting = ran.wrench.any(axis=1)
-    return float(np.mean(square[cutting])) if cutting.any() else 0.0
+    level = np.abs(feed[:, 2]) <= SLOPE * np.linalg.norm(feed, axis=1)
+    weights = np.zeros((len(feed), 2, 3))
+    weights[:, 0, :2] = np.column_stack([-feed[:, 1], feed[:, 0]])
+    weights[:, 0] /= np.maximum(np.linalg.norm(feed[:, :2], axis=1), 1e-300)[:, None]
+    weights[:, 1, 2] = level
+    return weights
+
+
+def _deviation(model: Cell, robot: Cell, reference: Trajectory, scored: tuple[np.ndarray, np.ndarray]):
+    """Deviation [m] that makes walls and floors where the tool cuts, (k, 2); None where the robot fails.
+
+    scored: weights of ``_across`` and the samples that cut, of the pass of the model.
+    """
+    weights, cutting = scored
+    try:
+        actual = Plant(model, robot).run(reference).actual
+    except MillingError:
+        return None
+    return np.einsum("nij,nj->ni", weights[cutting], actual[cutting])
 
 
 def limit_line(rows: tuple[Limit, ...]) -> str:

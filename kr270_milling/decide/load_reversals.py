@@ -41,16 +41,18 @@ def load_reversals(arm: PlacedArm, path: CellPath, run: Trajectory, ran: ScoredP
     return places
 
 
-def backlash_statement(backlash: np.ndarray, share: float, reversals: Sequence[Finding] | None, drawn: bool) -> str:
+def backlash_statement(
+    backlash: np.ndarray, shares: tuple[float, float], reversals: Sequence[Finding] | None, drawn: bool
+) -> str:
     """Return whether the decision includes the backlash [rad], (6,).
 
-    share: largest multiple of it in a plant; drawn: a verdict with plants was made.
+    shares: smallest and largest multiple of it in a plant; drawn: a verdict with plants was made.
     """
-    width = share * backlash / ARCSEC
+    least, most = (share * float(backlash.max()) / ARCSEC for share in shares)
     if not backlash.any():
         return "backlash: none (arm.backlash_arcsec is 0)"
-    if drawn and width.any():
-        return f"backlash: in the verdict only, 0 to {width.max():.3g} arcsec"
+    if drawn and most:
+        return f"backlash: in the verdict only, {least:.3g} to {most:.3g} arcsec"
     if not reversals:
         return f"backlash: not included{'' if reversals is None else ', no load reverses'}"
     largest = max(finding.value for finding in reversals)

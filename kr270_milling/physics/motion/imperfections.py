@@ -10,9 +10,8 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["Imperfections"]
+__all__ = ["LEAST_SERVO_FREQUENCY", "Imperfections", "second_order"]
 
-SERVO_DAMPING = 0.7  #: assumed: ratio of the second order of the servo lag, the usual tuning without overshoot
 LEAST_SERVO_FREQUENCY = 0.1  #: [Hz]; far slower motors do not follow at all, and the filter becomes singular
 
 
@@ -42,7 +41,13 @@ class Imperfections(Record):
         high=1000.0,
         text="natural frequency of the second-order lag with which the motors follow a correction, from 0.1; 0: no lag",
     )
-    servo_delay: float = parameter(0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag")
+    servo_delay: float = parameter(
+        0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag; simulated robots have at least this one"
+    )
+    # assumed: the usual tuning without overshoot
+    servo_damping: float = parameter(
+        0.7, low=0.05, high=5.0, text="damping ratio of this lag, also of simulated robots"
+    )
     # the rule of a controller is not public; slopes from the neighbours are assumed
     joining: float = parameter(
         0.0,
@@ -109,7 +114,7 @@ class Imperfections(Record):
         late = np.maximum(grid - round(1e9 * self.servo_delay), 0)
         correction = reference.sample(late) - target.sample(late)
         if self.servo_frequency:
-            correction = _second_order(correction, 2.0 * np.pi * self.servo_frequency, 1e-9 * step)
+            correction = second_order(correction, self.servo_frequency, self.servo_damping, 1e-9 * step)
         both = np.sort(np.concatenate([grid, target.time_ns]), kind="stable")  # two sorted rows: a merge
         time_ns = both[np.diff(both, prepend=-1) > 0]
         rates = np.gradient(correction, grid * 1e-9, axis=0)
@@ -124,11 +129,15 @@ class Imperfections(Record):
         )
 
 
-def _second_order(rows: np.ndarray, w: float, step: float) -> np.ndarray:
-    """Rows (n, 3) through w^2 / (s^2 + 2 zeta w s + w^2), linear between samples ``step`` [s] apart, from rest."""
+def second_order(rows: np.ndarray, frequency: float, damping: float, step: float) -> np.ndarray:
+    """Rows (n, k) through w^2 / (s^2 + 2 zeta w s + w^2), linear between samples ``step`` [s] apart, from rest.
+
+    frequency: w / (2 pi) [Hz]; damping: zeta.
+    """
     from scipy import signal  # takes longer to import than all else that a command needs
 
-    plant = signal.TransferFunction([w * w], [1.0, 2.0 * SERVO_DAMPING * w, w * w])
+    w = 2.0 * np.pi * frequency
+    plant = signal.TransferFunction([w * w], [1.0, 2.0 * damping * w, w * w])
     discrete = signal.cont2discrete((plant.num, plant.den), step, "foh")
     start = signal.lfilter_zi(discrete[0].ravel(), discrete[1])[:, None] * rows[0]
     return signal.lfilter(discrete[0].ravel(), discrete[1], rows, axis=0, zi=start)[0]

@@ -16,6 +16,8 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
 from kr270_milling.cell.sections import Workpiece
+from kr270_milling.decide.programs.files import write_manifest, write_programs
+from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.exchange.replay.recorded import passes_from_recording
 from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.physics.cutting import LAWS
@@ -23,7 +25,7 @@ from kr270_milling.physics.cutting.materials import find_material, materials
 from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.recordings.bag.reader import Recording, remapping
-from kr270_milling.show.commands.console import Answer, progress
+from kr270_milling.show.commands.console import Answer, now, progress
 from kr270_milling.show.commands.reports import STAMPS
 from kr270_milling.show.report.identification.comparison import comparison_outcome, wall_outcome
 from kr270_milling.show.report.identification.compliance import (
@@ -34,6 +36,7 @@ from kr270_milling.show.report.identification.compliance import (
 )
 from kr270_milling.show.report.identification.forces import force_outcome, material_outcome
 from kr270_milling.show.report.identification.modes import mode_outcome
+from kr270_milling.show.report.identification.motors import backlash_outcome, servo_outcome
 from kr270_milling.studies.identification import comparison, modes
 from kr270_milling.studies.identification import forces as laws
 from kr270_milling.studies.identification import plan as load_tests
@@ -41,10 +44,19 @@ from kr270_milling.studies.identification.compliance import fit_compliance
 from kr270_milling.studies.identification.cuts import Sensor, force_series, read_cuts, turn_of
 from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts, refuse_units
 from kr270_milling.studies.identification.measurements import read_measurements
+from kr270_milling.studies.identification.play import fit_backlash, read_pushes
 from kr270_milling.studies.identification.problem import Problem
+from kr270_milling.studies.identification.servo import identified_servo, moved_along, read_move
 from kr270_milling.studies.identification.signals import pose_series, read_signals
 from kr270_milling.studies.identification.wall import compare_wall, read_wall
 
+#: what to record of a test move
+RECORD = (
+    "record time_s, commanded_mm and measured_mm across the line (y of the workpiece frame) at 100 % override, every "
+    "4 ms or faster, from half a second before the move:",
+    "with RSI run SERVOTEST_ORG, and 'kr270_milling rsi' with the table rsi_offsets_servo; its recording has both",
+    "without RSI run SERVOTEST_CMP, and trace commanded and actual positions on the controller, or use a tracker",
+)
 DESIGNS = ("planned for the test pose", "A-optimal", "D-optimal")  #: names of ``load_tests.CRITERIA``
 BLIND_DESIGNS = 201  #: random designs, of which the median is shown
 
@@ -169,6 +181,54 @@ def identify_damping(args) -> Answer:
         shapes = modes.by_compliance(identified, signals, modes.tool_compliance(*known))
     title = f"Modes between {low:g} and {high:g} Hz from {Path(args.recording).name}"
     return _answer(args, mode_outcome(identified, faint, signals, shapes, title, doubts))
+
+
+def identify_servo(args) -> Answer:
+    """Identify the servo lag from a test move, or write the program of the move."""
+    if args.plan:
+        return _plan_move(args)
+    if args.series is None:
+        raise InputError("identify servo", "needs a series of a test move, or --plan to write its program")
+    source = find_file(args.series) if args.series.lower().endswith(".csv") else args.series
+    move = read_move(source)
+    servo, doubts = identified_servo(move)
+    title = f"Servo lag from {Path(args.series).name}"
+    return _answer(args, servo_outcome(servo, move, doubts, title, not args.other_clock))
+
+
+def _plan_move(args) -> Answer:
+    """Write the programs of a test move across a slow straight line in the air, and state what to record."""
+    if not (args.cell and args.out):
+        raise InputError("--plan", "needs --cell CELL.yaml, above whose stock the tool moves, and --out DIR")
+    cell = read_cell(find_file(args.cell))
+    cell = cell.replace(krl=cell.krl.replace(name="SERVOTEST", spindle_on=("; no spindle",), spindle_off=()))
+    middle = 0.5 * (cell.stock.min + cell.stock.max)
+    middle[2] = cell.stock.max[2] + cell.krl.safe_height
+    along, across, speed = np.eye(3)[0], np.eye(3)[1], 10e-3  # [m/s]: the corrector of ``rsi`` follows the place
+    line, moved = moved_along(middle, along, across, speed)
+    with staged(args.out) as (draft, final):
+        files, text = write_programs(
+            draft,
+            cell,
+            line,
+            moved,
+            method="servo",
+            date=now(),
+            rsi=args.rsi and rsi_address(args.rsi),
+            tables=("rsi",),
+        )
+        write_manifest(draft, [text, *RECORD], ["a test move in the air, no cut"], True)
+        result = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
+    paths = [path for rows in result.values() for path in rows]
+    return Answer({"programs": result, "record": list(RECORD)}, [*RECORD, *paths])
+
+
+def identify_backlash(args) -> Answer:
+    """Identify the backlash of the joints from push and pull at the tool."""
+    arm, mount = read_arm(find_file(args.arm))
+    file = find_file(args.pushes)
+    found = fit_backlash(arm, mount, read_pushes(file), str(file))
+    return _answer(args, backlash_outcome(found, f"Backlash from {Path(args.pushes).name}"))
 
 
 def identify_material(args) -> Answer:

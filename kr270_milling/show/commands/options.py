@@ -67,6 +67,10 @@ def run(args: argparse.Namespace) -> Answer:
             from kr270_milling.show.commands.identify import identify_forces as command
         case "identify", "damping":
             from kr270_milling.show.commands.identify import identify_damping as command
+        case "identify", "servo":
+            from kr270_milling.show.commands.identify import identify_servo as command
+        case "identify", "backlash":
+            from kr270_milling.show.commands.identify import identify_backlash as command
         case "identify", "material":
             from kr270_milling.show.commands.identify import identify_material as command
         case "map", _:
@@ -255,6 +259,10 @@ def _add_identify(parser) -> None:
     _add_command(parts, "forces", text, _add_forces, argparse.SUPPRESS, help=text)
     text = "frequency and damping of the modes from a ring-down or an impact"
     _add_command(parts, "damping", text, _add_damping, argparse.SUPPRESS, help=text)
+    text = "frequency, damping and dead time of the servo lag from a test move, or the program of the move"
+    _add_command(parts, "servo", text, _add_servo, argparse.SUPPRESS, help=text)
+    text = "backlash of the joints from push and pull at the tool with a dial gauge"
+    _add_command(parts, "backlash", text, _add_backlash, argparse.SUPPRESS, help=text)
     text = "published force coefficients of a material"
     _add_command(parts, "material", text, _add_material, argparse.SUPPRESS, help=text)
 
@@ -354,6 +362,36 @@ def _add_damping(parser) -> None:
     add("--cell", metavar="CELL.yaml", help="scales the shapes by its compliance, or checks those of a hammer")
     add("--out", metavar="DIR", help="write YAML to include and report")
     _shared(parser, "--self-contained")
+
+
+def _add_servo(parser) -> None:
+    _example(parser, "identify servo MOVE.csv --out identified")
+    add = parser.add_argument
+    add(
+        "series",
+        metavar="SERIES",
+        nargs="?",
+        help="CSV with time_s, commanded_mm and measured_mm (or _deg), or a recording of the command rsi",
+    )
+    add(
+        "--other-clock",
+        action="store_true",
+        help="the measured motion has another clock, as that of a tracker: no dead time is written",
+    )
+    group = parser.add_argument_group("plan")
+    group.add_argument("--plan", action="store_true", help="write the program of the test move, with --cell and --out")
+    group.add_argument("--cell", metavar="CELL.yaml", help="the move is in the air above the middle of its stock")
+    group.add_argument("--rsi", metavar="HOST[:PORT]", help="also write an RSI context for this host")
+    add("--out", metavar="DIR", help="write YAML to include and report, or the programs of the plan")
+    _shared(parser, "--self-contained")
+
+
+def _add_backlash(parser) -> None:
+    _example(parser, "identify backlash PUSHES.csv --arm config/test_piece.yaml --out identified")
+    add = parser.add_argument
+    add("pushes", metavar="PUSHES.csv", help="one reading a row: a1_deg to a6_deg, axis, force_n, reading_mm, sigma_um")
+    add("--arm", metavar="ARM.yaml", required=True, help="arm or cell file with tool, friction and weights")
+    add("--out", metavar="DIR", help="write YAML to include")
 
 
 def _add_material(parser) -> None:

@@ -20,7 +20,7 @@ from kr270_milling.decide.part import PartAssessment, assess_all
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.show.report import page
 from kr270_milling.show.report import tables as texts
-from kr270_milling.show.report.decision_block import asked, finding_rows, judged, tiles
+from kr270_milling.show.report.decision_block import asked, finding_rows, judged, limit_bars, tiles
 from kr270_milling.show.report.linked import linked, part_surface, robot_model
 from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.straight_cut import charts_of
@@ -115,6 +115,7 @@ def report_text(
         asked=asked(cell, passes),
         tiles=tiles(names, judgements, decision, checked, method, cell.stage.tool if cell.stage else ""),
         findings=finding_rows(checked),
+        limits=limit_bars(decision),
         first_findings=4,  # rows that are shown at once; the others follow behind a switch
         first_tiles=3,  # before the findings: decision, as programmed, compensated
         scores=texts.line_scores(passes, paper) if path.straight else texts.part_scores(parts),

@@ -25,7 +25,7 @@ from kr270_milling.show.report.tables import micro, typeset
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: colour of the tile
 
-__all__ = ["Tile", "asked", "cut_text", "finding_rows", "judged", "tiles"]
+__all__ = ["Tile", "asked", "cut_text", "finding_rows", "judged", "limit_bars", "tiles"]
 
 
 def judged(
@@ -108,6 +108,12 @@ def tiles(
     if checked and checked.stability:
         rows.append(Tile("stability", "", typeset(checked.stability.text.removeprefix("stability: "))))
     return rows
+
+
+def limit_bars(decision: Decision | None) -> list[tuple[str, int, str]]:
+    """Return name, share in percent and measurement of the unknowns that limit the part, the largest first."""
+    rows = [(row.name, round(100 * row.share), row.measurement) for row in (decision.limits if decision else ())]
+    return [row for row in rows if row[1] > 0]
 
 
 def _tile(label: str, judged: Judgement, quantity: str) -> Tile:

@@ -4,17 +4,16 @@ A robot of a cell has n numbers z (``cell.plant.robot_of``), with the distributi
 m = 0 and P = I, or what earlier parts left. f(z) are its errors at the measured places, by a full pass; e are the
 measured errors, with the covariance R of measurement, repeatability and model.
 
-1. N robots are drawn and moved towards e once, by the covariances C of the ensemble [Emerick2013]:
+1. Robots are drawn from N(m, P), and their errors f are explained by a linear map [GarciaFernandez2015]:
 
-    z_k' = z_k + C_zf (C_ff + a R)^-1 (e + sqrt(a) r_k - f_k)
+    f = b + J (z - m) + r,   J by least squares with ridge, W = cov(r)
 
-2. From the robot with the least cost |z - m|^2_P + |e - f|^2_R an iterated linear update [Bell1993], with the slopes J
-   of f from secants, which follow the passes [Broyden1965]:
+2. The numbers follow by a linear update, in which W is an error of the model. Backlash, which makes f jump, and
+   vibration behind corners are in W: the places show no lag and no compliance that a robot beside it would not show.
 
-    z' = m + K (e - f(z) - J (m - z)),   P' = P - K J P,   K = P J^T (J P J^T + R)^-1
+    z' = m + K (e - b),   P' = P - K J P,   K = P J^T (J P J^T + R + W)^-1
 
-Backlash makes f jump where a joint changes its flank: the ensemble finds the right side of the jumps, and the slopes
-give the covariance. Vibration behind corners is within the error of the model, so no compliance is fitted to it.
+3. Robots are drawn again, from N(z', P'), with J of the first round as their expectation; the update starts at N(m, P).
 """
 
 from __future__ import annotations
@@ -36,6 +35,7 @@ __all__ = [
     "gaussian_update",
     "learn",
     "learned_keys",
+    "linear_map",
     "quantities",
     "read_part",
     "refuse_contradictions",
@@ -44,7 +44,8 @@ __all__ = [
 
 FEWEST, MOST = 6, 200  #: places of a part
 SIGMA = 5e-6  #: [m], assumed: of a measured error without sigma_um, a CMM or a dial gauge on the part
-#: [m] and share of the root mean square of the predicted errors, assumed: what no robot of the cell explains
+#: [m], and share of the errors that the robots of the cell have, assumed: what none of them explains. It has their
+#: covariance, so that many places do not show it away
 MODEL_ERROR, MODEL_SHARE = 5e-6, 0.1
 BESIDE, ALIKE = 2, 0.5  #: neighbours of the same surface; share of its deviation with which one supports a place
 #: other meanings of the numbers of a table, and their factors to um
@@ -55,10 +56,10 @@ READINGS = {
     "is in inches": 25.4e3,
     "is in thousandths of an inch": 25.4,
 }
-STEPS = 8  #: most passes that follow the slopes
 KNOWN = 0.8  #: deviation of an unknown after and before, above which the places do not show it
 RANGE = (-3.0, 3.0)  #: range of the numbers behind a robot, which has 99.7 % of them
-ROBOTS = 32  #: robots of the ensemble
+#: robots of each round, and the weight of what is expected of the slopes, in robots: at first that there are none
+ROUNDS = ((64, 1.0), (48, 20.0))
 SAMPLES, SAMPLE_SEED = 200, 1_000_002  #: robots that show an unknown before and after; no seed of a verdict
 
 
@@ -113,7 +114,7 @@ def learn(
     measured = np.concatenate([part.error for part, *_ in parts])
     count = numbers_of(model)
     mean, spread = _state(cell, count)
-    total, passes_run = 2 * ROBOTS + count + STEPS, 0
+    total, passes_run = sum(robots for robots, _ in ROUNDS), 0
     same: dict[Cell, np.ndarray] = {}  # errors of robots that cut alike
 
     def run(numbers: np.ndarray) -> np.ndarray:
@@ -133,25 +134,27 @@ def learn(
 
     rng = np.random.default_rng(SAMPLE_SEED)
     size, axes = np.linalg.eigh(spread)
-    drawn = np.clip(mean + (rng.standard_normal((ROBOTS, count)) * np.sqrt(np.maximum(size, 0.0))) @ axes.T, *RANGE)
-    rows = run(drawn)
-    lived = np.isfinite(rows).all(axis=1)
-    if lived.sum() < ROBOTS // 2:
-        raise InputError(parts[0][0].path, "most robots of the cell do not survive the reference that was run")
-    drawn, rows = drawn[lived], rows[lived]
-    noise = _noise(cell, parts, places, rows)
-    refuse_contradictions(parts, measured, rows, noise)
-    z, errors, slopes, least = closest_robot(run, measured, noise, (mean, spread), (drawn, rows), rng)
-    rest = measured - errors - slopes @ (mean - z)
-    agreeing, left_out = strange_places(parts, rest, slopes @ spread @ slopes.T + noise)
-    part = np.ix_(agreeing, agreeing)
-    if not agreeing.all():
-        z, _ = gaussian_update(mean, spread, slopes[agreeing], rest[agreeing], noise[part])
-        z = np.clip(z, *RANGE)
-        errors, rest = measured - rest + slopes @ (z - mean), rest[agreeing]
-        least = float(rest @ np.linalg.solve(slopes[agreeing] @ spread @ slopes[agreeing].T + noise[part], rest))
-    grown = max(1.0, least / agreeing.sum())  # errors that are larger than stated [Birge1932]
-    _, left = gaussian_update(mean, spread, slopes[agreeing], np.zeros(agreeing.sum()), grown * noise[part])
+    root = axes * np.sqrt(np.maximum(size, 0.0))  # z = mean + root u, u of a standard normal distribution
+    u, left, slopes = np.zeros(count), np.eye(count), np.zeros((measured.size, count))
+    for robots, weight in ROUNDS:
+        size, axes = np.linalg.eigh(left)
+        drawn = u + (rng.standard_normal((robots, count)) * np.sqrt(np.maximum(size, 0.0))) @ axes.T
+        rows = run(np.clip(mean + drawn @ root.T, *RANGE))
+        lived = np.isfinite(rows).all(axis=1)
+        if lived.sum() < robots // 2:
+            raise InputError(parts[0][0].path, "most robots of the cell do not survive the reference that was run")
+        drawn, rows = drawn[lived], rows[lived]
+        if not slopes.any():
+            noise = _noise(cell, parts, places, rows)
+            refuse_contradictions(parts, measured, rows, noise)
+        offset, slopes, jumps = linear_map(drawn, rows, slopes, weight)
+        agreeing, left_out = strange_places(parts, measured - offset, slopes @ slopes.T + noise + jumps)
+        part = np.ix_(agreeing, agreeing)
+        some, rest, error = slopes[agreeing], (measured - offset)[agreeing], (noise + jumps)[part]
+        shares = np.linalg.solve(some @ some.T + error, np.column_stack([rest, error]))  # of the rest and of its errors
+        grown = shares[:, 0] @ error @ shares[:, 0] / np.trace(shares[:, 1:])  # larger than stated [Birge1932]
+        u, left = gaussian_update(np.zeros(count), np.eye(count), some, rest, max(1.0, float(grown)) * error)
+    z, left = np.clip(mean + root @ u, *RANGE), root @ left @ root.T
     sources = (*assumed.learned_from, *(source for *_, source in parts))
     after = cell.replace(
         uncertainty=assumed.replace(learned_from=sources, learned=z, learned_directions=_directions(left).ravel())
@@ -161,63 +164,36 @@ def learn(
         after,
         _compared(cell, after),
         left_out,
-        float(np.sqrt(np.mean((measured - errors)[agreeing] ** 2))),
-        float(np.sqrt(np.mean(np.diag(noise)[agreeing]))),
+        float(np.sqrt(np.mean((rest - some @ u) ** 2))),
+        float(np.sqrt(np.mean(np.diag(error)))),
     )
 
 
-def closest_robot(
-    run: Callable[[np.ndarray], np.ndarray],
-    measured: np.ndarray,
-    noise: np.ndarray,
-    known: tuple[np.ndarray, np.ndarray],
-    ensemble: tuple[np.ndarray, np.ndarray],
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return the numbers (n,) of the robot with the least cost, its errors (k,), their slopes (k, n), and the cost.
+def linear_map(
+    drawn: np.ndarray, rows: np.ndarray, expected: np.ndarray, weight: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offset (k,), slopes (k, n) of errors by numbers, and the covariance (k, k) of what they leave.
 
-    run: numbers (N, n) of robots -> their errors (N, k); known: mean and covariance of the numbers; ensemble: numbers
-    (N, n) drawn from them, and their errors (N, k).
+    drawn (N, n): numbers of robots; rows (N, k): their errors; expected (k, n): slopes that count as much as ``weight``
+    robots with a deviation of 1. The change of the slopes by number j shrinks by max(0, 1 - 1 / q_j), q_j the mean
+    square of the changes in their standard deviations [James1961]: few robots give every number some slope by chance,
+    and a place would show lag and damping that it does not show.
     """
-    (mean, spread), (drawn, rows) = known, ensemble
-    away, apart = drawn - drawn.mean(axis=0), rows - rows.mean(axis=0)
-    gentle = 2.0  # a: the ensemble moves half of the way in information, the slopes the rest
-    gain = np.linalg.solve(apart.T @ apart / (len(rows) - 1) + gentle * noise, apart.T @ away / (len(rows) - 1))
-    noisy = measured + rng.standard_normal(rows.shape) @ np.linalg.cholesky(gentle * noise).T
-    moved = np.clip(drawn + (noisy - rows) @ gain, *RANGE)
-    tried = np.concatenate([drawn, moved]), np.concatenate([rows, run(moved)])
-
-    def cost(numbers: np.ndarray, errors: np.ndarray) -> float:
-        step, rest = numbers - mean, measured - errors
-        size = step @ np.linalg.lstsq(spread, step, rcond=None)[0] + rest @ np.linalg.solve(noise, rest)
-        return float(np.nan_to_num(size, nan=np.inf))
-
-    costs = [cost(*pair) for pair in zip(*tried, strict=True)]
-    best = int(np.argmin(costs))
-    z, errors, least = tried[0][best], tried[1][best], costs[best]
-    secant = 0.5  # length of a secant, in standard deviations
-    length = np.where(z <= 0.0, secant, -secant) * np.sqrt(np.diag(spread))  # towards the middle
-    slopes = (np.nan_to_num(run(z + np.diag(length)) - errors) / length[:, None]).T
-    share = 1.0
-    least_step = 0.05  # of a number behind a robot: no place shows a smaller one
-    for _ in range(STEPS):
-        aim, _ = gaussian_update(mean, spread, slopes, measured - errors - slopes @ (mean - z), noise)
-        step = share * (np.clip(aim, *RANGE) - z)
-        if np.abs(step).max() < least_step:
-            break
-        (after,) = run((z + step)[None])
-        if np.isnan(after).any():
-            break
-        if np.linalg.norm(step) >= secant:  # jumps of the vibration make the slope of a short step
-            slopes = slopes + np.outer(after - errors - slopes @ step, step) / (step @ step)
-        new = cost(z + step, after)
-        if new >= least:
-            share *= 0.5
-            continue
-        z, errors, gained, least = z + step, after, least - new, new
-        if gained < 0.5:  # of a chi^2
-            break
-    return z, errors, slopes, least
+    ones = np.ones((len(drawn), 1))
+    known = np.hstack([ones, drawn])
+    inverse = np.linalg.inv(known.T @ known + weight * np.diag([0.0, *np.ones(drawn.shape[1])]))
+    rest = rows - drawn @ expected.T
+    change = inverse @ (known.T @ rest)
+    used = float(np.trace(inverse @ (known.T @ known)))  # degrees of freedom
+    freedom = max(1.0, len(drawn) - used)
+    left = rest - known @ change
+    chance = np.outer(np.diag(inverse)[1:], np.mean(left**2, axis=0) * len(left) / freedom)
+    share = np.maximum(
+        0.0, 1.0 - 1.0 / np.maximum(np.mean(change[1:] ** 2 / np.maximum(chance, 1e-300), axis=1), 1e-300)
+    )
+    change[1:] *= share[:, None]
+    left = rest - known @ change
+    return change[0], expected + change[1:].T, left.T @ left / freedom
 
 
 def gaussian_update(
@@ -259,8 +235,8 @@ def _noise(cell: Cell, parts, places: Sequence[PredictedPlaces], predicted: np.n
     iso = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)  # as in ``Imperfections.shift``
     shift = cell.uncertainty.repeatability**2 / 3.0 / iso**2
     sigma = np.concatenate([np.where(part.sigma > 0.0, part.sigma, SIGMA) for part, *_ in parts])
-    model = MODEL_ERROR**2 + MODEL_SHARE**2 * np.mean(predicted**2)  # of all robots
-    noise, first = np.diag(sigma**2 + model), 0
+    noise = np.diag(sigma**2 + MODEL_ERROR**2) + MODEL_SHARE**2 * predicted.T @ predicted / len(predicted)
+    first = 0
     for place in places:
         part = slice(first, first := first + len(place.normal))
         noise[part, part] += shift * place.normal @ place.normal.T

@@ -15,7 +15,7 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import FIXED
 from kr270_milling.recordings.passes import own_topics, series
 
-__all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resampled"]
+__all__ = ["AXES", "Signals", "even_stamps", "pose_series", "read_signals", "read_topic", "resampled"]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
@@ -73,7 +73,7 @@ def read_signals(path, topic: str = "deflection") -> Signals:
         names = AXES[: 6 if values.shape[1] == 6 else 3]
     if not any(name != FORCE for name in names):
         raise InputError(path, f"has none of the columns {', '.join(AXES)}", 1)
-    time, step, note = _even_stamps(path, time, lines)
+    time, step, note = even_stamps(path, time, lines)
     values = resampled(time, values, step)
     notes = (*stated.pop("notes", ()), *([note] if note else []))
     force = values[:, -1] if names[-1] == FORCE else None
@@ -81,7 +81,7 @@ def read_signals(path, topic: str = "deflection") -> Signals:
     return Signals(step, values[:, :channels], names[:channels], force, notes=notes, **stated)
 
 
-def _even_stamps(path, time: np.ndarray, lines) -> tuple[np.ndarray, float, str]:
+def even_stamps(path, time: np.ndarray, lines) -> tuple[np.ndarray, float, str]:
     """Times [s], (n,), their step [s], and a sentence about stamps that are not even. Raises InputError.
 
     Stamps that differ from even ones by their last digit are rounded; the samples then are even. lines: of the file.

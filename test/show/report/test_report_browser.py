@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 
 import numpy as np
 import pytest
 from browser import Visit
 
 from kr270_milling.base.frames import Pose
+from kr270_milling.decide.limits import Limit
+from kr270_milling.decide.tolerance import judge
 from kr270_milling.show.report import write_report
+from kr270_milling.show.report.decision_block import judged
 from kr270_milling.show.report.study_page import points, write_page
 
 WORDS = dict(source="cell.yaml", command="kr270_milling demo", date="2026-01-02")
@@ -221,6 +225,26 @@ def test_a_phone_opened_at_the_address_of_a_place_turned_and_a_page_printed(brow
         assert phone.ask("() => KR.by('series').layout.font.color") == "#000"
         assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
         assert phone.settled_overhang() <= 0.5
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_the_bars_of_the_unknowns_have_their_shares(browser, milled, tmp_path, width):
+    cell, passes = milled
+    judgements = [judge(cell, ran) for ran in passes[:2]]
+    decision, checked = judged(cell, passes[:2], judgements)
+    limits = (
+        Limit("servo lag", 0.6, "a test move"),
+        Limit("base", 0.3, "3 load tests"),
+        Limit("tool", 0.001, "a load"),
+    )
+    more = dict(title="Bars", decision=dataclasses.replace(decision, limits=limits), checked=checked)
+    with contextlib.closing(shown(browser, tmp_path, cell, passes[:2], width, **more)) as page:
+        sizes = page.ask("""() => [...document.querySelectorAll("#limits tr")].map((row) => {
+          const [bar, track] = ["rect", "svg"].map((e) => row.querySelector(e).getBoundingClientRect());
+          return [row.querySelector("th").textContent, bar.width / track.width, track.width, track.height]; })""")
+        assert [(name, round(share, 2)) for name, share, *_ in sizes] == [("servo lag", 0.6), ("base", 0.3)]
+        assert min(size for row in sizes for size in row[2:]) > 8 and page.settled_overhang() <= 0.5
+        assert page.page.locator("#limits .measure").first.is_visible() == (width > 600) and page.complaints == []
 
 
 def test_the_page_of_a_study_loads_plotly_from_its_folder_or_names_the_missing_file(browser, tmp_path):
