@@ -377,7 +377,7 @@ def _squared_pace(step, first, second, most, limit):
     reach = most.copy()
     for i in range(len(step) - 1, -1, -1):
         low, high, x = 0.0, most[i], most[i]
-        for _ in range(40):
+        for _ in range(25):
             least, largest = _growth(first[i], second[i], x, limit[i])
             if max(least, -x / (2 * step[i])) <= min(largest, (reach[i + 1] - x) / (2 * step[i])):
                 low = x
