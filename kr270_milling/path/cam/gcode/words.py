@@ -85,7 +85,7 @@ G_GROUPS: dict[float, str] = {
     68: "turn",
     68.2: "tilt",
     **dict.fromkeys((53.1, 53.6), "orient"),
-    **dict.fromkeys((43.4, 234), "tip"),
+    **dict.fromkeys((43.4, 43.5, 234), "tip"),
     92: "preset",
     **dict.fromkeys((40, 41, 41.1, 42, 42.1), "compensation"),
 }
@@ -143,7 +143,7 @@ ADVICE = {
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
     **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
-    **_each("G43.5 G68.3 G68.4 G254 G255 G43.1 G107 G12.1 G7.1", AXES5),
+    **_each("G68.3 G68.4 G254 G255 G43.1 G107 G12.1 G7.1", AXES5),
     **_each("TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
     **_each(
         "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
