@@ -291,7 +291,7 @@ def test_the_axis_between_two_points_is_that_of_the_turning_axes_and_conversatio
 
 
 def test_stated_tool_axes_need_no_machine_and_turn_the_tool_along_their_move(read_machine):
-    """A3= B3= C3= under TRAORI (Siemens 840D sl, Special functions, 5-axis transformation), I J K under G43.5 (Fanuc)."""
+    """A3= B3= C3= under TRAORI (Siemens 840D sl, Special functions, 5-axis transformation), I J K under G43.5."""
     vectors = [(0, 0, 1), (0.3, -0.2, 2), (0.6, 0, 0.8), (0.6, 0, 0.8)]
     ends = np.array([(0, 0, 0), (10, 0, 0), (10, 5, 1), (10, 5, 1)])
     units = [np.array(v) / np.linalg.norm(v) for v in vectors]
