@@ -112,7 +112,8 @@ MACROS = "post without macros and sub-programs, every move in one program"
 DATUM = "let the CAM output coordinates of one work offset, without shift, rotation, mirror or scale"
 CURVES = "let the CAM output lines and arcs"
 PROBING = "leave probing out of this program"
-AXES5 = "state the machine of the program as machine.kinematics in the cell, or post tilted planes or a 3-axis program"
+AXES5 = "post tilted planes with G68.2 or CYCLE800, or a 3-axis program"
+ROTARY = f"state the machine of the program as machine.kinematics in the cell, or {AXES5}"
 POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
 UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"
 
@@ -165,7 +166,8 @@ ADVICE = {
 #: letters that no word of their line takes -> what to do
 LEFT = {
     **dict.fromkeys("LPO", "a jump or a call; " + MACROS),
-    **dict.fromkeys("ABCUVW", AXES5),
+    **dict.fromkeys("ABC", ROTARY),
+    **dict.fromkeys("UVW", AXES5),
     "E": "a word of 3-D printers; post for a milling machine",
 }
 BELONGS = "write it in the line of the word that it belongs to, or leave it out"
