@@ -77,8 +77,8 @@ def test_a_table_with_axes_and_an_apt_file_of_the_same_points_are_the_same_path(
     first, second = read(table, ".csv"), read(apt, ".apt")
     np.testing.assert_array_equal(first.quaternion, second.quaternion)
     np.testing.assert_allclose(axes(first), [row[3:] for row in rows], atol=1e-8)
-    held = read("FEDRAT/600\nTLAXIS/0.6,0,0.8\nGOTO/0,0,0\nGOTO/1,0,0\nFINI\n", ".apt")
-    np.testing.assert_allclose(axes(held), [[0.6, 0, 0.8]] * 2)
+    stated = read("FEDRAT/600\nTLAXIS/0.6,0,0.8\nGOTO/0,0,0\nGOTO/1,0,0\nFINI\n", ".apt")
+    np.testing.assert_allclose(axes(stated), [[0.6, 0, 0.8]] * 2)
 
 
 def test_circles_and_holes_of_apt_lie_in_the_plane_of_their_axis(read):

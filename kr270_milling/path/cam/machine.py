@@ -38,7 +38,7 @@ NURBS = (5.2, 6.2)  #: rational B-splines: LinuxCNC with uniform knots, Fanuc wi
 CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
-STEP = 1.5  #: [deg] of both axes: in between the shortest turn is within 0.01 deg of theirs
+STEP = 1.5  #: [deg] of both axes: the shortest turn in between is within 0.01 deg of both
 NO_FEED = "a cutting move without a feed"
 START = "start with G0 X Y Z"
 
