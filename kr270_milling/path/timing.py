@@ -167,7 +167,7 @@ def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.
     speed = np.minimum(np.minimum(rounding, turning), np.minimum(dense, limit))
     # turns below 1 mrad come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
     speed = np.where(half < 0.5e-3, limit, speed)
-    in_place = ~start.any(axis=1)
+    in_place = np.all(start == 0, axis=1)
     speed = np.where(in_place[1:] != in_place[:-1], 0.0, speed)
     fair = 0.2  # share of the feed below which a corner is not worth rounding
     return np.where(speed >= fair * limit, speed, 0.0)
@@ -377,7 +377,7 @@ def _squared_pace(step, first, second, most, limit):
     reach = most.copy()
     for i in range(len(step) - 1, -1, -1):
         low, high, x = 0.0, most[i], most[i]
-        for _ in range(40):
+        for _ in range(25):
             least, largest = _growth(first[i], second[i], x, limit[i])
             if max(least, -x / (2 * step[i])) <= min(largest, (reach[i + 1] - x) / (2 * step[i])):
                 low = x

@@ -77,8 +77,8 @@ def test_a_table_with_axes_and_an_apt_file_of_the_same_points_are_the_same_path(
     first, second = read(table, ".csv"), read(apt, ".apt")
     np.testing.assert_array_equal(first.quaternion, second.quaternion)
     np.testing.assert_allclose(axes(first), [row[3:] for row in rows], atol=1e-8)
-    held = read("FEDRAT/600\nTLAXIS/0.6,0,0.8\nGOTO/0,0,0\nGOTO/1,0,0\nFINI\n", ".apt")
-    np.testing.assert_allclose(axes(held), [[0.6, 0, 0.8]] * 2)
+    stated = read("FEDRAT/600\nTLAXIS/0.6,0,0.8\nGOTO/0,0,0\nGOTO/1,0,0\nFINI\n", ".apt")
+    np.testing.assert_allclose(axes(stated), [[0.6, 0, 0.8]] * 2)
 
 
 def test_circles_and_holes_of_apt_lie_in_the_plane_of_their_axis(read):
@@ -290,6 +290,22 @@ def test_the_axis_between_two_points_is_that_of_the_turning_axes_and_conversatio
     np.testing.assert_allclose(other.quaternion[-30:], path.quaternion[-30:], atol=1e-12)
 
 
+def test_stated_tool_axes_need_no_machine_and_turn_the_tool_along_their_move(read_machine):
+    """A3= B3= C3= under TRAORI (Siemens 840D sl, Special functions, 5-axis transformation), I J K under G43.5."""
+    vectors = [(0, 0, 1), (0.3, -0.2, 2), (0.6, 0, 0.8), (0.6, 0, 0.8)]
+    ends = np.array([(0, 0, 0), (10, 0, 0), (10, 5, 1), (10, 5, 1)])
+    units = [np.array(v) / np.linalg.norm(v) for v in vectors]
+    for on, names, off in (("TRAORI", ("A3=", "B3=", "C3="), "TRAFOOF"), ("G43.5 H1", ("I", "J", "K"), "G49")):
+        words = [" ".join(f"{name}{value}" for name, value in zip(names, row, strict=True)) for row in vectors]
+        blocks = [f"X{x} Y{y} Z{z} {row}" for (x, y, z), row in zip(ends, words, strict=True)]
+        text = "\n".join([on, f"G0 {blocks[0]}", f"G1 F600 {blocks[1]}", *blocks[2:], off, ""])
+        path = read_machine(text, NO_ROTARY_AXES, ".mpf")
+        np.testing.assert_allclose(1e3 * path.position, ends[:3], atol=1e-12)
+        np.testing.assert_allclose(axes(path), units[:3], atol=1e-12)
+    path = read_machine("TRAORI\nG0 X0 Y0 Z0\nG1 X5 F600\nA3=1 C3=1\nX9\n", NO_ROTARY_AXES, ".mpf")
+    assert len(path) == 4 and path.block_length[2] == pytest.approx(LEVER * math.radians(45))  # in place
+
+
 def test_a_block_in_inverse_time_takes_its_time_and_a_turn_alone_its_degrees_a_minute(read_machine):
     def seconds(path: Toolpath, line: int) -> float:
         return float((path.block_length / np.maximum(path.feed, 1e-9))[path.line == line].sum())
@@ -316,6 +332,9 @@ def test_a_nutating_axis_turns_by_its_direction_and_rotary_words_orient_the_tool
 @pytest.mark.parametrize(
     ("text", "machine", "words"),
     [
+        ("G0 X0 Y0 Z0\nG1 X5 A3=1 C3=1 F9\n", NO_ROTARY_AXES, "without TRAORI"),
+        ("TRAORI\nG0 X0 Y0 Z0\nG1 X5 A3=0 F9\n", NO_ROTARY_AXES, "no length"),
+        ("TRAORI\nG0 X0 Y0 Z0\nG2 X5 I2.5 A3=1 C3=1 F9\n", NO_ROTARY_AXES, "an arc along which"),
         ("G43.4 H1\nG0 X0 Y0 Z0\nG1 X5 B30 F9\n", NO_ROTARY_AXES, "machine.kinematics"),
         ("G0 X0 Y0 Z0\nG1 X5 B30 F9\n", TABLES, "machine.kinematics"),
         ("G43.4 H1\nG0 X0 Y0 Z0 C350\nG1 X5 C5 F9\n", TABLES, "more than 180 deg"),

@@ -203,9 +203,11 @@ class _Conversational(Machine):
             raise _Refused(f"PLANE {kind} needs {', '.join(names)}")
         if self.shift is not None and self.shift[0] != 1:
             raise _Refused("PLANE in coordinates that are turned")
-        turn = Rotation.from_euler(axes, [angles[name] for name in names], degrees=True) if axes else None
-        flat = turn is None or turn.magnitude() == 0.0
-        self.set_tilt(None if flat else Pose(np.zeros(3), turn.as_matrix()))
+        plane = None
+        if any(angles.values()):
+            turn = Rotation.from_euler(axes, [angles[name] for name in names], degrees=True)
+            plane = Pose(np.zeros(3), turn.as_matrix())
+        self.set_tilt(plane)
         self.pole = self.heading = None
         for number in (120, 121, 122):  # the angles of the machine's axes, which name the plane and no number here
             self.variables.set(number, 0.0)

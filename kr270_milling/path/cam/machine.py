@@ -38,7 +38,7 @@ NURBS = (5.2, 6.2)  #: rational B-splines: LinuxCNC with uniform knots, Fanuc wi
 CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
-STEP = 1.5  #: [deg] of both axes: in between the shortest turn is within 0.01 deg of theirs
+STEP = 1.5  #: [deg] of both axes: the shortest turn in between is within 0.01 deg of both
 NO_FEED = "a cutting move without a feed"
 START = "start with G0 X Y Z"
 
@@ -85,6 +85,7 @@ class Machine:
         #: from the linear axes to the tip on the workpiece, while the control does not follow the tip; None: the same
         self.swung: Pose | None = None
         self.turned_from: list[float] | None = None  #: angles before this block, which turns the tool
+        self.aim: tuple[float, ...] | None = None  #: orientation at the end of this block, which states the tool axis
         self.side = 0  #: 1: the tool is to the left of the contour, -1: to the right
         self.radius = 0.0  #: [m], by which it is; NaN: that of the tool
         self.beside = 0j  #: [m], of the tool from ``position``
@@ -156,6 +157,8 @@ class Machine:
             self.turned_from = None
             self.program.quaternion = self._orientation(self.angles)
             self.swung = self._swung(self.angles)
+        if self.aim is not None:
+            self.program.quaternion, self.aim = self.aim, None
         self.program.rapid(end if self.shift is None and not self.skew else self.on_path(end))
 
     # --- rotary axes ---
@@ -176,16 +179,27 @@ class Machine:
         if self.turned_from is not None and self.side:
             self.program.refuse("G41", "the tool turns while G41 or G42 is active", "write G40 before it", lost=True)
 
+    def take_axis(self, word: str, axis: list[float]) -> None:
+        """Turn the tool along the move of this block to a stated axis of any length."""
+        length = math.hypot(*axis)
+        try:
+            self.aim = tool_along([value / length for value in axis])
+        except (ValueError, ZeroDivisionError) as fault:
+            reason = "the tool axis has no length" if length == 0 else str(fault)
+            self.program.refuse(word, reason, lost=True)
+        if self.side:
+            self.program.refuse("G41", "the tool turns while G41 or G42 is active", "write G40 before it", lost=True)
+
     def end_turn(self) -> None:
-        """Turn in place where the block of ``take_angles`` has no move."""
-        if self.turned_from is None:
+        """Turn in place where the block of ``take_angles`` or ``take_axis`` has no move."""
+        if self.turned_from is None and self.aim is None:
             return
         known = all(map(math.isfinite, self.position))
         if self.mode in (None, 0) or not known:
             self.go(tuple(self.position))
         else:
             self._feed_to(tuple(self.position), [tuple(self.position)], 0.0)
-        self.turned_from = None
+        self.turned_from = self.aim = None
 
     def follow_tip(self, on: bool) -> None:
         """Count coordinates from now on at the tip, or at the linear axes; the tool stays where it is."""
@@ -537,7 +551,7 @@ class Machine:
         if self.turned_from is not None:
             self._feed_turning(start, ends, length)
             return
-        known = self.kinematics.letters and all(map(math.isfinite, self.angles))
+        known = self.follows_tip or (self.kinematics.letters and all(map(math.isfinite, self.angles)))
         free = known and self.tilt is None and self.cycle is None
         if self.by_planes and not free and self.program.quaternion != self.along_plane:
             reason = "the tool is not along z of the coordinates of this cut"
@@ -552,8 +566,13 @@ class Machine:
         if feed:
             if self.shift is not None or self.skew:
                 start, ends = self.on_path(start), [self.on_path(end) for end in ends]
-            self.program.cut(start, ends, feed, curvature)
-        elif length and feed == 0:
+            turned = () if self.aim is None else (self.aim,)
+            self.aim = None
+            if turned and len(ends) > 1:
+                self.program.refuse("G2", "an arc along which the tool turns", "let the CAM output lines", lost=True)
+                return
+            self.program.cut(start, ends, feed, curvature, turned)
+        elif (length or self.aim) and feed == 0:
             self.program.refuse("F", "zero feed on a cutting move", derived=True)
         elif length:
             advice = "give path.feed_rate_m_per_min in the cell" if self.no_feed == NO_FEED else ""

@@ -38,8 +38,7 @@ LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_p
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
 COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}
 COLUMNS |= {name: (name, 1.0) for name in "ijk"}
-HEADERS = ["x_mm,y_mm,z_mm,feed_mm_per_min", "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min",
-           "x_mm,y_mm,z_mm,i,j,k,feed_mm_per_min"]  # fmt: skip
+HEADERS = [f"x_mm,y_mm,z_mm,{turn}feed_mm_per_min" for turn in ("", "a_deg,b_deg,c_deg,", "i,j,k,")]
 
 
 def read_points(path) -> Toolpath:

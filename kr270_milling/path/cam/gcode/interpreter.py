@@ -34,13 +34,14 @@ from kr270_milling.path.cam.gcode.words import (
     UNKNOWN_M,
     word_of,
 )
-from kr270_milling.path.cam.machine import AXES, MM, OF_ARCS, Machine
+from kr270_milling.path.cam.machine import AXES, CENTRES, MM, OF_ARCS, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.trajectory import TOOL_DOWN
 
 __all__ = ["Interpreter"]
 
 FURTHER = frozenset("ABCUVW")
+VECTOR = ("A3", "B3", "C3")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 DATA = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  #: groups of ``_datum``
 LETTERS = {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD", "G68.2": "XYZIJKP"}
@@ -62,6 +63,7 @@ class Interpreter(Machine):
         self.fixed = True  #: the places of the cell hold, whatever G10 says
         self.next_tool = ""
         self.turning = 0
+        self.vectors = False  #: I, J, K of a straight move are the tool axis
         self.speed = 0.0  #: [rad/s]
         self.preset = False  #: G92 gave the tool its place
         self.calls = False  #: sub-programs can be called
@@ -113,6 +115,7 @@ class Interpreter(Machine):
             self.no_feed = (
                 f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
             )
+        self._take_vector(axes, groups)
         if self.kinematics.letters:
             self.take_angles(axes, home=groups.get("home") in (28, 30))
         if axes or groups or self.pattern:
@@ -124,6 +127,17 @@ class Interpreter(Machine):
             self.ended, self.end_word = True, groups["end"]
         fate = "used" if program.refusals == refusals else "refused"
         program.words[fate] += len(words) - (program.words["counted"] - counted)
+
+    def _take_vector(self, axes: dict, groups: dict) -> None:
+        """A3, B3, C3 of Sinumerik, I, J, K of a straight move under G43.5: the tool axis from tip to holder."""
+        straight = groups.get("motion", self.mode) in (0, 1) and self.cycle is None and "cycle" not in groups
+        letters = CENTRES if self.vectors and straight and not axes.keys().isdisjoint(CENTRES) else VECTOR
+        if axes.keys().isdisjoint(letters):
+            return
+        axis = [axes.pop(letter, 0.0) for letter in letters]
+        if not self.follows_tip:
+            self.program.refuse(letters[0], "a tool axis without TRAORI or G43.5", lost=True)
+        self.take_axis(letters[0], axis)
 
     def _call(self, groups: dict, axes: dict) -> None:
         """M98 P L, M97 P L, G65 P L with the values of its letters, L P of Sinumerik: noted for the flow."""
@@ -263,6 +277,7 @@ class Interpreter(Machine):
             word = word_of("M" if groups["tip"] in (128, 129) else "G", groups["tip"])
             self._read_over(word, axes, "H")
             self.follow_tip(groups["tip"] != 129)
+            self.vectors = groups["tip"] == 43.5
         if "orient" in groups:
             self._read_over(word_of("G", groups["orient"]), axes, "P")
             if self.tilt is None:

@@ -16,7 +16,7 @@ from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.flow import Flow, has_flow
-from kr270_milling.path.cam.gcode.interpreter import Interpreter
+from kr270_milling.path.cam.gcode.interpreter import VECTOR, Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.machine import CORNERS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -325,7 +325,7 @@ class GcodeReader:
         letter, numbered = name[0], name[1:].isdigit()
         if not number and name == "T" and quoted.strip():
             words.append(("T", quoted.strip()))
-        elif number and (name in ("CR", "TURN", *CORNERS) or len(name) == 1):
+        elif number and (name in ("CR", "TURN", *VECTOR, *CORNERS) or len(name) == 1):
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"

@@ -85,7 +85,7 @@ G_GROUPS: dict[float, str] = {
     68: "turn",
     68.2: "tilt",
     **dict.fromkeys((53.1, 53.6), "orient"),
-    **dict.fromkeys((43.4, 234), "tip"),
+    **dict.fromkeys((43.4, 43.5, 234), "tip"),
     92: "preset",
     **dict.fromkeys((40, 41, 41.1, 42, 42.1), "compensation"),
 }
@@ -112,7 +112,8 @@ MACROS = "post without macros and sub-programs, every move in one program"
 DATUM = "let the CAM output coordinates of one work offset, without shift, rotation, mirror or scale"
 CURVES = "let the CAM output lines and arcs"
 PROBING = "leave probing out of this program"
-AXES5 = "state the machine of the program as machine.kinematics in the cell, or post tilted planes or a 3-axis program"
+AXES5 = "post tilted planes with G68.2 or CYCLE800, or a 3-axis program"
+ROTARY = f"state the machine of the program as machine.kinematics in the cell, or {AXES5}"
 POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
 UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"
 
@@ -143,7 +144,7 @@ ADVICE = {
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
     **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
-    **_each("G43.5 G68.3 G68.4 G254 G255 G43.1 G107 G12.1 G7.1", AXES5),
+    **_each("G68.3 G68.4 G254 G255 G43.1 G107 G12.1 G7.1", AXES5),
     **_each("TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
     **_each(
         "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
@@ -165,7 +166,8 @@ ADVICE = {
 #: letters that no word of their line takes -> what to do
 LEFT = {
     **dict.fromkeys("LPO", "a jump or a call; " + MACROS),
-    **dict.fromkeys("ABCUVW", AXES5),
+    **dict.fromkeys("ABC", ROTARY),
+    **dict.fromkeys("UVW", AXES5),
     "E": "a word of 3-D printers; post for a milling machine",
 }
 BELONGS = "write it in the line of the word that it belongs to, or leave it out"
