@@ -155,7 +155,7 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
-        fixed = fixed_knots(path.target.standing, knot_feeds(path))
+        fixed = fixed_knots(path.target.standing, knot_feeds(path, len(path.target)))
         blocks = about["blocks"] = program_blocks(robot_program, path.target, run, fixed)
         if robot_program.motion == "LIN" and not robot_program.blend_distance:
             results.append(violation("no blending", blocks.points, int(path.target.standing.sum())))
@@ -224,7 +224,7 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: 
     results = correction_size(target, run, settings.tick_ns, settings.max_correction)
     results += correction_per_tick(target, run, settings.tick_ns, settings.max_change_per_tick)
     if robot_program.motion == "LIN":
-        fixed = fixed_knots(target.standing, knot_feeds(path_of(cell)))
+        fixed = fixed_knots(target.standing, knot_feeds(path_of(cell), len(target)))
         points = point_numbers(robot_program, target, run, fixed)
         results += corner_blending(target, run, robot_program.blend_distance, cell.limits.blending_share, points)
     return results

@@ -143,7 +143,7 @@ def write_programs(
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
         written, points, ends = krl.write_krl(
-            folder, program.replace(motion=motion), setup, *commanded, notes, knot_feeds(path_of(cell))
+            folder, program.replace(motion=motion), setup, *commanded, notes, knot_feeds(path_of(cell), len(original))
         )
         files[f"krl_{motion.lower()}"] = written
         parts = parts if programs else ends  # of the first motion: RSI runs it
@@ -280,9 +280,9 @@ def _turning(program: Program, run: Trajectory) -> str:
     return f"the tool turns at up to {most[0]:.3g} deg/s and {most[1]:.3g} deg/s2 in the plan{slower}"
 
 
-def knot_feeds(path: CellPath) -> np.ndarray | None:
-    """Return the programmed feed [m/s] of the block of each knot, (n,); NaN where the tool stops; None: no program."""
-    if path.timed is None or path.timed.timed_by_source:
+def knot_feeds(path: CellPath, count: int) -> np.ndarray | None:
+    """Return the programmed feed [m/s] of the block of each knot, (n,); NaN where the tool stops; None: not known."""
+    if path.timed is None or path.timed.timed_by_source or len(path.target) != count:
         return None
     toolpath, block = path.timed.toolpath, path.timed.block
     feed = np.where(toolpath.rapid, path.timing.rapid_feed, toolpath.feed)[block]

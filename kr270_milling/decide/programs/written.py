@@ -45,7 +45,7 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     path, target = path_of(cell), path_of(cell).target
     with tempfile.TemporaryDirectory() as folder:
         notes = notes_of(path, len(planned))
-        _, k, _ = krl.write_krl(folder, program, setup, target, commanded, notes, knot_feeds(path))
+        _, k, _ = krl.write_krl(folder, program, setup, target, commanded, notes, knot_feeds(path, len(planned)))
         pose, stops = read_krl(folder, "WRITTEN_CMP")
     position = planned.position[k] + pose.position - commanded.position[k]
     quaternion = planned.quaternion[k]
