@@ -163,7 +163,7 @@ def test_a_robot_program_holds_the_feed_of_each_stretch_within_2_percent(tmp_pat
         tmp_path, cell, target, swayed(target), method="x", date="2026-01-01", motions=[motion], tables=()
     )
     (source,) = [file for file in files[f"krl_{motion.lower()}"] if file.name.endswith("CMP.src")]
-    feeds = knot_feeds(path_of(cell))
+    feeds = knot_feeds(path_of(cell), len(target))
     program = cell.krl.replace(motion=motion)
     knots = point_numbers(program, target, swayed(target), fixed_knots(target.standing, feeds))
     speeds, usual = [], 0.0
