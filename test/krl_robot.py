@@ -6,16 +6,19 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 NUMBER = r"-?\d+\.?\d*"
+PLACE = rf"\{{X {NUMBER},Y {NUMBER},Z {NUMBER}(,A {NUMBER},B {NUMBER},C {NUMBER})?\}}"  # A, B, C as before if left out
 SRC = [r"&ACCESS RVP", r"&REL 1", r"&PARAM EDITMASK = \*", r"DEF [A-Z]\w*\( \)", r";.*", r"BAS\(#INITMOV,0\)",
        r"\$(TOOL|BASE)=\{[XYZABC0-9 ,.-]*\}", r"\$(TOOL|BASE)=(TOOL|BASE)_DATA\[\d+\]", r"\$IPO_MODE=#BASE",
        r"\$ORI_TYPE=#VAR", r"\$ADVANCE=3", rf"\$APO\.CDIS={NUMBER}",
        rf"\$(ACC|JERK)\.CP={NUMBER}", rf"\$(VEL|ACC)\.ORI[12]={NUMBER}", r"BAS\(#VEL_PTP,\d+\)",
        r"\$LOAD=\{M .*,CM \{X .*\}\}", r"PTP X(HOME|APPROACH)", r"LIN XRETRACT", r"WAIT SEC \d+\.\d", r"HALT",
-       r"\$OUT\[\d+\]=(TRUE|FALSE)", r"[A-Z]\w*\( \)", rf"SPLINE WITH \$VEL\.CP={NUMBER}", r"ENDSPLINE",
-       rf"SPL XP\d+( WITH \$VEL\.CP={NUMBER})?", rf"\$VEL\.CP={NUMBER}", r"LIN XP\d+( C_DIS)?", r"END"]  # fmt: skip
+       r"\$OUT\[\d+\]=(TRUE|FALSE)", r"[A-Z]\w*\( \)", r"SPLINE", r"ENDSPLINE",
+       rf"SPL {PLACE}( WITH \$VEL\.CP={NUMBER})?", rf"\$VEL\.CP={NUMBER}", rf"LIN {PLACE}( C_DIS)?", r"LIN XP\d+",
+       r"END"]  # fmt: skip
 DAT = [*SRC[:3], r"DEFDAT [A-Z]\w*", r";.*", r"EXT BAS \(BAS_COMMAND :IN,REAL :IN\)",
        rf"DECL FRAME XP\d+=\{{X {NUMBER},Y {NUMBER},Z {NUMBER},A {NUMBER},B {NUMBER},C {NUMBER}\}}",
        r"DECL FRAME XRETRACT=\{X .*\}", r"DECL E6AXIS XHOME=\{A1 .*,E6 0.0\}",
@@ -30,18 +33,25 @@ def matrix(frame) -> np.ndarray:
     return t
 
 
+def values(text: str) -> dict[str, float]:
+    return {name: float(value) for name, value in (item.split() for item in text.split(","))}
+
+
 class Robot:
-    """Runs a main module and notes where it goes, how fast, and where it comes to rest."""
+    """Runs a main module and notes where it goes, how fast, and where it comes to rest; points have their order."""
 
     def __init__(self, directory: Path, main: str):
         self.directory, self.points, self.rests, self.state = directory, [], [], {}
         self.steps: list[str] = []  # every line of the main module and what it calls, in the order of execution
+        self.starts: list[int] = []  # points to which a part of the program begins
+        self.comments: list[tuple[int, int]] = []  # number that a comment gives the next point, and its order
         self.run(main)
 
     def run(self, module: str) -> None:
-        text = (self.directory / f"{module}.src").read_bytes().decode("ascii")
+        (path,) = self.directory.rglob(f"{module}.src")
+        text = path.read_bytes().decode("ascii")
         assert text.endswith("END\r\n") and "\n" not in text.replace("\r\n", "")
-        frames = self.data(module)
+        starts = self.data(path.with_suffix(".dat")) if path.with_suffix(".dat").exists() else {}
         in_block = False
         for line in text.splitlines():
             assert any(re.fullmatch(pattern, line) for pattern in SRC), line
@@ -50,17 +60,25 @@ class Robot:
                 self.state[match[1]] = match[2]
             elif match := re.fullmatch(r"([A-Z]\w*)\( \)", line):
                 self.run(match[1])
+            elif match := re.match(r"; XP(\d+)", line):
+                self.comments.append((int(match[1]), len(self.points)))
             elif line.partition(" ")[0] in ("SPLINE", "ENDSPLINE"):
                 assert in_block == (line == "ENDSPLINE")
-                in_block, of_block = not in_block, line.partition("=")[2]
+                in_block = not in_block
                 if not in_block:
-                    self.rests.append(self.points[-1][0])
-            elif match := re.fullmatch(r"(LIN|SPL) XP(\d+)(.*)", line):
-                speed = match[3].partition("=")[2] or (of_block if in_block else self.state.get("$VEL.CP", "0"))
+                    self.rests.append(len(self.points))
+            elif match := re.fullmatch(r"LIN (XP\d+)", line):
+                if self.points:  # a later part begins where the tool was
+                    assert starts[match[1]] == pytest.approx(self.points[-1][0], abs=1e-4)
+                else:
+                    self.points.append((starts[match[1]], 0.0))
+                self.starts.append(len(self.points))
+            elif match := re.fullmatch(r"(LIN|SPL) \{(.*)\}(.*)", line):
+                speed = match[3].partition("=")[2] or self.state["$VEL.CP"]
                 assert in_block == (match[1] == "SPL")
-                self.points.append((int(match[2]), frames[int(match[2])], float(speed)))
-                if match[1] == "LIN" and not match[3] and match[2] != "1":  # the approach ends there
-                    self.rests.append(int(match[2]))
+                self.points.append((self.points[-1][0] | values(match[2]), float(speed)))
+                if match[1] == "LIN" and not match[3]:
+                    self.rests.append(len(self.points))
 
     def matrix(self, name: str) -> np.ndarray:
         """$TOOL or $BASE as a transform [m]."""
@@ -69,29 +87,19 @@ class Robot:
     @property
     def transforms(self) -> np.ndarray:
         """Of the points in $BASE [m], (n, 4, 4)."""
-        return np.array([matrix([frame[key] for key in "XYZABC"]) for _, frame, _ in self.points])
+        return np.array([matrix([frame[key] for key in "XYZABC"]) for frame, _ in self.points])
 
-    def data(self, module: str) -> dict[int, dict[str, float]]:
-        text = (self.directory / f"{module}.dat").read_bytes().decode("ascii")
-        frames = {}
-        for line in text.splitlines():
+    def data(self, path: Path) -> dict[str, dict[str, float]]:
+        """The name of the first point of a part -> its frame."""
+        starts = {}
+        for line in path.read_bytes().decode("ascii").splitlines():
             assert any(re.fullmatch(pattern, line) for pattern in DAT), line
             if match := re.search(rf"XAPPROACH={{X ({NUMBER}),Y ({NUMBER}),Z ({NUMBER}).*,S (\d+),T (\d+)", line):
                 self.approach = [float(v) for v in match.groups()[:3]]
                 self.status, self.turn = int(match[4]), int(match[5])
-            if match := re.match(r"DECL FRAME XP(\d+)=\{(.*)\}", line):
-                frames[int(match[1])] = {k: float(v) for k, v in (item.split() for item in match[2].split(","))}
-        return frames
-
-    @property
-    def numbers(self) -> np.ndarray:
-        return np.array([number for number, _, _ in self.points])
+            if match := re.match(r"DECL FRAME (XP\d+)=\{(.*)\}", line):
+                starts[match[1]] = values(match[2])
+        return starts
 
     def column(self, keys: str) -> np.ndarray:
-        return np.array([[frame[key] for key in keys] for _, frame, _ in self.points])
-
-    @property
-    def time(self) -> np.ndarray:
-        """[s] at each point, along straight lines."""
-        length = np.linalg.norm(np.diff(self.column("XYZ"), axis=0), axis=1) * 1e-3
-        return np.concatenate([[0.0], np.cumsum(length / [speed for _, _, speed in self.points[1:]])])
+        return np.array([[frame[key] for key in keys] for frame, _ in self.points])

@@ -11,11 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-__all__ = [
-    "JOINT_NAMES", "OLD_TOOL", "TOOL", "TOOL0", "WORKPIECE", "Pose", "abc_from_rotation", "quaternion_from_rotation",
-    "rotation_from_abc", "rotation_from_quaternion",
-]  # fmt: skip
-
 TOOL, WORKPIECE = "tcp", "workpiece"  #: frames of the messages; z of tcp is along the spindle, away from the flange
 #: the tool tip of recordings before 0.3; since then ``tool0`` is the flange with z out of it, as in ROS-Industrial
 OLD_TOOL = "tool0"
@@ -78,6 +73,11 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """Return the rotation matrix (..., 3, 3) of quaternions x, y, z, w, (..., 4), of any length above 0."""
     q = np.asarray(quaternion, float)
     return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(q.shape[:-1] + (3, 3))
+
+
+def tool_axis(quaternion: np.ndarray) -> np.ndarray:
+    """Return unit vectors from the tool tip to the holder, (..., 3), of orientations of tcp x, y, z, w, (..., 4)."""
+    return -rotation_from_quaternion(quaternion)[..., 2]
 
 
 def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:

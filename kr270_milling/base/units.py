@@ -14,7 +14,7 @@ UNITS = {
     "rpm": 2 * math.pi / 60, "m_per_min": 1 / 60, "mm_per_min": 1e-3 / 60, "mm_per_s": 1e-3,
     "m_per_s": 1.0, "m_per_s2": 1.0, "m_per_s3": 1.0, "deg_per_s": math.pi / 180, "deg_per_s2": math.pi / 180,
     "urad_per_n_m": 1e-6, "n_per_m": 1.0, "n_per_mm": 1e3, "n_per_mm2": 1e6, "um_per_n": 1e-6, "kw": 1e3, "n_m": 1.0,
-    "kg_m2": 1.0, "gpa": 1e9, "n_per_um": 1e6,
+    "kg_m2": 1.0, "gpa": 1e9, "n_per_um": 1e6, "mb": 1e6,
 }  # fmt: skip
 
 

@@ -17,14 +17,12 @@ from kr270_milling.base.parameter_file import merge
 from kr270_milling.base.record import build, override, read_tree, specs, tree_of
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import removal_of
-from kr270_milling.cell.paths import StraightCut
+from kr270_milling.cell.paths import BY_TEETH, StraightCut
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.cell.stage import Stage
 from kr270_milling.path.cam.readers import find_tool_path
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.physics.robot import pose
-
-__all__ = ["cell_text", "read_cell", "read_cells", "write_cell_file"]
 
 #: sections that a tool may override; its other keys are those of ``tool``
 SECTIONS = ("compensation", "cutting", "dynamics", "exchange", "limits", "mount", "part", "program", "stock", "timing")
@@ -90,7 +88,9 @@ def _cell_of_tool(name: str, tree: dict, assigned: frozenset, path) -> Cell:
 def _one_cell(tree: dict, assigned: frozenset, path) -> Cell:
     """The placed cell of one tree, with its program, the spindle speed that it states and the cut that it needs."""
     cell = _placed(build(Cell, tree, path), assigned, path)
-    cell = cell.replace(path=cell.path.loaded())  # an error appears where the path is used
+    cell = cell.replace(
+        path=cell.path.replace(machine=cell.machine).loaded()
+    )  # an error appears where the path is used
     try:
         return _with_cut_model(_with_spindle(_with_shape(cell)))
     except ParameterError as error:
@@ -122,7 +122,7 @@ def _with_cut_model(cell: Cell) -> Cell:
     if detail == "auto":
         with contextlib.suppress(InputError):
             long_cutting = 60.0  # [s]; a longer cut is not swept tooth by tooth
-            long = cell.path.cutting_time > long_cutting or not cell.tool.has_flat_end
+            long = cell.path.cutting_time > long_cutting or not cell.tool.has_flat_end or cell.path.tilt > BY_TEETH
             detail = "engagement" if long else "teeth"
     speed, radius = cell.tool.spindle_speed, float(cell.tool.radii.max())
     if detail == "engagement":

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell.path import check_moves
+from kr270_milling.cell.paths import check_moves
 from kr270_milling.path.toolpath import Toolpath
-
-__all__ = ["draft_text", "stock_of", "straight_text", "tools_text"]
 
 #: YAML with places for str.format
 TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="utf-8")
@@ -120,7 +118,7 @@ def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
 
 def draft_text(file: str, path: Toolpath, robot: str) -> str:
     """The YAML of a cell for a path, which ``check`` reads unchanged; raises InputError for a path without a cut."""
-    check_moves(file, path)
+    check_moves(file, path, by_teeth=False)
     program = path.program
     stock = stock_of(path, _diameter(path) / 2e3)
     several = sum(bool(known.cuts) for known in program.tools) > 1
@@ -136,7 +134,7 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
 def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
     """The YAML of a cell with ``tools``, as ``draft_text``; paths: those of all tools of a program, in its order."""
     for path in paths:
-        check_moves(file, path)
+        check_moves(file, path, by_teeth=False)
     boxes = [_box_of(path, _diameter(path) / 2e3) for path in paths]
     whole = Box(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
     stock = _beside_rapids(whole, paths[0], _diameter(paths[0]) / 2e3)  # the others may go down where it has cut

@@ -13,6 +13,7 @@ import numpy as np
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.cell.arm import commanded_joints, mirrored
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, low_frequency_of, modal_model_of, path_of
@@ -250,7 +251,9 @@ def cut_along(cell: Cell, path: Trajectory) -> PassRecord:
     steps = np.arange(path_of(cell).clock.steps(path.duration_ns) + 1)
     stamps = path_of(cell).clock.stamp(steps)
     tool = path.sample(stamps)
-    wrench, _, _ = cut_of(cell).along(tool, steps * path_of(cell).clock.micro_steps)
+    cut = cut_of(cell)
+    axes = tool_axis(path.sample_orientation(stamps)) if cut.tilts else None
+    wrench, _, _ = cut.along(tool, steps * path_of(cell).clock.micro_steps, axes=axes)
     wrench = np.where(path_of(cell).drilling_at(stamps)[:, None], 0.0, wrench)
     return pass_record(path_of(cell), cell.imperfections, stamps, tool, wrench)
 

@@ -16,8 +16,8 @@ import numpy as np
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, derived, parameter, specs
-from kr270_milling.cell.path import check_feed
 from kr270_milling.path.cam.readers import READERS, PathReader, known_reader, read_path_file
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
@@ -113,6 +113,7 @@ class PathSection(Record):
     )
 
     content: Toolpath | TimedPath | None = derived(None)  #: content of ``file``, once it is read
+    machine: Kinematics = derived(NO_ROTARY_AXES)  #: section ``machine`` of the cell
 
     @property
     def recorded(self) -> bool:
@@ -162,6 +163,14 @@ class PathSection(Record):
         return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
 
     @property
+    def tilt(self) -> float:
+        """Return the largest angle between the tool and z of the workpiece in a cutting move [rad]; 0: no program."""
+        if not self.file:
+            return 0.0
+        read = self.read()
+        return float((read.toolpath if isinstance(read, TimedPath) else read).tilt.max())
+
+    @property
     def feeds(self) -> tuple[float, float, float]:
         """Highest and slow feed of the milling moves [m/s], and the length of the path [m]; 0: not known.
 
@@ -198,9 +207,9 @@ class PathSection(Record):
             raise InputError(self.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
         offsets = tuple(self.offsets.tolist())
         stamp = state.st_mtime_ns, state.st_size
-        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, offsets, stamp)
+        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, offsets, self.machine, stamp)
         if not (self.length or self.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
-            check_feed(self.file, read, self.feed_rate)
+            _check_feed(self.file, read, self.feed_rate)
         return read
 
     def loaded(self) -> PathSection:
@@ -226,10 +235,25 @@ class PathSection(Record):
                 raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
 
 
+def _check_feed(file: str, path: Toolpath, feed: float) -> None:
+    """Raise InputError where the feeds of the program differ from the feed of the cell [m/s]; 0: the cell has none."""
+    same_feed = 1e-6  # [m/s]
+    other = ~path.rapid & (np.abs(path.feed - feed) > same_feed)
+    if feed and other.any():
+        block = int(np.argmax(other))
+        reason = (
+            f"its feed is {6e4 * path.feed[block]:.6g} mm/min, but path.feed_rate_m_per_min of the cell says "
+            f"{6e4 * feed:.6g}; leave that key out"
+        )
+        raise InputError(file, reason, int(path.line[block]))
+
+
 @functools.lru_cache(maxsize=8)
-def _read_once(file: str, tool: str, topic: str, feed: float, offsets: tuple, stamp: tuple) -> Toolpath | TimedPath:
+def _read_once(
+    file: str, tool: str, topic: str, feed: float, offsets: tuple, machine: Kinematics, stamp: tuple
+) -> Toolpath | TimedPath:
     """Return the tool path of a file, read once for each tool as long as its stamp is the same."""
-    return read_path_file(file, tool, topic, feed, offsets)
+    return read_path_file(file, tool, topic, feed, offsets, machine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,6 +280,11 @@ class Limits(Record):
     )
     below_stock: float = parameter(
         0.0, unit="mm", low=0.0, high=1e3, text="how far the tool may go below the stock, into a sacrificial plate"
+    )
+    # assumed: radius of a sharp edge for aluminium, 5 to 10 um; it ploughs where chips are thinner
+    least_chip: float = parameter(10e-6, unit="um", low=0.0, high=1e3, text="compensation.feed: least feed per tooth")
+    cutting_force: float = parameter(
+        0.0, unit="n", low=0.0, high=1e5, text="compensation.feed: largest mean force of a period; 0: not limited"
     )
     # assumed: a milling spindle of the size that a heavy arm carries
     spindle_torque: float = parameter(10.0, unit="n_m", above=0.0, high=1e4, text="most that the spindle gives")
@@ -304,6 +333,10 @@ class Program(Record):
     name: str = parameter("MILLING", text="module name, to which _ORG_001 and the like are added")
     motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN")
     line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
+    # assumed: a KR C4 has about 4 MB for programs, of which other programs take their share
+    memory: float = parameter(
+        4e6, unit="mb", low=0.01, high=1000.0, text="most bytes of a program; a larger one is written in parts"
+    )
     blend_distance: float = parameter(1e-3, unit="mm", low=0.0, high=100.0, text="$APO.CDIS of LIN motions")
     tolerance: float = parameter(
         2e-6,

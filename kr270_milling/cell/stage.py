@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from kr270_milling.base.errors import MillingError
+from kr270_milling.cell.paths import UPRIGHT
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import AL7075_T6, CutModel, Cutting, EngagementCut, Stock, Tool
-
-__all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +50,10 @@ class Stage:
 
 def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     """Return what a tool removes on its programmed path."""
+    tilt = float(path.tilt.max())
+    if tilt > UPRIGHT:
+        reason = f"tool {name} is tilted by {math.degrees(tilt):.4g} deg, but several tools must be upright"
+        raise MillingError(f"{reason}: split the program at the change of the tool")
     radius, length = float(tool.radii.max()), path.length
     places_per_radius = 50  # of a programmed path: between two places R / 20000 stays at the side
     farthest = 1e-4  # [m], between two places: on an arc of 1 mm the chord misses 1.3 um

@@ -11,12 +11,14 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from kr270_milling.base.column import column
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.decide.findings import Finding, stretches, violation, violations
 from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map, with_profile
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting.profile import outline
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.stability import has_uniform_pitch
 
@@ -87,6 +89,8 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     down again along its cut, the deflection of the arm at this moment is no contact either: it is in its hole, and
     inertia may bend the arm by more than the cut did.
     """
+    if path_of(cell).tilts:
+        return _tilted_engagement(cell, margin)
     position, time, block, step = _places(cell)
     timed = path_of(cell).timed
     rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
@@ -116,6 +120,55 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     return Engagement(
         position, time, rapid, block, series, depth, inner, sunk, shank, holder, margin + lengthwise, volume
     )
+
+
+def _tilted_engagement(cell: Cell, margin: float) -> Engagement:
+    """Run the programmed path of a tilted tool through the stock, with its own removal; depths are those of rapids.
+
+    The depth of a contact is the mean over the width of the tool; the positions are at the height of its lowest point.
+    """
+    path, clock = path_of(cell), path_of(cell).clock
+    run = path.target
+    stamps = clock.stamp(np.arange(clock.steps(run.duration_ns) + 1))
+    position, rapid = run.sample(stamps), path.rapid_at(stamps)
+    axes = tool_axis(run.sample_orientation(stamps))
+    volume = cut_of(cell, rigid=True).along(position, np.zeros(len(stamps), np.int64), axes=axes)[2]
+    way = np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1)
+    depth = volume / np.maximum(2.0 * cell.tool.radii.max() * way, 1e-12)
+    lowest = np.full(len(stamps), np.inf)
+    for radius, height in outline(cell.tool):
+        lowest = np.minimum(lowest, height * axes[:, 2] - radius * np.hypot(axes[:, 0], axes[:, 1]))
+    position[:, 2] += lowest
+    block = np.zeros(len(stamps), int) if path.timed is None else path.timed.block_at(stamps)
+    series, nothing = np.cumsum(np.diff(rapid, prepend=False) & rapid), np.zeros(len(stamps))
+    return Engagement(
+        position,
+        1e-9 * stamps,
+        rapid,
+        block,
+        np.where(rapid, series, 0),
+        depth,
+        np.where(rapid, depth, 0.0),
+        nothing,
+        nothing,
+        nothing,
+        np.full(len(stamps), margin),
+        np.where(rapid, volume, 0.0),
+    )
+
+
+def _tilted(cell: Cell, ran: ScoredPass) -> list[Finding]:
+    """Report the share of the volume above a leaning tool, and what is not compared with a tilted tool."""
+    subjects = ["shank", "holder", *(["fixtures"] if len(cell.workpiece.fixture_boxes) else [])]
+    degrees = math.degrees(cell.path.tilt)
+    severity = "stop" if len(cell.workpiece.fixture_boxes) else "warning"
+    words = ", ".join(subjects[:-1]) + " and " + subjects[-1]
+    results = [violation("tilted tool", 0.0, 0.0, subject=words, degrees=degrees, severity=severity)]
+    most = 0.01  # share of the removed volume above which forces are bounds (issue: 1 %)
+    share = ran.result.undercut_volume / ran.result.removed_volume
+    if share > most:
+        results.append(violation("undercut", 100.0 * share, 100.0 * most))
+    return results
 
 
 def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
@@ -210,7 +263,8 @@ def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding
     """Check the simulated pass along ``run`` and the programmed path in the stock, by the points of ``run``."""
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
-    return _spindle(cell, run, ran) + _tool(cell, run, ran) + contact_violations(cell, run, ran)
+    tilted = _tilted(cell, ran) if path_of(cell).tilts else []
+    return tilted + _spindle(cell, run, ran) + _tool(cell, run, ran) + contact_violations(cell, run, ran)
 
 
 def spring_back(cell: Cell, ran: ScoredPass) -> float:
@@ -258,7 +312,8 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     """
     margin, timed = cell.limits.rapid_contact, path_of(cell).timed
     contacts, results = _along_path(cell, run, margin)  # its places are released here
-    if not contacts and ran is not None and timed is not None and timed.toolpath.rapid.any():
+    deflected = ran is not None and not path_of(cell).tilts
+    if not contacts and deflected and timed is not None and timed.toolpath.rapid.any():
         earlier = cell.stage.earlier if cell.stage else ()
         margin += max([spring_back(cell, ran), *(removal.spring_back for removal in earlier)])
         contacts = rapid_violations(run, engagement(cell, margin, ran))
@@ -291,7 +346,7 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Findin
         results += violations(
             "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
         )
-    if flutes:
+    if flutes and not path_of(cell).tilts:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
     for body, depth in (("shank", met.shank), ("holder", met.holder)):
         over = depth > ROUNDING

@@ -84,6 +84,9 @@ KINDS = {
         "Use SPLINE motions, a larger program.line_limit or a smaller program.tolerance_um.", "warning"),
     "corner blending": Kind("%", "the share of the correction that corner blending takes" + EXCEEDS,
         "Lower program.blend_distance_mm, or use SPLINE motions.", "warning"),
+    "no blending": Kind("",
+        "the robot stops at each of {value:.0f} points of LIN motions, the plan at {limit:.0f}: its times do not hold",
+        "Raise program.blend_distance_mm above 0, or use SPLINE motions.", "warning"),
     "spindle torque": Kind("N m", "the spindle torque" + EXCEEDS, "Lower depth, width or feed of the cut."),
     "spindle power": Kind("kW", "the spindle power" + EXCEEDS, "Lower depth, width, feed or speed of the cut."),
     "stock missed": Kind("mm3", "the path removes nothing from the stock", "Check datum, unit and stock."),
@@ -94,6 +97,13 @@ KINDS = {
     "below the stock": Kind("mm", "the tool is {value:.4g} mm below {level} at point {point}",
         "Raise the path or lower the stock's bottom; limits.below_stock_mm states a plate under the stock, "
         "workpiece.table_z_mm a lower table."),
+    "undercut": Kind("%",
+        "{value:.2g} % of the removed volume was above the leaning tool, more than {limit:g} %: the height map has no "
+        "material there, so that the forces are bounds",
+        "Cut with the tool leaning into the feed, or turn the workpiece so that the tool is upright.", "warning"),
+    "tilted tool": Kind("1",
+        "the tool is tilted by {degrees:.3g} deg: flutes, plunges, {subject} are not compared with its shape",
+        "Check these places in the simulation of the CAM or of the robot.", "warning"),
     "in the fixture": Kind("mm", "the tool enters {subject} at point {point}, {value:.4g} mm below its top",
         "Move the fixture or the path."),
     "depth of cut": Kind("mm", "the cut is {value:.4g} mm deep at point {point}, the flutes are {limit:.4g} mm",
@@ -155,7 +165,7 @@ KINDS = {
         "Set tool.type to its shape: ball, bull_nose with corner_radius_mm, tapered with taper_deg, or points with "
         "profile_mm; flat if the cutter is flat and the comment is wrong."),
     "stability not judged": Kind("1",
-        "stability is not judged: the limits of the depth of cut hold for flat ends, and tool.type is {shape}",
+        "stability is not judged: the limits of the depth of cut hold for upright flat ends, and {shape}",
         "Listen to the first cut; lower the depth of cut where the part shows marks of chatter.", "warning"),
     "tool length": Kind("mm",
         "the length of {label} is unknown: the program has no G43 for it, and its mount.xyz_mm is that of an earlier "

@@ -80,7 +80,7 @@ class Stability:
     features: tuple[FeatureLimit, ...] = column("features")
     with_tool: bool = column("tool_modes")  #: the modes of tool and spindle are known
     uniform_pitch: bool = True
-    shape: str = column("", default="")  #: of a tool whose end is not flat: no limit is known
+    shape: str = column("", default="")  #: clause about a tool that is not flat or not upright: no limit is known
 
     @property
     def worst(self) -> FeatureLimit | None:
@@ -107,7 +107,7 @@ class Stability:
         else:
             known = "unknown (nothing is milled)" if self.uniform_pitch else "unknown (variable pitch)"
         if self.shape:
-            known = f"not judged (the limits hold for flat ends, and tool.type is {self.shape})"
+            known = f"not judged (the limits hold for upright flat ends, and {self.shape})"
         if self.with_tool:
             return f"stability: arm, tool and spindle: {known}"
         return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
@@ -117,7 +117,9 @@ def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None 
     """The statement of a cell whose arm can follow the path; progress(done, total): along the path."""
     with_tool = bool(cell.tool.modes.frequency.size)
     if not cell.tool.has_flat_end:
-        return Stability((), with_tool, shape=cell.tool.type)
+        return Stability((), with_tool, shape=f"tool.type is {cell.tool.type}")
+    if path_of(cell).tilts:
+        return Stability((), with_tool, shape="the tool is tilted")
     if not has_uniform_pitch(cell.tool):
         return Stability((), with_tool, uniform_pitch=False)
     return Stability(tuple(feature_limits(cell, progress=progress)), with_tool)
@@ -178,6 +180,8 @@ def feature_limits(
     tool = cell.tool
     if not tool.has_flat_end:
         raise ParameterError("tool.type", tool.type, "flat: the limits of the depth of cut hold for flat ends")
+    if path_of(cell).tilts:
+        raise ParameterError("path.file", cell.path.file, "upright: the limits do not hold for a tilted tool")
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
     arcs = arcs_along(path_of(cell), cell.earlier, progress)

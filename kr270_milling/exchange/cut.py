@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from kr270_milling.base.errors import MessageError
-from kr270_milling.base.frames import WORKPIECE
+from kr270_milling.base.frames import WORKPIECE, tool_axis
 from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import cut_of, path_of
@@ -16,10 +16,6 @@ from kr270_milling.exchange.inputs import ExchangeError, Output, checked_pose
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.motion.milling_pass import silent_periods
-
-__all__ = [
-    "CutProtocol",
-]
 
 
 class CutProtocol:
@@ -87,7 +83,10 @@ class CutProtocol:
         checked_pose(sample)
         if self.cut is None:
             raise MessageError("no workpiece yet: configure first")
-        self._answer(self.cut, sample.stamp, sample.position)
+        tool = sample.position
+        if self.cut.tilts:
+            tool = np.hstack([tool, tool_axis(sample.quaternion)])
+        self._answer(self.cut, sample.stamp, tool)
         self.stamp_ns = sample.stamp
         return [("wrench", WrenchSample(sample.stamp, WORKPIECE, self._wrench))]
 

@@ -7,6 +7,9 @@ A program may have fewer points than the plan has knots. The points alone determ
 time law determines where on the path the tool is.
 
 The rule of a real controller is not public. ``other_motion`` is a second rule for the same points.
+
+[mxAutomation] KUKA.PLC mxAutomation Logix 1.0, manual, 2012, p. 25: CDIS is the distance to the end point at which
+approximate positioning begins at the earliest; at most half the distance between start and end.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.path.trajectory import AT_REST, Trajectory
+from kr270_milling.path.trajectory import AT_REST, Trajectory, chords
 
 __all__ = ["block_ends", "controller_motion", "other_motion", "places_on_program", "spline_slopes"]
 
@@ -80,14 +83,18 @@ def spline_slopes(time: np.ndarray, values: np.ndarray, fixed: np.ndarray, slope
     return solve_banded((1, 1), bands, right)
 
 
-def places_on_program(run: Trajectory, knots: np.ndarray, points: np.ndarray, stops: np.ndarray, spline: bool):
+def places_on_program(
+    run: Trajectory, knots: np.ndarray, points: np.ndarray, stops: np.ndarray, spline: bool, blend=0.0
+) -> np.ndarray:
     """Return the place [m], (n, 3), of each knot of a planned run on the path through the points of its program.
 
     knots: those that are points, (p,), the first and the last included; points [m], (p, 3); stops (p,) bool: ends of
     the SPLINE blocks. A place is as far along the path as the knot is along the chords of the run. spline: the C2 cubic
-    spline over that distance in each block, without curvature at its ends; else straight lines.
+    spline over that distance in each block, without curvature at its ends; else straight lines. blend [m], a number or
+    (p,): distance from a point where the tool leaves its line for a parabola to the next line, at most half
+    of a line [mxAutomation]; none at stops.
     """
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(run.position, axis=0), axis=1))])
+    travelled = np.concatenate([[0.0], np.cumsum(chords(run))])
     step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
     first, last = step * _natural_slopes(step, move / step, stops) if spline else (move, move)
     place = np.empty(run.position.shape)
@@ -96,7 +103,31 @@ def places_on_program(run: Trajectory, knots: np.ndarray, points: np.ndarray, st
         span = np.clip(span, 0, len(knots) - 2)
         u = (travelled[part] - travelled[knots[span]])[:, None] / step[span]
         place[part] = _hermite(points[span], move[span], first[span], last[span], u)
+        if not spline and np.any(blend):
+            place[part] += _rounding(move, np.where(stops, 0.0, blend), span, u[:, 0])
     return place
+
+
+def _rounding(move: np.ndarray, blend: np.ndarray, span: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the way [m], (m, 3), from places u (m,) on their lines ``span`` (m,) to the parabolas at the points.
+
+    move (p - 1, 3): lines between the points; blend (p,) [m]. From d before a point to d behind it the parabola is
+    P + t^2 d e_k - (1 - t)^2 d e_(k-1), t from 0 to 1, e the directions: it misses the point by d (e_k - e_(k-1)) / 4.
+    """
+    length = np.linalg.norm(move, axis=1)
+    direction = move / np.where(length > 0.0, length, 1.0)[:, None]
+    distance = np.zeros(len(blend))
+    distance[1:-1] = np.minimum(blend[1:-1], np.minimum(length[:-1], length[1:]) / 2.0)
+    way = np.zeros((len(u), 3))
+    for point, signed in ((span, u * length[span]), (span + 1, (u - 1.0) * length[span])):
+        d = distance[point]
+        inside = np.abs(signed) < d
+        at, d, signed = point[inside], d[inside, None], signed[inside, None]
+        before, after = direction[at - 1], direction[at]
+        t = 0.5 + 0.5 * signed / d
+        line = signed * np.where(signed < 0.0, before, after)
+        way[inside] = t**2 * d * after - (1.0 - t) ** 2 * d * before - line
+    return way
 
 
 def _natural_slopes(step: np.ndarray, slope: np.ndarray, stops: np.ndarray) -> np.ndarray:

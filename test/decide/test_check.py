@@ -163,6 +163,13 @@ def test_blending_is_only_a_matter_of_lin_motions(cell, ran):
         assert ("corner blending" in kinds(check(strict, revised, motion, ran), "warning")) == blended
 
 
+@pytest.mark.parametrize(("distance", "motion", "stops"), [(0.0, "LIN", 1), (0.0, "SPLINE", 0), (1e-3, "LIN", 0)])
+def test_lin_motions_without_blending_stop_at_each_point(cell, ran, distance, motion, stops):
+    own = cell.replace(krl=cell.krl.replace(blend_distance=distance))
+    checked = check(own, path_of(own).target, motion, ran)
+    assert ("no blending" in kinds(checked, "warning")) == stops
+
+
 # --- Findings ---
 def test_neighbours_that_exceed_make_one_finding_named_by_the_worst():
     first, second = violations("spindle torque", np.array([0, 2, 3, 2, 0, 1.5, 1.0]), 1.0)

@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.models import cut_of, path_of
+from kr270_milling.cell.models import cut_of, flat_floors, path_of
 from kr270_milling.cell.stage import Removal, cleared, swept
 from kr270_milling.decide.part.stations import Stations
 from kr270_milling.decide.part.workpiece import heights_at, machined
@@ -194,13 +194,13 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
     In a program with several tools, the rigid arm made the paths of the earlier tools before. Walls and floors
     belong to the last tool that passes there.
     """
-    cut = machined(cut_of(cell, rigid=True), target, path_of(cell).clock)
+    cut = machined(cut_of(cell, rigid=True), target, path_of(cell).clock, path_of(cell).target)
     level = cut.params.level_step
     x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level, float(cell.stock.max[2]))
     passages = marks(cell.tool, path, path_of(cell).clock.period, target)
     below = passages["centre"][:, 2] < cell.stock.max[2] - level
-    passages = passages[below & cell.tool.has_flat_end]  # the sides of another end are part of the surface
+    passages = passages[below & flat_floors(cell)]  # the sides of another end are part of the surface
     staying, wall_height = _staying(cut, passages)
     if cell.stage:
         radius = float(cell.tool.radii.max())
@@ -233,8 +233,8 @@ def surface(
     """
     walls = remaining_walls(ideal, path, actual - target)
     if heights is None or heights.shape != ideal.height.shape:
-        heights = machined(cut_of(cell), actual, path_of(cell).clock).map_heights()[2]
-    if not cell.tool.has_flat_end:
+        heights = machined(cut_of(cell), actual, path_of(cell).clock, path_of(cell).target).map_heights()[2]
+    if not flat_floors(cell):
         return _curved(cell.stock, ideal, heights), walls
     return _floors(cell.stock, ideal, heights, float(np.abs(actual - target)[:, :2].max(initial=0.0))), walls
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.files import write_files
+from kr270_milling.base.frames import tool_axis
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.motion.milling_pass import PassResult
@@ -18,13 +20,16 @@ __all__ = ["heights_at", "machined", "write_part", "write_stl"]
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def machined(cut: CutModel, positions: np.ndarray, clock: Clock) -> CutModel:
+def machined(cut: CutModel, positions: np.ndarray, clock: Clock, run: Trajectory | None = None) -> CutModel:
     """Move the tool tip through positions (n + 1, 3) [m] of a fresh workpiece, and return the workpiece.
 
     One exchange period lies between two positions, workpiece frame. Positions of the target leave the part of a rigid
-    arm. Raises MillingError.
+    arm. run: states the axis of a tool that tilts. Raises MillingError.
     """
-    cut.along(positions, np.arange(len(positions)) * clock.micro_steps)
+    steps, axes = np.arange(len(positions)), None
+    if run is not None and cut.tilts:
+        axes = tool_axis(run.sample_orientation(clock.stamp(steps)))
+    cut.along(positions, steps * clock.micro_steps, axes=axes)
     return cut
 
 
@@ -40,13 +45,13 @@ def heights_at(cut: CutModel, xy: np.ndarray) -> np.ndarray:
     return np.where(inside, stock.max[2] - level * cut.params.level_step, np.nan)
 
 
-def write_part(path, cut: CutModel, result: PassResult, clock: Clock) -> int:
+def write_part(path, cut: CutModel, result: PassResult, clock: Clock, run: Trajectory | None = None) -> int:
     """``write_stl`` of the part that a pass left. It is swept again only where the pass has no map that is as fine.
 
-    cut: a fresh workpiece.
+    cut: a fresh workpiece; run: as in ``machined``.
     """
     if result.heights is None or cut.map_thinning > _thinning(cut):
-        return write_stl(path, machined(cut, result.actual, clock))
+        return write_stl(path, machined(cut, result.actual, clock, run))
     return write_stl(path, cut, (*cut.map_heights()[:2], result.heights))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import shutil
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,9 @@ __all__ = [
     "OLDER",
     "RSI_TICKS_NS",
     "as_commanded",
+    "knot_feeds",
     "notes_of",
+    "program_bytes",
     "set_aside",
     "time_law",
     "write_joint_table",
@@ -131,31 +133,43 @@ def write_programs(
     program = cell.krl if released else cell.krl.replace(name=f"{NOT_RELEASED}{suffix}")
     named = f"{method}{suffix}"
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
-    setup = dataclasses.replace(
-        _setup(cell, *commanded), date=date, source_hash=source, method=method, decision=decision
-    )
+    setup = dataclasses.replace(_setup(cell), date=date, source_hash=source, method=method, decision=decision)
     notes = notes_of(path_of(cell), len(original))
     files: dict[str, list[Path]] = {}
-    programs: list[tuple[str, str, int]] = []
+    programs: list[tuple] = []
     limits: list[str] = []
+    parts = [(0, len(original) - 1)]
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, notes)
+        written, points, ends = krl.write_krl(
+            folder,
+            program.replace(motion=motion),
+            setup,
+            *commanded,
+            notes,
+            knot_feeds(path_of(cell), len(commanded[0])),
+        )
         files[f"krl_{motion.lower()}"] = written
-        programs.append((motion, folder.name, len(written)))
+        parts = parts if programs else ends  # of the first motion: RSI runs it
+        size = program_bytes(written)
+        about = f"{size / 1e6:.3g} MB for {len(points)} points, {size / len(points):.0f} bytes a point"
+        programs.append((motion, folder.name, len(written), len(ends), about))
         limits = limits or krl.time_statements(program.replace(motion=motion), setup)
     if rsi and motions is not None:
         folder = place / f"rsi_{label}"
         folder.mkdir(parents=True, exist_ok=True)
         limit, lines = cell.compensation.max_correction, setup.heading(program, "ORG", commanded[0])
-        files["rsi_context"] = write_rsi_context(folder, program, setup, limit, rsi, lines)
+        files["rsi_context"] = write_rsi_context(folder, program, setup, limit, rsi, lines, len(parts))
     tick_ns = cell.compensation.tick_ns
     tick_ns = tick_ns if tick_ns in RSI_TICKS_NS else RSI_TICKS_NS[-1]
     if "rsi" in tables:
-        files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
-        air = float(cell.stock.max[2]), setup.safe_z, cell.krl.approach_feed
-        write_rsi_table(files["rsi"][0], *commanded, tick_ns, air)
+        names = [f"_P{n}" for n in range(1, len(parts) + 1)] if len(parts) > 1 else [""]
+        files["rsi"] = [place / f"rsi_offsets_{label}{name}.csv" for name in names]
+        air = setup.top, setup.top + cell.krl.safe_height, cell.krl.approach_feed
+        for path, (first, last) in zip(files["rsi"], parts, strict=True):
+            before, after = (run.between(first, last) for run in commanded)
+            write_rsi_table(path, before, after, tick_ns, air)
     if "joints" in tables:
         files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
         for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
@@ -178,6 +192,11 @@ def write_programs(
     return files, text
 
 
+def program_bytes(files: Iterable[Path]) -> int:
+    """Return the size of the corrected program among the files of ``write_krl``."""
+    return sum(path.stat().st_size for path in files if re.search(r"_CMP(_P?\d+)?\Z", path.stem))
+
+
 def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
     """The points that make a controller's own inverse kinematics arrive at ``joints`` [rad], (n, 6).
 
@@ -190,33 +209,40 @@ def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
     return Trajectory(run.time_ns, tool.position, quaternion_from_rotation(tool.rotation), run.velocity, run.frame)
 
 
-def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
+def _setup(cell: Cell) -> krl.Setup:
     """$TOOL is the mount, $BASE the workpiece."""
-    safe_z = float(cell.stock.max[2]) + cell.krl.safe_height
-    approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
     mount = cell.mount
     centre = tuple(TOOL0.inverse().apply(mount.mass_centre).tolist())
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
     spindle = f"{cell.tool.spindle_speed * 30.0 / np.pi:.6g} rpm, {cell.tool.rotation}"
-    tool = _tool_in_flange(cell)
     fed = path_of(cell).fed
-    external = fed.toolpath.program.external if fed else (0.0,) * 6
-    return krl.Setup(tool, cell.workpiece.pose, approaches, safe_z, mount.mass, centre, spindle, *law, external)
+    return krl.Setup(
+        _tool_in_flange(cell),
+        cell.workpiece.pose,
+        lambda run, knot: _approach(cell, run, knot),
+        float(cell.stock.max[2]),
+        mount.mass,
+        centre,
+        spindle,
+        *law,
+        5 if cell.compensation.scheduled else 3,  # digits; of 1.2 m/min 0.05 % and 5 %
+        fed.toolpath.program.external if fed else (0.0,) * 6,
+    )
 
 
-def _approach(cell: Cell, run: Trajectory, safe_z: float) -> tuple[np.ndarray, int, int]:
-    """Above the first point, a little beside it where an axis would be at zero: its sign, the bit of T, would be
+def _approach(cell: Cell, run: Trajectory, knot: int) -> tuple[np.ndarray, int, int]:
+    """Above a knot, a little beside it where an axis would be at zero: its sign, the bit of T, would be
     left to rounding, and a controller that finds the other sign looks for the axis a whole turn away.
 
     Raises InputError where the arm cannot reach it.
     """
-    above = run.position[:1].copy()
-    above[0, 2] = max(above[0, 2], safe_z)
+    above = run.position[[knot]].copy()
+    above[0, 2] = max(above[0, 2], float(cell.stock.max[2]) + cell.krl.safe_height)
     approaches = []
-    beside = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  # [m], of the approach beside the first point, tried in this order
+    beside = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  # [m], of the approach beside the knot, tried in this order
     for shift in beside:
         try:
-            joints = arm_of(cell).joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
+            joints = arm_of(cell).joints_at(above + [*shift, 0.0], run.quaternion[[knot]])[0]
         except (ReachError, JointLimitError, SingularityError) as error:
             raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
         status, turn = status_turn(cell.arm, joints)
@@ -259,8 +285,20 @@ def _turning(program: Program, run: Trajectory) -> str:
     return f"the tool turns at up to {most[0]:.3g} deg/s and {most[1]:.3g} deg/s2 in the plan{slower}"
 
 
-def notes_of(path: CellPath, count: int) -> list[str]:
-    """Return line and feature of each knot as comments; empty without a program."""
+def knot_feeds(path: CellPath, count: int) -> np.ndarray | None:
+    """Return the programmed feed [m/s] of the block of each of ``count`` knots; NaN where the tool stops.
+
+    None for a path without a program, and for a trajectory of other knots.
+    """
+    if path.timed is None or path.timed.timed_by_source or len(path.target) != count:
+        return None
+    toolpath, block = path.timed.toolpath, path.timed.block
+    feed = np.where(toolpath.rapid, path.timing.rapid_feed, toolpath.feed)[block]
+    return np.where(path.target.standing, np.nan, feed)
+
+
+def notes_of(path: CellPath, count: int) -> list[tuple[int, str]]:
+    """Return line and feature of each knot for comments; empty without a program."""
     lines, features = path.knot_source
     return krl_motion.knot_notes(lines, features) if len(lines) == count else []
 

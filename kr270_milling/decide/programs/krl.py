@@ -1,20 +1,22 @@
-"""Robot programs for a KR C4: the original and the compensated trajectory side by side, with the same point numbers.
+"""Robot programs for a KR C4: the original and the compensated trajectory side by side, with the same points.
 
 NAME_ORG and NAME_CMP are a main module each (.src, .dat), which calls NAME_ORG_001, ... when the points exceed the line
-limit. Point k is knot k-1 of both trajectories. SPLINE: SPL segments with their speed, one block from stop to stop;
-between the points the motion is that of ``path.controller_motion``. LIN: straight
-lines, blended by C_DIS except where the tool stops. The robot also stops where one module ends and the next begins,
-so modules end at stops where they can. A dwell is not written: the speed of the next move covers its time.
+limit. XP of a comment is the number of the next point: XPk is knot k-1 of both trajectories. SPLINE: SPL segments with
+their speed, one block from stop to stop; between the points the motion is that of ``path.controller_motion``. LIN:
+straight lines, blended by C_DIS except where the tool stops. The robot also stops where one module ends and the next
+begins, so modules end at stops where they can. A dwell is not written: the speed of the next move covers its time.
 
 The main module goes from home to the safe height above the first point, down to it, along the path, up and home; the
-spindle's and the coolant's own commands come from ``program``.
+spindle's and the coolant's own commands come from ``program``. Programs of more bytes than ``program.memory`` are parts
+that do so one after the other, each in its folder: P1 has NAME_ORG_P1, which goes from the first point of the part to
+its last. A part ends where the tool stops above the stock. NAME_ORG then calls the parts.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,11 +35,12 @@ from kr270_milling.decide.programs.krl_motion import (
     modules_of,
     motion_lines,
     number,
+    parts_of,
+    point_comments,
     point_speeds,
     position_text,
-    shortest,
 )
-from kr270_milling.decide.programs.points import point_numbers
+from kr270_milling.decide.programs.points import fixed_knots, point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["Setup", "filled", "time_statements", "trajectory_hash", "write_krl"]
@@ -53,15 +56,16 @@ class Setup:
 
     tool: Pose  #: tcp in $FLANGE, whose z points out of the flange ($TOOL)
     base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
-    #: E6POS of the original and of the compensated program to which a PTP from home leads, at the safe height above the
-    #: first point: position in $BASE [m], (3,), S and T
-    approaches: Sequence[tuple[np.ndarray, int, int]]
-    safe_z: float  #: [m], height of the retract in the workpiece frame
+    #: E6POS to which a PTP from home leads, at the safe height above a knot of a trajectory: position in $BASE [m],
+    #: (3,), S and T
+    approach: Callable[[Trajectory, int], tuple[np.ndarray, int, int]]
+    top: float  #: [m], top of the stock in the workpiece frame
     load_mass: float = 0.0  #: [kg], spindle and tool
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
     acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
     jerk: float = 0.0  #: jerk of the time law [m/s3]
+    speed_digits: int = 3  #: decimals of the speeds [m/s]
     external: tuple[float, ...] = (0.0,) * 6  #: E1 to E6, as the program of the path has them during its cuts
     date: str = ""
     source_hash: str = ""  #: SHA-256 of the recording or the tool path
@@ -102,45 +106,79 @@ def write_krl(
     setup: Setup,
     original: Trajectory,
     revised: Trajectory,
-    notes: Sequence[str] = (),
-) -> list[Path]:
-    """Write all modules of both programs, or none; returns their paths.
+    notes: Sequence[tuple[int, str]] = (),
+    feeds: np.ndarray | None = None,
+) -> tuple[list[Path], np.ndarray, list[tuple[int, int]]]:
+    """Write all modules of both programs, or none; return the paths, the knots that are points, and the parts.
 
-    notes: of ``knot_notes``. Raises TrajectoryError for trajectories of different knots,
-    and for more points than the modules can hold.
+    A part is its first and its last knot. notes: of ``knot_notes``; feeds: of ``fixed_knots``; None: not known.
+    Raises TrajectoryError for trajectories of different knots, and for more points than the modules or the memory can
+    hold.
     """
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
-    notes = notes or [""] * len(original)
-    points, stops = point_numbers(program, original, revised), original.standing
-    heads = {kind: setup.heading(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
-    head, foot = _head_and_foot(program, setup)
-    frame_lines = 20  # of a module beside heading, templates and motions
-    most = program.line_limit - frame_lines - max(map(len, heads.values())) - len(head) - len(foot)
+    runs = {"ORG": original, "CMP": revised}
+    points = point_numbers(program, original, revised, fixed_knots(original.standing, feeds))
+    comments, rests = point_comments(points, notes), original.standing[points]
+    splits = rests & np.all([run.position[points, 2] >= setup.top for run in runs.values()], axis=0)
+    frame_lines = 25  # of a module beside template and motions: heading, first and last lines
+    most = program.line_limit - frame_lines - sum(map(len, _head_and_foot(program, setup, "XP1")))
     if most < 20:
         raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
-    pieces = modules_of(program, points, stops, notes, most)
-    files: dict[Path, list[str]] = {}
-    for kind, run in (("ORG", original), ("CMP", revised)):
-        speed = point_speeds(program, run, points)
-        moves = [motion_lines(program, points, piece, speed, stops, notes) for piece in pieces]
-        frames = [_frames(run, points[slice(*piece)]) for piece in pieces]
-        modules = _modules(f"{program.name}_{kind}", moves, frames, [head, foot, _places(program, setup, kind, run)])
-        for name, (src, dat) in modules.items():
-            files[Path(directory) / f"{name}.src"] = [*HEAD, f"DEF {name}( )", *heads[kind], *src, "END"]
-            files[Path(directory) / f"{name}.dat"] = [*HEAD, f"DEFDAT {name}", *heads[kind], *EXTERNAL, *dat, "ENDDAT"]
+    parts = [(1, len(points))]
+    while True:
+        modules = [modules_of(program, part, rests, comments, most) for part in parts]
+        if sum(map(len, modules)) > 999:
+            raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
+        ends = [(int(points[start - 1]), int(points[end - 1])) for start, end in parts]
+        files: dict[Path, list[str]] = {}
+        size = 0
+        for kind, run in runs.items():
+            rows, speed = _rows(run)[points], point_speeds(program, run, points, feeds)
+            moves = [
+                [
+                    motion_lines(program, rows[a:b], speed[a:b], rests[a:b], comments[a:b], setup.speed_digits)
+                    for a, b in own
+                ]
+                for own in modules
+            ]
+            for part in _sources(program, setup, kind, run, moves, ends):
+                size = max(size, sum(len(line) + 2 for lines in part.values() for line in lines))
+                files |= {Path(directory, name): lines for name, lines in part.items()}
+        if size <= program.memory:
+            break
+        fitting = program.memory / size * max(end - start for start, end in parts)
+        parts = parts_of(len(points), splits, int(0.95 * fitting))
+    for path in files:
+        if path.parent != Path(directory):
+            path.parent.mkdir(parents=True, exist_ok=True)
     write_files({path: (line + "\n" for line in lines) for path, lines in files.items()}, newline="\r\n")
-    return list(files)
+    return list(files), points, ends
 
 
-def _modules(main: str, moves: list, frames: list, main_parts: list) -> dict[str, tuple[list[str], list[str]]]:
-    """Name -> lines of .src and of .dat; a single piece is in the main module itself."""
-    head, foot, places = main_parts
-    if len(moves) == 1:
-        return {main: ([*head, *moves[0], *foot], [*places, *frames[0]])}
-    names = [f"{main}_{n:03d}" for n in range(1, len(moves) + 1)]
-    calls = [f"{name}( )" for name in names]
-    return {main: ([*head, *calls, *foot], places)} | dict(zip(names, zip(moves, frames, strict=True), strict=True))
+def _sources(
+    program: Program, setup: Setup, kind: str, run: Trajectory, moves: list[list[list[str]]], ends: list
+) -> Iterator[dict[str, list[str]]]:
+    """Name of a file -> its lines, for each part of a program; moves: lines of each module of each part."""
+    name, heading, number = f"{program.name}_{kind}", setup.heading(program, kind, run), 0
+
+    def source(module: str, lines: list[str]) -> dict[str, list[str]]:
+        return {f"{module}.src": [*HEAD, f"DEF {Path(module).name}( )", *heading, *lines, "END"]}
+
+    for n, (own, (first, last)) in enumerate(zip(moves, ends, strict=True), 1):
+        folder, main = ("", name) if len(moves) == 1 else (f"P{n}/", f"{name}_P{n}")
+        lines = own[0]
+        files: dict[str, list[str]] = {}
+        if len(own) > 1:
+            names = [f"{name}_{number + k:03d}" for k in range(1, len(own) + 1)]
+            lines, number = [f"{module}( )" for module in names], number + len(own)
+            for module, module_lines in zip(names, own, strict=True):
+                files |= source(folder + module, module_lines)
+        head, foot = _head_and_foot(program, setup, f"XP{first + 1}")
+        data = [*HEAD, f"DEFDAT {main}", *heading, *EXTERNAL, *_places(program, setup, run, first, last), "ENDDAT"]
+        yield source(folder + main, [*head, *lines, *foot]) | {f"{folder}{main}.dat": data} | files
+    if len(moves) > 1:
+        yield source(name, [f"{name}_P{n}( )" for n in range(1, len(moves) + 1)])
 
 
 def _rows(run: Trajectory) -> np.ndarray:
@@ -148,28 +186,23 @@ def _rows(run: Trajectory) -> np.ndarray:
     return frame_row(Pose(run.position, rotation_from_quaternion(run.quaternion)))
 
 
-def _frames(run: Trajectory, numbers: np.ndarray) -> list[str]:
-    rows = _rows(run)
-    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k], shortest)}}}" for k in numbers.tolist()]
-
-
-def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[str]:
-    """Home, approach, first point and retract."""
-    first, retract = _rows(run)[[0, -1]]
-    retract[2] = max(retract[2], 1e3 * setup.safe_z)
-    position, status, turn = setup.approaches[list(KINDS).index(kind)]
-    above = [*(1e3 * position), *first[3:]]
+def _places(program: Program, setup: Setup, run: Trajectory, first: int, last: int) -> list[str]:
+    """Home, approach, first point and retract of a part of a trajectory from one knot to another."""
+    start, retract = _rows(run)[[first, last]]
+    retract[2] = max(retract[2], 1e3 * (setup.top + program.safe_height))
+    position, status, turn = setup.approach(run, first)
+    above = [*(1e3 * position), *start[3:]]
     home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles), setup.external)}}}"]
     return [
         *(home if program.home_angles.size else []),
         f"DECL E6POS XAPPROACH={{{position_text(above, status, turn, setup.external)}}}",
-        f"DECL FRAME XP1={{{frame_text(first)}}}",
+        f"DECL FRAME XP{first + 1}={{{frame_text(start)}}}",
         f"DECL FRAME XRETRACT={{{frame_text(retract)}}}",
     ]
 
 
-def _head_and_foot(program: Program, setup: Setup) -> list[list[str]]:
-    """Everything before the first motion along the path, and everything after the last one."""
+def _head_and_foot(program: Program, setup: Setup, start: str) -> list[list[str]]:
+    """Everything before the first motion along the path, which begins at ``start``, and after the last motion."""
     x, y, z = (number(1e3 * v, 3) for v in setup.load_centre)
     text = filled(
         "main.txt",
@@ -179,6 +212,7 @@ def _head_and_foot(program: Program, setup: Setup) -> list[list[str]]:
         tool=f"{{{frame_text(frame_row(setup.tool))}}}",
         base=f"{{{frame_text(frame_row(setup.base))}}}",
         spindle=setup.spindle,
+        start=start,
         approach_feed=number(max(program.approach_feed, 1e-3), 3),
         limits=time_statements(program, setup),
     )

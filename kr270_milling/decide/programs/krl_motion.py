@@ -27,6 +27,8 @@ __all__ = [
     "modules_of",
     "motion_lines",
     "number",
+    "parts_of",
+    "point_comments",
     "point_speeds",
     "position_text",
     "printable_ascii",
@@ -54,9 +56,9 @@ def frame_row(pose: Pose) -> np.ndarray:
 
 
 def frame_text(row: Sequence[float] | np.ndarray, text: Callable[[float, int], str] = number) -> str:
-    """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5; text: ``number`` or ``shortest``."""
+    """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5 or none; text: ``number`` or ``shortest``."""
     texts = [text(v, 4 if i < 3 else 5) for i, v in enumerate(row)]
-    return ",".join(f"{name} {text}" for name, text in zip("XYZABC", texts, strict=True))
+    return ",".join(f"{name} {text}" for name, text in zip("XYZABC", texts, strict=False))
 
 
 def position_text(row: Sequence[float], status: int, turn: int, external: Sequence[float]) -> str:
@@ -85,70 +87,110 @@ def comments(texts: Iterable[str]) -> list[str]:
 
 
 GAUSS = np.polynomial.legendre.leggauss(4)
+TURNED = 5e-5  #: [deg], a change of A, B or C that is written: 0.1 um at 0.1 m from the tip
 
 
-def knot_notes(lines: Sequence[int] | np.ndarray, features: Sequence[str]) -> list[str]:
-    """Return line and feature of each knot as a comment, (n,); empty for line 0."""
+def knot_notes(lines: Sequence[int] | np.ndarray, features: Sequence[str]) -> list[tuple[int, str]]:
+    """Return line and feature of each knot, (n,), as the comments name them."""
     names = {feature: printable_ascii(feature)[:WIDEST] for feature in set(features)}
-    named = {feature: f" ({name})" if name else "" for feature, name in names.items()}
-    return [f"; line {n}{named[feature]}" if n else "" for n, feature in zip(lines, features, strict=True)]
+    return [(int(line), names[feature]) for line, feature in zip(lines, features, strict=True)]
 
 
-def _note(notes: Sequence[str], k: int, before: int) -> list[str]:
-    """The comment before point k, where it is not that of the point before."""
-    return [notes[k]] if notes[k] and notes[k] != notes[before] else []
+def point_comments(points: np.ndarray, notes: Sequence[tuple[int, str]]) -> list[str]:
+    """Return the comment before each point, (p,): its number, line and feature; empty for most points.
 
-
-def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, notes: Sequence[str], most: int) -> list:
-    """Ranges of points after the first, [from, to), one for each module of ``most`` lines; they end at stops if near.
-
-    Raises TrajectoryError for more points than the modules of a main module can hold.
+    A comment is before the first point of a feature, and at the latest 10 points after a change of the line.
     """
-    pieces, start, lines = [], 1, 0
-    for i in range(1, len(points)):
-        stop = bool(stops[points[i]])
-        lines += 2 if program.motion == "LIN" else 1 + 2 * stop
-        lines += len(_note(notes, points[i], points[i - 1]))
-        if lines > most - 4 or (stop and lines > 0.75 * most):
+    rare, often = 50, 10  # points from one comment to the next
+    comments, noted, last = [], (0, ""), 0
+    for i, k in enumerate(points.tolist()):
+        line, feature = notes[k] if notes else (0, "")
+        other = line != noted[0]
+        if i and (feature != noted[1] or i - last >= (often if other else rare) or (other and last == 0)):
+            text = f"; XP{k + 1}" + f" line {line}" * bool(line) + f" ({feature})" * (feature != noted[1])
+            noted, last = (line, feature), i
+            comments.append(text)
+        else:
+            comments.append("")
+    return comments
+
+
+def parts_of(count: int, splits: np.ndarray, most: int) -> list[tuple[int, int]]:
+    """Ranges of ``count`` points after the first, [from, to), of at most ``most`` points.
+
+    They end at splits, a mask (p,). Raises TrajectoryError where no split is near enough.
+    """
+    parts, start = [], 1
+    while count - start > most:
+        ends = start + np.flatnonzero(splits[start : start + most])
+        if not ends.size:
+            reason = f"{most} points fit, and none of them is a stop above the stock, where a part could end"
+            raise TrajectoryError(f"program.memory_mb is too small: {reason}")
+        parts.append((start, int(ends[-1]) + 1))
+        start = parts[-1][1]
+    return [*parts, (start, count)] if start < count else parts
+
+
+def modules_of(
+    program: Program, part: tuple[int, int], rests: np.ndarray, comments: Sequence[str], most: int
+) -> list[tuple[int, int]]:
+    """Ranges of the points of a part, [from, to), one for each module of ``most`` lines; they end at stops if near.
+
+    rests: mask (p,) of points. Raises TrajectoryError for more points than the modules of a main module can hold.
+    """
+    pieces, lines = [], 0
+    start, last = part
+    for i in range(start, last):
+        lines += (2 if program.motion == "LIN" else 1 + 3 * bool(rests[i])) + bool(comments[i])
+        if lines > most - 4 or (rests[i] and lines > 0.75 * most):
             pieces.append((start, i + 1))
             start, lines = i + 1, 0
-    if start < len(points):
-        pieces.append((start, len(points)))
-    if len(pieces) > 999:
-        raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
+    if start < last:
+        pieces.append((start, last))
     if len(pieces) > 1 and len(pieces) > most:
-        reason = f"{len(points)} points need {len(pieces)} modules, more than a main module of"
+        reason = f"{last} points need {len(pieces)} modules, more than a main module of"
         raise TrajectoryError(f"{reason} {program.line_limit} lines can call; raise program.line_limit")
     return pieces
 
 
-def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, notes: Sequence[str]) -> list[str]:
-    """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module."""
+def motion_lines(
+    program: Program, rows: np.ndarray, speed: np.ndarray, rests: np.ndarray, comments: Sequence[str], digits: int = 3
+) -> list[str]:
+    """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module.
+
+    rows (q, 6): X, Y, Z [mm], A, B, C [deg]. A, B, C are written where they change, at the first point and behind a
+    comment, where an operator may enter: a place keeps what it leaves out from the place before. Public programs that
+    run on KR C2 and KR C4 are written so (javakuka.com).
+    """
     lines: list[str] = []
-    feeds = [f"$VEL.CP={shortest(value, 3)}" for value in speed[slice(*piece)]]
-    rests = stops[points[slice(*piece)]].copy()
+    feeds = [f"$VEL.CP={shortest(value, digits)}" for value in speed]
+    rests = rests.copy()
     rests[-1] = True
-    begin, usual = 0, ""
-    for i, (feed, rest) in enumerate(zip(feeds, rests, strict=True)):
-        k = int(points[piece[0] + i])
-        comment = _note(notes, k, points[piece[0] + i - 1])
-        if program.motion == "LIN":
-            blend = "" if rest or not program.blend_distance else " C_DIS"
-            lines += [*comment, *[feed] * (feed != usual), f"LIN XP{k + 1}{blend}"]
-            usual = feed
-            continue
-        if i == begin:  # of a block, whose segments have its usual speed where they state none
-            usual = Counter(feeds[i : i + int(np.argmax(rests[i:])) + 1]).most_common(1)[0][0]
-            lines.append(f"SPLINE WITH {usual}")
-        lines += [*comment, f"SPL XP{k + 1}" + f" WITH {feed}" * (feed != usual), *["ENDSPLINE"] * bool(rest)]
-        begin = i + 1 if rest else begin
+    spline = program.motion == "SPLINE"
+    begins, usual, turned = True, "", np.full(3, np.nan)
+    for i, (feed, rest) in enumerate(zip(feeds, rests.tolist(), strict=True)):
+        if begins or not spline:  # a block has its usual speed, which its segments need not state
+            block = feeds[i : i + int(np.argmax(rests[i:])) + 1] if spline else [feed]
+            most = Counter(block).most_common(1)[0][0]
+            lines += [most] * (most != usual) + ["SPLINE"] * spline
+            usual = most
+        turns = not i or bool(comments[i]) or np.abs(rows[i, 3:] - turned).max() > TURNED
+        turned = rows[i, 3:] if turns else turned
+        place = f"{{{frame_text(rows[i, : 6 if turns else 3], shortest)}}}"
+        lines += [comments[i]] * bool(comments[i])
+        if spline:
+            lines += [f"SPL {place}" + f" WITH {feed}" * (feed != usual), *["ENDSPLINE"] * rest]
+        else:
+            lines.append(f"LIN {place}" + " C_DIS" * (not rest and program.blend_distance > 0.0))
+        begins = rest
     return lines
 
 
-def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.ndarray:
+def point_speeds(program: Program, run: Trajectory, points: np.ndarray, feeds: np.ndarray | None = None) -> np.ndarray:
     """Largest speed [m/s], (p,), on the way to each point, of the mean speeds between knots; 0 for the first.
 
-    The controller plans its own ramps up to that speed.
+    The controller plans its own ramps up to that speed. feeds: of ``fixed_knots``; where the feed changes on the way,
+    the lower one holds.
     """
     step = np.diff(run.time_ns)
     if program.motion == "LIN" or run.velocity is None:
@@ -157,5 +199,10 @@ def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.nd
         places = run.time_ns[:-1, None] + np.rint((1 + GAUSS[0]) / 2 * step[:, None]).astype(np.int64)
         length = run.feed(places) @ (GAUSS[1] / 2) * step * 1e-9
     fastest = np.maximum.reduceat(length / (1e-9 * step), points[:-1])
+    if feeds is not None:
+        change = feeds[1:] != feeds[:-1]
+        lower = np.where(change, np.fmin(feeds[1:], feeds[:-1]), np.inf)
+        lower[np.isnan(feeds[1:] + feeds[:-1])] = np.inf
+        fastest = np.minimum(fastest, np.minimum.reduceat(lower, points[:-1]))
     slowest = 1e-3  # [m/s], the step of the speeds that are written
     return np.concatenate([[0.0], np.maximum(fastest, slowest)])

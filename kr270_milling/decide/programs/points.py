@@ -15,13 +15,27 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.base.column import column, computed
+from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.cell.sections import Program
 from kr270_milling.path.controller_motion import places_on_program
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import LEVER, Trajectory, turned
 
-__all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
+__all__ = ["ProgramBlocks", "fixed_knots", "point_numbers", "program_blocks"]
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
+
+
+def fixed_knots(stops: np.ndarray, feeds: np.ndarray | None) -> np.ndarray:
+    """Return the knots that must be points, (n,) bool: the stops, and where the feed changes.
+
+    feeds: of the block of each knot [m/s], (n,), NaN at a stop. The point is the knot in the faster block, so that the
+    way to it, or from it, has the lower feed as a whole.
+    """
+    fixed = stops.copy()
+    if feeds is not None:
+        fixed[1:] |= feeds[1:] > feeds[:-1]
+        fixed[:-1] |= feeds[1:] < feeds[:-1]
+    return fixed
 
 
 def point_numbers(
@@ -33,7 +47,7 @@ def point_numbers(
     0 takes all other knots.
     """
     fixed = original.standing if fixed is None else fixed
-    knots = _apart(program.point_spacing, fixed, original.position, revised.position)
+    knots = _apart(program.point_spacing, fixed, _places(original), _places(revised))
     if not program.tolerance:
         return knots
     fixed = fixed[knots]
@@ -51,7 +65,8 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed:
         later = np.searchsorted(time, middle)
         middle = later - (time[later] - middle > middle - time[later - 1])  # the knot nearest to the middle
         inside = (middle > chosen[:-1]) & (middle < chosen[1:])
-        split = inside & (_errors(program, runs, knots[chosen]) > program.tolerance)
+        wrong = _errors(program, runs, knots[chosen]) > program.tolerance
+        split = inside & np.logical_or.reduceat(wrong, knots[chosen[:-1]])
         if not split.any():
             return chosen
         new = middle[split]
@@ -64,14 +79,15 @@ def _thinned(
     program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray, fixed: np.ndarray
 ) -> np.ndarray:
     """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
-    limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
+    limit = np.maximum(program.tolerance, _errors(program, runs, knots[chosen]))  # rounded corners miss by more
     thinnings = 4  # times that each point is left out on trial
     reach = 2  # stretches to both sides in which a point that is left out changes the path
     for turn in range(3 * thinnings):
         out = np.arange(len(chosen)) % 3 == turn % 3
         out &= ~fixed[chosen]
         while out.any():
-            over = _errors(program, runs, knots[chosen[~out]]) > limit
+            points = knots[chosen[~out]]
+            over = np.logical_or.reduceat(_errors(program, runs, points) > limit, points[:-1])
             if not over.any():
                 break
             near = np.convolve(over, np.ones(2 * reach + 1), "same") > 0.0
@@ -108,9 +124,11 @@ class ProgramBlocks:
         )
 
 
-def program_blocks(program: Program, original: Trajectory, revised: Trajectory) -> ProgramBlocks:
-    """Return the size of the blocks of the program of ``revised``."""
-    points = point_numbers(program, original, revised)
+def program_blocks(
+    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+) -> ProgramBlocks:
+    """Return the size of the blocks of the program of ``revised``; fixed: as of ``point_numbers``."""
+    points = point_numbers(program, original, revised, fixed)
     time = original.time_ns[points]
     step = np.diff(time)
     shortest = int(np.argmin(step))
@@ -128,9 +146,17 @@ def program_blocks(program: Program, original: Trajectory, revised: Trajectory) 
     )
 
 
+def _places(run: Trajectory) -> np.ndarray:
+    """Return the positions (n, 3), of a run that turns with the axes of the tool, (n, 12), as far apart as a holder."""
+    if not run.turns:
+        return run.position
+    axes = rotation_from_quaternion(run.quaternion).reshape(-1, 9)
+    return np.hstack([run.position, LEVER / math.sqrt(2.0) * axes])
+
+
 @njit(cache=True, nogil=True)
 def _apart(spacing, stops, original, revised):
-    """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs (n, 3), and stops."""
+    """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs, and stops."""
     last, chosen, count = len(stops) - 1, np.zeros(len(stops), np.int64), 1
     for k in range(1, last + 1):
         while (stops[k] or k == last) and count > 1 and _near(spacing, original, revised, k, chosen[count - 1]):
@@ -148,19 +174,14 @@ def _near(spacing, original, revised, k, before):
 
 
 def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.ndarray:
-    """Return the largest distance [m] of a knot from its place on the program, of each stretch between points."""
-    stops, number = runs[0].standing[points], np.arange(len(runs[0]))
-    stretch = np.clip(np.searchsorted(points, number, side="right") - 1, 0, len(points) - 2)
-    worst = np.zeros(len(points) - 1)
-    lever = 0.1  # [m], length of a tool: a turn by an angle moves its shank by the angle times the length
+    """Return the distance [m] of each knot from its place on the program, (n,), the largest of the runs."""
+    stops, worst = runs[0].standing[points], np.zeros(len(runs[0]))
     for run in runs:
         spline = program.motion == "SPLINE"
-        place = places_on_program(run, points, run.position[points], stops, spline)
-        np.maximum.at(worst, stretch, np.linalg.norm(place - run.position, axis=1))
-        if np.any(run.quaternion != run.quaternion[0]):
-            turned = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
-            first, other = turned.sample_orientation(run.time_ns), run.quaternion
-            sign = np.where(np.sum(first * other, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-            angle = 2.0 * np.linalg.norm(first - sign * other, axis=1)  # [rad], small
-            np.maximum.at(worst, stretch, lever * angle)
+        place = places_on_program(run, points, run.position[points], stops, spline, program.blend_distance)
+        worst = np.maximum(worst, np.linalg.norm(place - run.position, axis=1))
+        if run.turns:
+            written = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
+            angle = turned(written.sample_orientation(run.time_ns), run.quaternion)
+            worst = np.maximum(worst, LEVER * angle)
     return worst

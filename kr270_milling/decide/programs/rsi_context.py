@@ -36,12 +36,18 @@ def rsi_address(text: str) -> tuple[str, int]:
 
 
 def write_rsi_context(
-    directory, program: Program, setup: krl.Setup, limit: float, address: tuple[str, int], notes: list[str]
+    directory,
+    program: Program,
+    setup: krl.Setup,
+    limit: float,
+    address: tuple[str, int],
+    notes: list[str],
+    parts: int = 1,
 ) -> list[Path]:
     """Write ETHERNET settings, context and frame program, which runs NAME_ORG; return the paths.
 
     limit [m]: largest displacement along each axis of $BASE; address: of the host of ``kr270_milling rsi``; notes:
-    comment lines of the header.
+    comment lines of the header; parts: a frame program for each part of NAME_ORG, NAME_RSI_P1 runs NAME_ORG_P1.
     """
     name, place = program.name, Path(directory)
     tool, base = (f"{{{frame_text(frame_row(frame))}}}" for frame in (setup.tool, setup.base))
@@ -50,10 +56,12 @@ def write_rsi_context(
     limits |= {f"UpperLim{axis}": f"{1e3 * limit:g}" for axis in "XYZ"}
     limits["MaxRotAngle"] = "0.5"  # [deg], that of the command ``rsi`` by default
     words = dict(program=program, tool=tool, base=base, host=host, port=port, limits=limits.items())
-    body, context, model, ethernet = krl.filled("rsi_program.txt", **words).split("\u00b6\n")
-    source = [*krl.HEAD, f"DEF {name}_RSI( )", *notes, *body.splitlines(), "END"]
-    files: dict[Path, Iterable[str]] = {
-        place / f"{name}_RSI.src": [f"{line}\r\n" for line in source],
+    files: dict[Path, Iterable[str]] = {}
+    for part in [f"_P{n}" for n in range(1, parts + 1)] if parts > 1 else [""]:
+        body, context, model, ethernet = krl.filled("rsi_program.txt", part=part, **words).split("\u00b6\n")
+        source = [*krl.HEAD, f"DEF {name}_RSI{part}( )", *notes, *body.splitlines(), "END"]
+        files[place / f"{name}_RSI{part}.src"] = [f"{line}\r\n" for line in source]
+    files |= {
         place / f"{name}.rsi.xml": [context],
         place / f"{name}.rsi": [model],
         place / f"{name}_ethernet.xml": [ethernet],

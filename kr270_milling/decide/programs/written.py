@@ -18,8 +18,9 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.plant import Plant
+from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl
-from kr270_milling.decide.programs.files import as_commanded, notes_of, timed_by_cell
+from kr270_milling.decide.programs.files import as_commanded, knot_feeds, notes_of, timed_by_cell
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
 
@@ -28,8 +29,8 @@ __all__ = ["SOFTER", "read_krl", "softer_pass", "written_pass", "written_traject
 SOFTER = 0.8  #: share of the acceleration of the second time law
 NOWHERE = Pose(np.zeros(3), np.eye(3))
 CALL = re.compile(r"([A-Z]\w*)\( \)")
-MOTION = re.compile(r"(SPL|LIN) XP(\d+)( C_DIS)?(?: WITH .*)?")
-FRAME = re.compile(r"DECL FRAME XP(\d+)=\{X (.*),Y (.*),Z (.*),A (.*),B (.*),C (.*)\}")
+MOTION = re.compile(r"(SPL|LIN) \{(X [^}]*)\}( C_DIS)?(?: WITH .*)?")
+START = re.compile(r"DECL FRAME XP\d+=\{(.*)\}")
 
 
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
@@ -37,20 +38,20 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     commanded = planned
     if not cell.compensation.sag_compensated:
         commanded = as_commanded(cell, planned, commanded_joints(arm_of(cell), cell.compensation, planned))
-    start = planned.position[0], 0, 0
+    start = planned.position[0], 0, 0  # of the approach, which is not simulated
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
-    setup = krl.Setup(NOWHERE, NOWHERE, (start, start), 0.0, acceleration=law[0], jerk=law[1])
+    setup = krl.Setup(NOWHERE, NOWHERE, lambda *_: start, float(cell.stock.max[2]), acceleration=law[0], jerk=law[1])
     program = cell.krl.replace(motion=motion, name="WRITTEN")
     path, target = path_of(cell), path_of(cell).target
     with tempfile.TemporaryDirectory() as folder:
-        krl.write_krl(folder, program, setup, target, commanded, notes_of(path, len(planned)))
-        number, pose, stops = read_krl(folder, "WRITTEN_CMP")
-    k = number - 1
+        notes = notes_of(path, len(planned))
+        _, k, _ = krl.write_krl(folder, program, setup, target, commanded, notes, knot_feeds(path, len(planned)))
+        pose, stops = read_krl(folder, "WRITTEN_CMP")
     position = planned.position[k] + pose.position - commanded.position[k]
     quaternion = planned.quaternion[k]
     if commanded is planned:
         quaternion = quaternion_from_rotation(pose.rotation)
-    return _as_run(planned, target, k, position, quaternion, stops, motion == "SPLINE")
+    return _as_run(planned, target, k, position, quaternion, stops, cell.krl.replace(motion=motion))
 
 
 def _as_run(
@@ -60,10 +61,11 @@ def _as_run(
     position: np.ndarray,
     quaternion: np.ndarray,
     stops: np.ndarray,
-    spline: bool,
+    program: Program,
 ) -> Trajectory:
     """The motion through the points of a program, with the time law of the plan."""
-    place = places_on_program(planned, knots, position, stops, spline)
+    spline = program.motion == "SPLINE"
+    place = places_on_program(planned, knots, position, stops, spline, program.blend_distance)
     turned = Trajectory(planned.time_ns[knots], position, quaternion).sample_orientation(planned.time_ns)
     run = Trajectory(planned.time_ns, place, turned, None, planned.frame)
     if not spline:
@@ -113,42 +115,41 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
     return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=most_rows)
 
 
-def read_krl(directory, main: str) -> tuple[np.ndarray, Pose, np.ndarray]:
+def read_krl(directory, main: str) -> tuple[Pose, np.ndarray]:
     """Read the modules ``main``.src and .dat, and those that it calls, in the order of the motion.
 
-    Returns the numbers of the points, (p,), from 1, their poses in $BASE, and where the robot stops, (p,); the first
-    point is the end of the approach. Raises InputError for a point without a frame and for mixed motions.
+    Returns the poses of the points in $BASE, (p,), and where the robot stops, (p,); the first point is the end of the
+    approach. Raises InputError for mixed motions.
     """
-    numbers: list[int] = []
-    frames: list[list[float]] = []
+    rows: list[list[float]] = []
     stops: list[bool] = []
     kinds: set[str] = set()
 
     def run(module: str) -> None:
-        own = _frames(Path(directory, f"{module}.dat"))
-        path = Path(directory, f"{module}.src")
+        path = next(Path(directory).rglob(f"{module}.src"), Path(directory, f"{module}.src"))
+        data = path.with_suffix(".dat")
+        start = START.search(data.read_text(encoding="ascii")) if data.is_file() else None
+        if start and not rows:
+            rows.append(_frame(start[1]))
+            stops.append(True)
         for line in path.read_text(encoding="ascii").splitlines():
             if match := CALL.fullmatch(line):
                 run(match[1])
             elif line == "ENDSPLINE":
                 stops[-1] = True
             elif match := MOTION.fullmatch(line):
-                number = int(match[2])
-                if number not in own:
-                    raise InputError(path, f"the point XP{number} has no frame in {module}.dat")
-                kinds.update({match[1]} if numbers else ())  # the approach is LIN in both programs
-                numbers.append(number)
-                frames.append(own[number])
-                stops.append(not numbers[1:] or (match[1] == "LIN" and not match[3]))
+                kinds.add(match[1])
+                row = _frame(match[2])
+                rows.append([*row, *rows[-1][len(row) :]])
+                stops.append(match[1] == "LIN" and not match[3])
 
     run(main)
     if len(kinds) != 1:
         raise InputError(main, "the path must have SPL motions or LIN motions, at least one and not both")
-    rows = np.array(frames)
-    return np.array(numbers), Pose.from_abc(rows[:, :3] * 1e-3, np.radians(rows[:, 3:])), np.array(stops)
+    places = np.array(rows)
+    return Pose.from_abc(places[:, :3] * 1e-3, np.radians(places[:, 3:])), np.array(stops)
 
 
-def _frames(path: Path) -> dict[int, list[float]]:
-    """Number -> X, Y, Z [mm], A, B, C [deg]."""
-    matches = map(FRAME.fullmatch, path.read_text(encoding="ascii").splitlines())
-    return {int(match[1]): [float(value) for value in match.groups()[1:]] for match in matches if match}
+def _frame(text: str) -> list[float]:
+    """X, Y, Z [mm] and, where they are stated, A, B, C [deg]."""
+    return [float(item[2:]) for item in text.split(",")]

@@ -14,11 +14,9 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table
 from kr270_milling.path.progress import PathProgress
 
-__all__ = ["Corrector", "CorrectionTable", "CorrectionLimits", "read_corrections"]
-
 SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
 PLACE = ("X_mm", "Y_mm", "Z_mm")
-UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])
+UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  #: of X, Y, Z, A, B, C: mm and degrees -> m and rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ class Corrector:
         self._path = path = PathProgress(table.position, limits.reach, limits.window)
         self._value = np.append(table.correction[:-1][path.moved[1:]], table.correction[-1:], axis=0)  # last of a rest
         self._way = path.distance
-        self._limits, self._cycle = limits, cycle
+        self.limits, self._cycle = limits, cycle
         self.applied = np.zeros(6)
         self.share = 0.0  #: applied share of the wanted correction, 0 to 1
         self.reason = "waiting for the start of the path"  #: why the correction is what it is
@@ -81,7 +79,7 @@ class Corrector:
 
     def step(self, point: np.ndarray, cycles: int = 1) -> np.ndarray:
         """Return the correction (6,) for the commanded point [m], (3,); cycles: since the last telegram."""
-        limits = self._limits
+        limits = self.limits
         distance = self._path.advance(point)
         missed = cycles > limits.missed
         near = distance <= limits.reach
@@ -94,22 +92,14 @@ class Corrector:
             self.reason = f"{1e3 * distance:.1f} mm from the path"
         change = self._cycle / limits.ramp
         self.share = min(max(self.share + (change if near and not missed else -change), 0.0), 1.0)
-        wanted = self.share * self._at_progress()
-        self.applied = self._limit(wanted)
-        return self.applied
-
-    def repeat(self) -> np.ndarray:
-        """Return the correction of the last cycle, for a telegram that arrived twice."""
-        return self.applied
-
-    def _at_progress(self) -> np.ndarray:
         index = int(np.clip(np.searchsorted(self._way, self.progress, side="right") - 1, 0, len(self._way) - 2))
-        share = (self.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
-        return (1.0 - share) * self._value[index] + share * self._value[index + 1]
+        part = (self.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
+        self.applied = self._limit(self.share * ((1.0 - part) * self._value[index] + part * self._value[index + 1]))
+        return self.applied
 
     def _limit(self, wanted: np.ndarray) -> np.ndarray:
         """Bound the size, then the change since the last cycle, separately for the displacement and the angles."""
-        limits, result = self._limits, np.empty(6)
+        limits, result = self.limits, np.empty(6)
         share = self._cycle * limits.rate / limits.size
         reduced = False
         for part, most in ((slice(0, 3), limits.size), (slice(3, 6), limits.angle)):

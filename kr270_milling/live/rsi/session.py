@@ -1,4 +1,8 @@
-"""The sensor side of RSI: receive the telegrams of one robot, answer the newest, report and record."""
+"""The sensor side of RSI: receive the telegrams of one robot, answer the newest, report and record.
+
+Elements of the telegram of the robot: RIst (actual pose), RSol (commanded pose), Delay (late answers), IPOC (cycle
+counter [ms]). The answer carries RKorr and repeats the IPOC. Source: KUKA.RobotSensorInterface 3, object ETHERNET.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +14,72 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError, MessageError, RecordingError
+from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotation_from_abc
+from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
-from kr270_milling.live.rsi.corrector import Corrector
-from kr270_milling.live.rsi.telegram import MOST_BYTES, RobotTelegram, read_telegram, write_answer
+from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.live.rsi.corrector import CorrectionTable, Corrector
+from kr270_milling.live.rsi.telegram import MOST_BYTES, Elements, RobotTelegram, read_telegram, write_answer
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.physics.robot import jacobian, pose
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes, type_of
 
-__all__ = ["Counts", "RsiSession", "open_socket", "real_time"]
+
+class RsiRecording:
+    """Writes the topics ``target_trajectory``, ``reference_trajectory``, ``tool_pose``, ``correction``, ``rsi_status``.
+
+    The stamps are the counter of the robot since the first telegram. attachments: name -> bytes, the cell and its
+    files. now: the time of receipt [ns], which is the log time. Raises RecordingError.
+    """
+
+    def __init__(
+        self,
+        directory,
+        table: CorrectionTable,
+        metadata: Mapping[str, object],
+        attachments: Mapping[str, bytes | str],
+        now: Callable[[], int],
+    ):
+        self._now = now
+        self._writer = BagWriter(directory, metadata=metadata, attachments=attachments)
+        time_ns = (table.time * SECOND).round().astype("int64")
+        target = Trajectory(time_ns - time_ns[0], table.position, np.array(TOOL_DOWN))
+        self._write("target_trajectory", target)
+        self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]))
+
+    def add(self, stamp: int, actual: np.ndarray | None, correction: np.ndarray) -> None:
+        """Record an answered cycle: stamp [ns], RIst and RKorr, (6,) [m, rad]."""
+        if actual is not None:
+            turn = quaternion_from_rotation(rotation_from_abc(actual[3:]))
+            self._write("tool_pose", PoseSample(stamp, WORKPIECE, actual[:3], turn))
+        a, b, c = correction[3:]
+        twist = TwistSample(stamp, WORKPIECE, np.array([*correction[:3], c, b, a]))
+        self._write("correction", twist)
+        self._writer.tick(time.monotonic())
+
+    def report(self, sentence: str) -> None:
+        """Record a sentence of the session; where the file cannot be written, ``add`` raises the error."""
+        with suppress(RecordingError):
+            self._write("rsi_status", Text(sentence))
+
+    def _write(self, topic: str, record) -> None:
+        self._writer.add_topic(f"/{topic}", type_of(record))
+        self._writer.write(f"/{topic}", to_bytes(record), self._now())
+
+    def __enter__(self) -> RsiRecording:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._writer.close()
+
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
 WRAP = 2**32  #: IPOC counts milliseconds in 32 bits
@@ -51,7 +110,7 @@ class RsiSession:
     in the rest of the cycle: a second thread would keep the interpreter while a telegram waits. Its arguments are the
     stamp since the first telegram by the counter of the robot [ns], RIst, and RKorr, (6,) [m, rad]. After a
     RecordingError the session answers without a recording. from_actual: progress from RIst minus the correction
-    instead of RSol.
+    instead of RSol, as where the robot does not send RSol.
     """
 
     connection: socket.socket
@@ -60,6 +119,8 @@ class RsiSession:
     report: Callable[[str], None]
     record: Callable[[int, np.ndarray | None, np.ndarray], None] | None = None
     from_actual: bool = False
+    elements: Elements = field(default_factory=Elements)
+    arm: PlacedArm | None = None  #: for corrections of joints, and for a robot that sends joint positions alone
     stop: threading.Event = field(default_factory=threading.Event)
     recording_failed: bool = False  #: the file could not be written
 
@@ -80,7 +141,8 @@ class RsiSession:
                 self._answer(*newest)
                 latest = time.monotonic()
             elif self._robot is not None and time.monotonic() - latest > SILENCE:
-                self._lose_robot()
+                self.report(f"no telegram for {SILENCE:g} s")
+                self.stop.set()  # the next program starts from the first point with a new session
         return self.counts
 
     def _newest(self) -> tuple[RobotTelegram, np.ndarray, int] | None:
@@ -94,7 +156,7 @@ class RsiSession:
                 self._refuse(f"a telegram from a second sender {sender[0]}:{sender[1]}")
                 continue
             try:
-                telegram = read_telegram(data)
+                telegram = read_telegram(data, self.elements)
                 point = self._point(telegram)
                 before = self._last if newest is None else newest[0].ipoc
                 ahead = 0 if before is None else (telegram.ipoc - before) % WRAP
@@ -127,7 +189,10 @@ class RsiSession:
     def _answer(self, telegram: RobotTelegram, point: np.ndarray, arrival: int) -> None:
         correction = self._correction(telegram, point)
         try:
-            self.connection.sendto(write_answer(telegram.ipoc, correction), self._robot or ())
+            answer = correction
+            if self.elements.of_joints and telegram.joints is not None:
+                answer = self._joint_correction(telegram.joints, correction)
+            self.connection.sendto(write_answer(telegram.ipoc, answer, self.elements), self._robot or ())
         except OSError as error:  # the cable, an interface
             self._refuse(f"no answer can be sent ({error.strerror})")
         took = max(time.clock_gettime_ns(time.CLOCK_REALTIME) - arrival, 0) * 1e-9
@@ -144,7 +209,7 @@ class RsiSession:
     def _correction(self, telegram: RobotTelegram, point: np.ndarray) -> np.ndarray:
         """Return the correction of a cycle, and count the cycles before it that have no answer."""
         if telegram.ipoc == self._last:
-            return self.corrector.repeat()
+            return self.corrector.applied
         ahead = 0 if self._last is None else (telegram.ipoc - self._last) % WRAP
         cycles = max(1, round(ahead / self.cycle_ms))
         self.counts.missed += cycles - 1
@@ -152,24 +217,39 @@ class RsiSession:
         return self.corrector.step(point, cycles)
 
     def _point(self, telegram: RobotTelegram) -> np.ndarray:
-        if self.from_actual:
-            if telegram.actual is None:
-                raise MessageError("a telegram has no RIst")
-            return telegram.actual[:3] - self.corrector.applied[:3]
-        if telegram.commanded is None:
-            raise MessageError("a telegram has no RSol")
-        return telegram.commanded[:3]
+        elements, corrected = self.elements, True
+        if elements.commanded and not self.from_actual:
+            name, place, corrected = elements.commanded, telegram.commanded, False
+        elif elements.actual:
+            name, place = elements.actual, telegram.actual
+        else:
+            name, place = elements.joints, self._place_of(telegram.joints)
+        if place is None or (elements.of_joints and telegram.joints is None):
+            raise MessageError(f"a telegram has no {elements.joints if place is not None else name}")
+        return place[:3] - self.corrector.applied[:3] * corrected
+
+    def _place_of(self, joints: np.ndarray | None) -> np.ndarray | None:
+        if self.arm is None or joints is None:
+            return None
+        return self.arm.place.inverse().apply(pose(self.arm.arm, self.arm.mount, joints).position)
+
+    def _joint_correction(self, joints: np.ndarray, correction: np.ndarray) -> np.ndarray:
+        """Return the change of the joints [rad], (6,), that moves the tool by a correction, (6,) [m, rad].
+
+        It is linear: 1 mm at 1 m of the axes is right to 1 um. Near a singularity it is reduced to the largest angle.
+        """
+        if self.arm is None:
+            return np.zeros(6)
+        turn = self.arm.place.rotation
+        twist = np.concatenate([turn @ correction[:3], turn @ correction[5:2:-1]])
+        change = np.linalg.lstsq(jacobian(self.arm.arm, self.arm.mount, joints)[:, -6:], twist, rcond=1e-9)[0]
+        return change * min(1.0, self.corrector.limits.angle / max(float(np.abs(change).max()), 1e-12))
 
     def _refuse(self, reason: str) -> None:
         if not self.counts.refused:
             self.counts.first = reason
             self.report(f"ignored: {reason}; further ones are counted")
         self.counts.refused += 1
-
-    def _lose_robot(self) -> None:
-        """Report the silent robot and end: the next program starts from the first point with a new session."""
-        self.report(f"no telegram for {SILENCE:g} s")
-        self.stop.set()
 
     def _record(self, *cycle) -> None:
         if self.record is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class ProgramBuilder(PathBuilder):
         self.frame = {"work offsets": "", "tool lengths": "", "tool edges": ""}  #: kind -> word that is active
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts
+        self.rounding = 0.0  #: largest P of G64 [m]
         self.beside: dict[str, float] = {}  #: tool -> radius in its comment [m], by which G41 and G42 move the path
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: tools by the words of the program, not by its comments
@@ -64,23 +66,35 @@ class ProgramBuilder(PathBuilder):
         if not self.active or any(map(math.isnan, end)):
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
+            turned, self.quaternion = self.quaternion, self._last_quaternion
             self.move((*self.last[:2], TOP), 0.0, True, self.line)
+            self.quaternion = turned
             self.move((*end[:2], TOP), 0.0, True, self.line)
         self.away = False
         self.move(end, 0.0, True, self.line)
 
-    def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0) -> None:
-        """Feed through points, from a start that is known."""
+    def turn(self, quaternion: tuple[float, ...]) -> None:
+        """Turn the tool: in place or, of a tool that was taken away, on its way to the next move."""
+        if quaternion == self.quaternion:
+            return
+        self.quaternion = quaternion
+        if self.active and self.last is not None and not self.away and self.last[2] != TOP:
+            self.move(self.last, 0.0, True, self.line)
+
+    def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0, turned: Sequence = ()) -> None:
+        """Feed through points, from a start that is known; turned: orientations at the points, empty: as before."""
         self.named = False
         self._before_change = len(self.comments)
         self._cuts[self.tool] += 1
         self._last_cut[self.tool] = self.line
         self._frames.setdefault(self._key, self.line)
         if not self.active:
+            self.quaternion = turned[-1] if turned else self.quaternion
             return
         if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
-        for end in ends:
+        for k, end in enumerate(ends):
+            self.quaternion = turned[k] if turned else self.quaternion
             self.move(end, feed, False, self.line, curvature)
 
     def cuts_from(self, place: list[float]) -> bool:
@@ -207,6 +221,7 @@ class ProgramBuilder(PathBuilder):
             feeds=tuple(np.unique(columns["feed"][cutting]).tolist()),
             feed_units=tuple(self.feed_units),
             external=self.external,
+            rounding=self.rounding,
             beside=self.beside.get(chosen, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             operations=tuple(names[k] for k in cut_features(columns)),

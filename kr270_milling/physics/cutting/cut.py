@@ -23,6 +23,7 @@ from kr270_milling.physics.cutting.state import (
     LEVEL_SUM,
     NODES_CUT,
     TILES,
+    UNDERCUT,
     Params,
     State,
     log_size,
@@ -44,6 +45,7 @@ class CutModel:
 
     params: Params | EngagementParams
     state: State | EngagementState
+    tilts = False  #: poses have the axis of the tool after the position of its tip, (6,)
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
         self.tool, self.cutting, self.stock = tool, cutting, stock
@@ -53,37 +55,49 @@ class CutModel:
         """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
 
         first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
-        Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises MillingError.
+        Of a tool that tilts, each position may have the axis after it, (6,). Returns the mean wrench (6,) on the tool,
+        moments about its tip [N, N m]. Raises MillingError.
         """
         start, end = np.array(pose_from, float), np.array(pose_to, float)
-        sound = start.shape == end.shape == (3,) and all(map(math.isfinite, start.tolist() + end.tolist()))
+        if self.tilts and start.shape == end.shape == (3,):
+            start, end = self.poses(np.vstack([start, end]), None)
+        size = 6 if self.tilts else 3
+        sound = start.shape == end.shape == (size,) and all(map(math.isfinite, start.tolist() + end.tolist()))
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
             raise MillingError(
                 f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of "
                 "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
             )
-        self._make_room(n, math.dist(start.tolist(), end.tolist()))
+        self._make_room(n, math.dist(start[:3].tolist(), end[:3].tolist()))
         wrench = np.empty(6)
         self.torque = cut_step(self.state, self.params, start, end, int(first), int(n), forces, wrench)
         self.refuse_failure()
         return wrench
 
     def along(
-        self, positions: np.ndarray, steps: np.ndarray, predicted: bool = False
+        self, positions: np.ndarray, steps: np.ndarray, predicted: bool = False, axes: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Move the tool tip through positions (n, 3) [m], reached at micro-steps (n,) from the pass's start.
 
-        predicted: whether the positions are those that the robot predicted, as in ``sweep``.
+        predicted: whether the positions are those that the robot predicted, as in ``sweep``; axes: unit vectors from
+        the tip to the holder, (n, 3), default upright.
 
         Returns the mean wrench (n, 6) [N, N m], the mean spindle torque (n,) [N m] and the volume removed (n,) [m^3] on
         the way to each position; 0 for the first. Raises MillingError.
         """
-        positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
+        positions, steps = self.poses(positions, axes), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
         cut_poses(self.state, params, positions, steps, NO_FORCES, wrench, torque, volume)
         self.refuse_failure()
         return wrench, torque, volume
+
+    def poses(self, positions: np.ndarray, axes: np.ndarray | None) -> np.ndarray:
+        """Return the rows that ``cut_step`` takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
+        if not self.tilts:
+            return np.ascontiguousarray(positions, float)
+        upright = np.broadcast_to([0.0, 0.0, 1.0], np.shape(positions))
+        return np.hstack([positions, upright if axes is None else axes])
 
     @property
     def final_params(self) -> Params | EngagementParams:
@@ -138,6 +152,11 @@ class CutModel:
     def removed_volume(self) -> float:
         """[m^3]."""
         return float(self.state.floats[LEVEL_SUM]) * self.params.spacing**2
+
+    @property
+    def undercut_volume(self) -> float:
+        """Return the part of the removed volume that was above a leaning tool [m^3]."""
+        return float(self.state.floats[UNDERCUT]) * self.params.spacing**2
 
     @property
     def tiles(self) -> int:
@@ -207,22 +226,31 @@ class EngagementCut(CutModel):
 
     stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
     the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep``
-    gets predicted poses. ``along`` gets final poses. A tool whose end is not flat takes the part of ``revolution``.
+    gets predicted poses. ``along`` gets final poses. A tool whose end is not flat takes the part of ``revolution``;
+    tilts: the axis of the tool leaves z of the workpiece.
     """
 
     params: EngagementParams
     state: EngagementState
 
     def __init__(
-        self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
+        self,
+        tool: Tool,
+        cutting: Cutting,
+        stock: Stock,
+        micro_step: float,
+        bins: int = BINS,
+        give: float = 0.0,
+        tilts: bool = False,
     ):
         super().__init__(tool, cutting, stock)
-        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give)
+        self.tilts = tilts
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts)
         self.state = make_engagement_state(self.params, stock)
 
     def continue_from(self, before: CutModel) -> None:
         super().continue_from(before)
-        if not self.tool.has_flat_end:
+        if self.params.profile is not None:
             used = before.tiles * TILE**2
             self.state.rest[:used] = self.state.pool[:used]
 

@@ -58,6 +58,7 @@ __all__ = [
     "EngagementParams",
     "EngagementState",
     "cut_part",
+    "cut_tilted",
     "engage",
     "has_profile",
     "make_engagement_params",
@@ -75,6 +76,8 @@ BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # share of the radius: a longer move is divided
+UPRIGHT = 1e-7  # [rad], least tilt
+SWING = 4.0  # assumed: radii above the tip, up to which a turn of the axis counts as a move
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 16  # nodes, a power of two
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
@@ -124,6 +127,7 @@ class EngagementParams(NamedTuple):
     directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
     profile: Profile | None  # None: a flat end, which is compiled without ``revolution``
+    tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
 
 
 class EngagementState(NamedTuple):
@@ -134,7 +138,7 @@ class EngagementState(NamedTuple):
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
     floats: np.ndarray  # (FLOATS,)
-    last: np.ndarray  # (3,): tool tip at the end of the last step [m]; NaN: none
+    last: np.ndarray  # (3,): tool tip at the end of the last step [m]; NaN: none; (6,) with the axis after it
     saved_ints: np.ndarray  # as they were before the last step
     saved_floats: np.ndarray
     saved_last: np.ndarray
@@ -151,14 +155,22 @@ class EngagementState(NamedTuple):
 
 
 def make_engagement_params(
-    tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS, give: float = 0.0
+    tool: Tool,
+    cutting: Cutting,
+    stock: Stock,
+    micro_step: float,
+    bins: int = BINS,
+    give: float = 0.0,
+    tilts: bool = False,
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
     bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give: as in the record.
+    tilts: poses have an axis, and a flat end has a profile, too.
     """
     widest = float(tool.radii.max())
-    profile, radius, flat = (None, widest, widest) if tool.has_flat_end else profile_of(tool, stock)
+    flat_end = tool.has_flat_end and not tilts
+    profile, radius, flat = (None, widest, widest) if flat_end else profile_of(tool, stock)
     return EngagementParams(
         **common_params(tool, cutting, stock, micro_step),
         radius=radius,
@@ -168,6 +180,7 @@ def make_engagement_params(
         twist=math.tan(tool.helix) / widest,
         give=give,
         profile=profile,
+        tilts=tilts or None,
         **tables(widest, stock.grid_step, bins),
     )
 
@@ -213,7 +226,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
     nodes = min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + BLOCK  # of which a last block may look beyond its tile
     footprint = (2 * p.reach + 3) ** 2
     if p.profile is not None:
-        lost = np.zeros((p.profile.length.size, 2 * bins))
+        lost = np.zeros((2 * bins, p.profile.length.size))
         edge = EdgeBins(np.zeros(nodes // RUN + 1, np.uint16), lost, np.zeros(2 * bins))
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
@@ -223,10 +236,10 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
         table=np.full(tiles, -1, np.int32),
         ints=ints,
         floats=np.zeros(FLOATS),
-        last=np.full(3, math.nan),
+        last=np.full(6 if p.tilts else 3, math.nan),
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
-        saved_last=np.full(3, math.nan),
+        saved_last=np.full(6 if p.tilts else 3, math.nan),
         load=np.zeros(10),
         saved_load=np.zeros(10),
         log_place=np.empty(8 * footprint, np.int64),
@@ -244,56 +257,68 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
 def engage(s, p, pose_from, pose_to, n, wrench):
     """Move the tool tip straight from one position to another while the spindle turns by n micro-steps.
 
-    s: state, changed; p: params; positions (3,) [m], workpiece frame; wrench: (6,), filled with the mean force and
-    moment about the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
+    s: state, changed; p: params; positions (3,) [m], workpiece frame, or (6,) with the axis after them; wrench: (6,),
+    filled with the mean force and moment about the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
     """
     for j in range(s.ints.size):
         s.saved_ints[j] = s.ints[j]
     for j in range(s.floats.size):
         s.saved_floats[j] = s.floats[j]
-    for j in range(3):
+    follows = True  # the tool comes from its last place
+    for j in range(s.last.size):
         s.saved_last[j] = s.last[j]
+        follows = follows and s.last[j] == pose_from[j]
     for j in range(s.load.size):
         s.saved_load[j] = s.load[j]
     s.ints[LOGGED] = 0
     s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
-    if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
-        s.ints[FLOOR_LEVEL] = -1  # the tool did not come from its last place: what its footprint has cut is not known
+    if not follows:
+        s.ints[FLOOR_LEVEL] = -1  # what the footprint of the tool has cut is not known
         s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
         s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.end_radius
     for j in range(6):
         wrench[j] = 0.0
     dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
-    parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
+    tilted, way = False, math.sqrt(dx * dx + dy * dy)
+    if is_tilted(p, pose_from, pose_to):
+        tilted, dz = True, pose_to[2] - pose_from[2]
+        ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
+        way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
+    parts = 1 + int(way / (LONGEST * p.radius))
     passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
+    if tilted:
+        s.load[RISE] = 0.0
     start = pose_from[2] + s.load[RISE]
-    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 else -1
+    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 and not tilted else -1
     s.load[RISE] = _rise(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
     dz = pose_to[2] + s.load[RISE] - start
     torque = height = thrust = 0.0
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
-        part = cut_part(
-            s,
-            p,
-            pose_from[0] + a * dx,
-            pose_from[1] + a * dy,
-            start + a * dz,
-            pose_from[0] + b * dx,
-            pose_from[1] + b * dy,
-            start + b * dz,
-            passes,
-            wrench,
-        )
+        if tilted:
+            part = cut_tilted(s, p, pose_from, pose_to, a, b, passes, wrench)
+        else:
+            part = cut_part(
+                s,
+                p,
+                pose_from[0] + a * dx,
+                pose_from[1] + a * dy,
+                start + a * dz,
+                pose_from[0] + b * dx,
+                pose_from[1] + b * dy,
+                start + b * dz,
+                passes,
+                wrench,
+            )
         torque += part[0]
         height += part[1]
         thrust += part[2]
-    for j in range(5):
+    for j in range(6):
         wrench[j] /= parts
     torque /= parts
-    if p.moments:
+    if p.moments and not tilted:
         wrench[5] = -p.sense * torque
-    for j in range(3):
+    for j in range(s.last.size):
         s.last[j] = pose_to[j]
     fresh = turn / (turn + p.lag + p.twist * height / parts)
     for j in range(6):
@@ -332,14 +357,37 @@ def _rise(s, p, z, passes, give):
     return low
 
 
+@inlined
+def slant(pose):
+    """Return the square of the sine of the tilt of a pose (6,)."""
+    return pose[3] * pose[3] + pose[4] * pose[4]
+
+
+def cut_tilted(s, p, pose_from, pose_to, a, b, passes, wrench):
+    """Plain form of compiled code: the part of a step of a tilted tool, see ``revolution``."""
+    raise NotImplementedError
+
+
 def cut_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     """Plain form of compiled code: the part of a step of this state, see ``_part``."""
     raise NotImplementedError
 
 
-def has_profile(s) -> bool:
-    """Return whether a state, its type in compiled code, is that of a tool with a profile."""
-    return s.types[s.fields.index("edge")] != types.none
+def has_profile(s, field: str = "edge") -> bool:
+    """Return whether a state, its type in compiled code, is that of a tool with a profile, or a record has a field."""
+    return s.types[s.fields.index(field)] != types.none
+
+
+def is_tilted(p, pose_from, pose_to):
+    """Plain form of compiled code: whether the axis leaves z of the workpiece in a step."""
+    raise NotImplementedError
+
+
+@overload(is_tilted, inline="always")
+def _is_tilted_of(p, pose_from, pose_to):
+    if has_profile(p, "tilts"):
+        return lambda p, pose_from, pose_to: max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT
+    return lambda p, pose_from, pose_to: False
 
 
 @overload(cut_part, inline="always")
@@ -695,7 +743,7 @@ def undo_engagement(s):
         s.ints[j] = s.saved_ints[j]
     for j in range(s.floats.size):
         s.floats[j] = s.saved_floats[j]
-    for j in range(3):
+    for j in range(s.last.size):
         s.last[j] = s.saved_last[j]
     for j in range(s.load.size):
         s.load[j] = s.saved_load[j]

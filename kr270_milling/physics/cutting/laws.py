@@ -56,7 +56,7 @@ class Cutting(Record):
         "auto",
         choices=("teeth", "engagement", "auto"),
         text="model of the cut: the sweep of the teeth, or the mean force of the engagement for long programs; auto: "
-        "teeth for a straight cut and for programs of up to 60 s of cutting",
+        "teeth for a straight cut and for programs of up to 60 s of cutting with an upright flat end",
     )
     # assumed: the dish of an end mill keeps the inner part of its end off the floor; no measured thrust is published
     end_share: float = parameter(

@@ -15,7 +15,7 @@ import numpy as np
 from kr270_milling.physics.cutting.grid import Stock
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["ENTRIES", "LEVEL", "RUN", "EdgeBins", "Profile", "outline", "profile_of"]
+__all__ = ["ENTRIES", "LEVEL", "RUN", "EdgeBins", "Profile", "edge_parts", "outline", "profile_of"]
 
 ENTRIES = 4096  # of the profile from the axis to the radius
 LEVEL = 1e-6  # cos(kappa) of a flat end is 1 to this
@@ -42,47 +42,62 @@ class Profile(NamedTuple):
     cosine: np.ndarray  # mean cos(kappa)
     sine_area: np.ndarray  # mean r sin(kappa) [m]
     cosine_area: np.ndarray  # mean r cos(kappa) [m]
+    rims: np.ndarray  # (n + 1,): radii of the edges of the pieces [m]
+    parts: np.ndarray  # (m, 7): ``edge_parts`` and the cylinder above them
+    hollow: bool  # the profile is not convex
 
 
 class EdgeBins(NamedTuple):
     """Part of the state of a cut by a tool with a profile."""
 
     highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
-    lost: np.ndarray  # (n + 1, bins): levels removed in the present step, by piece and angle
+    lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
+
+
+def edge_parts(tool: Tool) -> np.ndarray:
+    """Return the lines and arcs of the profile from the axis up to the largest radius, (m, 7).
+
+    A row: radius and height of its start and of its end, radius of the arc or 0 [m], and kappa of a line or of the end
+    of an arc as sine and cosine. An arc begins level; its middle is above its start.
+    """
+    radius, corner = float(tool.radii.max()), tool.corner_radius
+    if tool.type == "points":
+        return _lines(tool.profile.reshape(-1, 2))
+    if tool.type == "ball":
+        return np.array([[0.0, 0.0, radius, radius, radius, 1.0, 0.0]])
+    if tool.type == "bull_nose":
+        arc = np.array([[radius - corner, 0.0, radius, corner, corner, 1.0, 0.0]])
+        return np.vstack([_lines(np.array([[radius - corner, 0.0]])), arc])
+    if tool.type != "tapered":
+        return _lines(np.array([[radius, 0.0]]))
+    turn = 0.5 * math.pi - tool.taper
+    tip = tool.tip_diameter / 2 or corner * math.tan(0.5 * turn)  # of the cone at the height of the tip
+    start = np.array([[tip - corner * math.tan(0.5 * turn), 0.0]])
+    end = start + corner * np.array([[math.sin(turn), 1.0 - math.cos(turn)]])
+    top = [radius, end[0, 1] + (radius - end[0, 0]) / math.tan(tool.taper)]
+    arc = np.hstack([start, end, [[corner, math.sin(turn), math.cos(turn)]]])
+    return np.vstack([_lines(start), arc[: int(corner > 0.0)], _lines(np.vstack([end, top]))[-1:]])
+
+
+def _lines(points: np.ndarray) -> np.ndarray:
+    """Return the lines through points (radius, height) [m] as rows of ``edge_parts``; the first starts on the axis."""
+    points = points if points[0, 0] == 0.0 else np.vstack([[0.0, points[0, 1]], points])
+    step = np.diff(points, axis=0)
+    length = np.hypot(*step.T)[:, None]
+    return np.hstack([points[:-1], points[1:], 0.0 * length, step[:, ::-1] / length])
 
 
 def outline(tool: Tool) -> np.ndarray:
     """Return points (radius, height) [m] of the profile from the axis up to the largest radius, (n, 2)."""
-    radius = float(tool.radii.max())
-    if tool.type == "ball":
-        points = _arc(0.0, radius, 0.5 * math.pi)
-    elif tool.type == "bull_nose":
-        points = _arc(radius - tool.corner_radius, tool.corner_radius, 0.5 * math.pi)
-    elif tool.type == "tapered":
-        points = _cone(tool, radius)
-    elif tool.type == "points":
-        points = tool.profile.reshape(-1, 2)
-    else:
-        points = np.array([[radius, 0.0]])
-    return points if points[0, 0] == 0.0 else np.vstack([[0.0, points[0, 1]], points])
-
-
-def _arc(centre: float, radius: float, turn: float) -> np.ndarray:
-    """Return an arc about (centre, radius) [m] that begins level at the height 0 and turns up by an angle [rad]."""
-    kappa = np.linspace(0.0, turn, 2 + int(turn / ARC))
-    return np.column_stack([centre + radius * np.sin(kappa), radius * (1.0 - np.cos(kappa))])
-
-
-def _cone(tool: Tool, radius: float) -> np.ndarray:
-    """Return the tip and the cone of a tapered tool; a corner radius rounds the tip."""
-    corner, turn = tool.corner_radius, 0.5 * math.pi - tool.taper
-    tip = tool.tip_diameter / 2 or corner * math.tan(0.5 * turn)  # of the cone at the height of the tip
-    if corner == 0.0:
-        start = np.array([[tip, 0.0]])
-    else:
-        start = _arc(tip - corner * math.tan(0.5 * turn), corner, turn)
-    return np.vstack([start, [radius, start[-1, 1] + (radius - start[-1, 0]) / math.tan(tool.taper)]])
+    rows = [np.zeros((1, 2))]
+    for r0, z0, r1, z1, corner, sine, cosine in edge_parts(tool):
+        if corner:
+            kappa = np.linspace(0.0, math.atan2(sine, cosine), 2 + int(math.atan2(sine, cosine) / ARC))[1:]
+            rows.append(np.column_stack([r0 + corner * np.sin(kappa), z0 + corner * (1.0 - np.cos(kappa))]))
+        else:
+            rows.append(np.array([[r1, z1]]))
+    return np.vstack(rows)
 
 
 def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
@@ -125,11 +140,15 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     lead[0] = lead[1]
     piece = np.clip(np.searchsorted(edges[:, 0], distance, side="right") - 1, 0, total.size - 1)
     piece[ENTRIES:] = total.size
+    parts = np.vstack([edge_parts(tool), [radius, edges[-1, 1], radius, math.inf, 0.0, 1.0, 0.0]])
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.int16),
         edges[:, 1] / stock.level_step,
         *(np.append(values, last) for values, last in zip((total, bend, *means), cylinder, strict=True)),
+        edges[:, 0].copy(),
+        parts,
+        bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any()),
     )
     return profile, radius, float(edges[1:, 0][flat].max(initial=0.0))

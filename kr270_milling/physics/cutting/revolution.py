@@ -34,6 +34,7 @@ from kr270_milling.physics.cutting.engagement import (
     RIM,
     SINES,
     cut_part,
+    cut_tilted,
     has_profile,
     outside,
     remember,
@@ -45,10 +46,75 @@ from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.load import end_force
 from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
+from kr270_milling.physics.cutting.tilted import lower_tilted
 
 __all__ = ["undo_revolution"]
 
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
+
+
+@overload(cut_tilted, inline="always")
+def _cut_tilted_of(s, p, pose_from, pose_to, a, b, passes, wrench):
+    if has_profile(p, "tilts"):
+        return lambda s, p, pose_from, pose_to, a, b, passes, wrench: _tilted_part(
+            s, p, pose_from, pose_to, a, b, passes, wrench
+        )
+    return lambda s, p, pose_from, pose_to, a, b, passes, wrench: (0.0, 0.0, 0.0)
+
+
+@inlined
+def _tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
+    """Cut along the part of a step from the share a to b; pose_from, pose_to: tip and axis, (6,)."""
+    first, second = _pose(pose_from, pose_to, a), _pose(pose_from, pose_to, b)
+    _empty(s)
+    dx, dy, dz = second[0] - first[0], second[1] - first[1], second[2] - first[2]
+    ax, ay, az = first[3] + second[3], first[4] + second[4], first[5] + second[5]
+    scale = 1.0 / math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax * scale, ay * scale, az * scale
+    bx, by, bz = second[3] - first[3], second[4] - first[4], second[5] - first[5]
+    sink = dx * ax + dy * ay + dz * az
+    if abs(sink) < 1e-9 * (abs(dx) + abs(dy) + abs(dz)):  # rounding, which would press the end on the floor
+        sink = 0.0
+    e1x, e1y, e1z = dx - sink * ax + p.radius * bx, dy - sink * ay + p.radius * by, dz - sink * az + p.radius * bz
+    swing = e1x * ax + e1y * ay + e1z * az
+    e1x, e1y, e1z = e1x - swing * ax, e1y - swing * ay, e1z - swing * az
+    length = math.sqrt(e1x * e1x + e1y * e1y + e1z * e1z)
+    if length < 1e-12:
+        length = math.sqrt(az * az + ay * ay)
+        e1x, e1y, e1z = 0.0, az, -ay
+    e1x, e1y, e1z = e1x / length, e1y / length, e1z / length
+    e2x, e2y, e2z = ay * e1z - az * e1y, az * e1x - ax * e1z, ax * e1y - ay * e1x
+    frame = (e1x, e1y, e1z, e2x, e2y, e2z, ax, ay, az)
+    end, axis, before = (second[0], second[1], second[2]), (second[3], second[4], second[5]), first[3:6]
+    removed = s.floats[LEVEL_SUM]
+    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame, s.ints[FLOOR_LEVEL] >= 0)
+    s.ints[FLOOR_LEVEL] = 0  # known
+    if passes <= 0.0 or s.floats[LEVEL_SUM] == removed:
+        return 0.0, 0.0, 0.0
+    # omega = a x da; its parts along e1 and e2 are -da.e2 and da.e1
+    turn_1, turn_2 = -(bx * e2x + by * e2y + bz * e2z), bx * e1x + by * e1y + bz * e1z
+    motion = (dx * e1x + dy * e1y + dz * e1z, dx * e2x + dy * e2y + dz * e2z, sink, turn_1, turn_2)
+    part = _load(s, p, motion, frame, passes, wrench)
+    for j in range(3 if p.moments else 0):
+        wrench[3 + j] -= p.sense * part[0] * frame[6 + j]
+    return part
+
+
+@inlined
+def _pose(pose_from, pose_to, share):
+    """Return tip and unit axis at a share of a step, six numbers."""
+    rest = 1.0 - share
+    x, y, z = (rest * pose_from[3] + share * pose_to[3], rest * pose_from[4] + share * pose_to[4],
+               rest * pose_from[5] + share * pose_to[5])  # fmt: skip
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return (
+        pose_from[0] + share * (pose_to[0] - pose_from[0]),
+        pose_from[1] + share * (pose_to[1] - pose_from[1]),
+        pose_from[2] + share * (pose_to[2] - pose_from[2]),
+        x * scale,
+        y * scale,
+        z * scale,
+    )
 
 
 @overload(cut_part, inline="always")
@@ -65,11 +131,7 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
         remember(s, x1, y1, 0)
         return 0.0, 0.0, 0.0
-    for b in range(s.edge.lost.shape[0]):
-        for k in range(s.edge.lost.shape[1]):
-            s.edge.lost[b, k] = 0.0
-    for k in range(s.edge.raised.size):
-        s.edge.raised[k] = 0.0
+    _empty(s)
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
@@ -79,7 +141,18 @@ def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
     if passes <= 0.0:
         return 0.0, 0.0, 0.0
-    return _load(s, p, m, z1 - z0, ahead_x, ahead_y, passes, wrench)
+    frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
+    return _load(s, p, (m, 0.0, z1 - z0, 0.0, 0.0), frame, passes, wrench)
+
+
+@inlined
+def _empty(s):
+    """Empty the bins."""
+    for k in range(s.edge.lost.shape[0]):
+        for b in range(s.edge.lost.shape[1]):
+            s.edge.lost[k, b] = 0.0
+    for k in range(s.edge.raised.size):
+        s.edge.raised[k] = 0.0
 
 
 @inlined
@@ -212,10 +285,10 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
             if edge > z:
                 if edge >= end:
                     break
-                edges.lost[b, angle] += each * (edge - z)
+                edges.lost[angle, b] += each * (edge - z)
                 z = edge
             b += 1
-        edges.lost[b, angle] += each * (end - z)
+        edges.lost[angle, b] += each * (end - z)
         if b == last_piece:
             edges.raised[angle] += each * (end - z) * 0.5 * (end + z)
     s.ints[LOGGED] = logged
@@ -238,22 +311,32 @@ def _lead(p, slope, beside, r, entry):
 
 
 @inlined
-def _load(s, p, m, dz, ahead_x, ahead_y, passes, wrench):
-    """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end."""
+def _load(s, p, motion, frame, passes, wrench):
+    """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
+
+    motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers.
+    """
+    m, side, dz, turn_1, turn_2 = motion
     shape, cell = p.profile, p.spacing * p.spacing * p.level_step
     teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
     for k in range(2 * bins):
         q, ahead = (k, 1.0) if k < bins else (k - bins, -1.0)
         width, c, d = p.widths[q], ahead * p.directions[q, 0], p.directions[q, 1]
-        forward, left = ahead * m * p.cosines[q] / width, 0.0
+        mean_c = ahead * p.cosines[q] / width
+        mean_d = d * p.cosines[q] / (width * p.directions[q, 0])
+        forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
         for n in range(last + 1):
             b = n if k < bins else last - n
-            volume = s.edge.lost[b, k] + left
+            volume = s.edge.lost[k, b] + left
             if volume <= 0.0:
                 continue
-            normal = forward * shape.sine[b] - dz * shape.cosine[b]
-            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b]
+            middle = shape.middle[min(b, last - 1)]
+            if b == last and s.edge.lost[k, b] > 0.0:
+                middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
+            swing = turning * (middle * shape.sine[b] + shape.cosine_area[b])
+            normal = forward * shape.sine[b] - dz * shape.cosine[b] + swing
+            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * shape.lever[b]
             tilt = shape.bend[b] * abs(forward * shape.cosine[b] + dz * shape.sine[b])
             spread = 0.5 * width * abs(m * d) * shape.sine[b] + tilt
             room, crossed = width * shape.length[b], (forward > 0.0) != (dz <= 0.0) and normal < spread
@@ -284,9 +367,6 @@ def _load(s, p, m, dz, ahead_x, ahead_y, passes, wrench):
                 f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
             out, up = -f_r * shape.sine[b] - f_a * shape.cosine[b], f_r * shape.cosine[b] - f_a * shape.sine[b]
             x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
-            middle = shape.middle[min(b, last - 1)]
-            if b == last and s.edge.lost[b, k] > 0.0:
-                middle = s.edge.raised[k] / s.edge.lost[b, k] * p.level_step
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
             moment_x += shape.lever[b] * d * z - middle * y
             moment_y += middle * x - shape.lever[b] * c * z
@@ -294,12 +374,11 @@ def _load(s, p, m, dz, ahead_x, ahead_y, passes, wrench):
             total, raised = total + volume, raised + volume * middle
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
-    wrench[0] += ahead_x * local_x - ahead_y * local_y
-    wrench[1] += ahead_y * local_x + ahead_x * local_y
-    wrench[2] += force_z
+    for j in range(3):
+        wrench[j] += frame[j] * local_x + frame[3 + j] * local_y + frame[6 + j] * force_z
     if p.moments:
-        wrench[3] += ahead_x * moment_x - ahead_y * moment_y
-        wrench[4] += ahead_y * moment_x + ahead_x * moment_y
+        for j in range(3):
+            wrench[3 + j] += frame[j] * moment_x + frame[3 + j] * moment_y
     return torque, raised / total if total > 0.0 else 0.0, thrust
 
 

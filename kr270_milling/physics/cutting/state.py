@@ -30,7 +30,8 @@ NODES_CUT = 10  # nodes cut into so far, at whatever depth
 INTS = 11
 # Places in State.floats
 LEVEL_SUM = 0  # depth removed, summed over the nodes [m]
-FLOATS = 1
+UNDERCUT = 1  # depth removed above a leaning tool, summed over the nodes [m]
+FLOATS = 2
 
 BLOCK = 64  # columns of a sector whose ends are computed together
 

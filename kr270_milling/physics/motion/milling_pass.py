@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.cutting.cut_step import cut_step, cut_undo
@@ -21,7 +22,7 @@ from kr270_milling.physics.cutting.state import LEVEL_SUM
 from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
 from kr270_milling.physics.motion.periods import Clock
 
-__all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
+__all__ = ["SERIES", "CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
 
 WINDOW = 65_536  # exchange periods whose reference is sampled at once, some 600 bytes each
 CHUNK = 4000  # exchange periods between two reports of progress
@@ -67,6 +68,7 @@ class PassResult:
     wall_time: float  #: [s], of the pass alone
     heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not stored
     every: int = 1  #: exchange periods of a row
+    undercut_volume: float = 0.0  #: part of the removed volume that was above a leaning tool [m^3]
 
     @property
     def time(self) -> np.ndarray:
@@ -164,6 +166,8 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
             for j in range(3):
                 tool[row + 1, j] = reference[row + 1, j] + deflection[j]
                 deflections[row + 1, j] = deflection[j]
+            for j in range(3, tool.shape[1]):  # the axis of a tool that tilts
+                tool[row + 1, j] = reference[row + 1, j]
             if not max(abs(deflection[0]), abs(deflection[1]), abs(deflection[2])) <= FLIGHT:
                 return True  # a sweep over metres would not end; the caller refuses this deflection
             if k > 0 and not cut_undo(cut_state):
@@ -223,26 +227,27 @@ def run_pass(
     every = max(1, math.ceil(n / most_rows))
     window = WINDOW // every * every
     state, wrench = np.zeros(model.states), np.zeros(6)
-    tool = reference.sample(np.zeros(1, np.int64))
+    tool = _poses(cut, reference, np.zeros(1, np.int64))
     count = math.ceil(n / every) + 1
     series = {name: np.zeros((count, *shape)) for name, shape in SERIES.items()}
     series["time_ns"] = np.zeros(count, np.int64)
     filled = 0
     cut_state = cut.state if iterations > 1 else cut.state_of_pass
-    area, volume, wall = cut.removed_area, cut.removed_volume, 0.0
+    area, volume, undercut, wall = cut.removed_area, cut.removed_volume, cut.undercut_volume, 0.0
     for begin in range(0, max(n, 1), window):
         end = min(begin + window, n)
         stamps = clock.stamp(np.arange(begin, end + 1))
-        positions = reference.sample(stamps)
+        poses = _poses(cut, reference, stamps)
+        positions = poses[:, :3]
         size = stamps.size
-        out = tuple(np.zeros((size, *shape)) for shape in ((3,), (6,), (6,), (), (), ()))
+        out = tuple(np.zeros((size, *shape)) for shape in (poses.shape[1:], (6,), (6,), (), (), ()))
         out[0][0] = tool[-1]
         ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
         arm = (model.push(reference, stamps, begin, positions), model.arrays)
         carried = (
             iterations,
-            positions,
+            poses,
             without[-size:],
             arm,
             state,
@@ -264,7 +269,7 @@ def run_pass(
         wall += time.perf_counter() - start
         tool = out[0]
         programmed = positions if reference is target else target.sample(stamps)
-        rows = _combined(every, int(begin > 0), (stamps, programmed, positions, *out))
+        rows = _combined(every, int(begin > 0), (stamps, programmed, positions, tool[:, :3], *out[1:]))
         for values, new in zip(series.values(), rows, strict=True):
             values[filled : filled + len(new)] = new
         filled += len(rows[0])
@@ -274,8 +279,15 @@ def run_pass(
         removed_area=cut.removed_area - area,
         removed_volume=cut.removed_volume - volume,
         wall_time=wall,
+        undercut_volume=cut.undercut_volume - undercut,
         every=every,
     )
+
+
+def _poses(cut: CutModel, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
+    """Return what the cut takes at stamps [ns]: positions (n, 3) [m], with the axis after each of a tool that tilts."""
+    axes = tool_axis(reference.sample_orientation(stamps)) if cut.tilts else None
+    return cut.poses(reference.sample(stamps), axes)
 
 
 def _combined(every: int, first: int, series: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:

@@ -9,15 +9,13 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch, words
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.arguments import PLAY, Parser, bounded, grid, numbers, stretch, words
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.version import __version__
-from kr270_milling.live.nodes.play_arguments import PLAY
 
 if TYPE_CHECKING:
     from kr270_milling.show.commands.console import Answer
 
-__all__ = ["COMMANDS", "make_parser", "run"]
 
 MOTIONS = ("LIN", "SPLINE")
 POSTURE = numbers(6, most=720.0)
@@ -82,13 +80,13 @@ def run(args: argparse.Namespace) -> Answer:
         case "sweep", _:
             from kr270_milling.show.commands.studies import run_sweep as command
         case "demo", _:
-            from kr270_milling.show.commands.demo import run_demo as command
+            from kr270_milling.show.commands.run import run_demo as command
         case "keys", _:
             from kr270_milling.show.commands.cells import run_keys as command
         case "stiffness", _:
             from kr270_milling.show.commands.cells import run_stiffness as command
         case "stability", _:
-            from kr270_milling.show.commands.stability import run_stability as command
+            from kr270_milling.show.commands.studies import run_stability as command
         case "compare", _:
             from kr270_milling.show.commands.identify import run_compare as command
         case "rsi", _:
@@ -164,8 +162,8 @@ def _add_compensate(parser) -> None:
     _shared(parser, "cell", "--set", "--plant", "--noise-um")
     add(
         "--method",
-        choices=("best", *_methods()),
-        help="default: the cell's compensation.method; best: compare the methods and run the best",
+        choices=("best", "none", *_methods()),
+        help="default: the cell's compensation.method; best: compare the methods and run the best; none: no correction",
     )
     add(
         "--measured",
@@ -205,7 +203,7 @@ def _add_compensate(parser) -> None:
     add(
         "--reach",
         action="store_true",
-        help="try softer ramps of the path, up to 1.5 times its time, until 90 %% of the robots meet the tolerance",
+        help="try ramps, feeds, a finishing pass and a turn of the tool until 90 %% of the robots meet the tolerance",
     )
     add(
         "--force",
@@ -557,7 +555,16 @@ def _add_rsi(parser) -> None:
             "pose from which the place on the path is taken: RSol, or RIst minus the correction (default: %(default)s)"
         ),
     )
-    add("--cell", metavar="CELL.yaml", help="cell of the path, attached to the recording; report needs it")
+    add(
+        "--context",
+        metavar="ETHERNET.xml",
+        help="file of the object ETHERNET, which names the elements: RKorr, AK, RIst, RSol, AIPos or others",
+    )
+    add(
+        "--cell",
+        metavar="CELL.yaml",
+        help="cell of the path, attached to the recording; report and corrections of joints (AK) need it",
+    )
     add("--out", metavar="DIR", default="rsi", help="directory of the recording (default: %(default)s)")
 
 

@@ -9,14 +9,15 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from kr270_milling.base.arguments import STOPS
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import fresh_directory
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.base.process import STOPS
 from kr270_milling.cell.cell_file import cell_text, read_cell
+from kr270_milling.cell.models import arm_of
 from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
-from kr270_milling.live.rsi.recording import RsiRecording
-from kr270_milling.live.rsi.session import RsiSession, open_socket, real_time
+from kr270_milling.live.rsi.session import RsiRecording, RsiSession, open_socket, real_time
+from kr270_milling.live.rsi.telegram import Elements, read_elements
 from kr270_milling.show.commands.console import Answer, command_line, shown_path
 
 
@@ -27,9 +28,14 @@ def run_rsi(args) -> Answer:
         1e-3 * args.max_mm, math.radians(args.max_deg), 1e-3 * args.rate_mm_per_s, args.ramp_s, 1e-3 * args.reach_mm
     )
     corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
+    elements = read_elements(args.context) if args.context else Elements()
     attached: dict[str, bytes | str] = {}
+    arm = None
+    if not args.cell and (elements.of_joints or not (elements.actual or elements.commanded)):
+        raise InputError("--cell", f"is needed, as {args.context} has joints and not places")
     if args.cell:
         cell = read_cell(find_file(args.cell))
+        arm = arm_of(cell)
         attached = {"cell.yaml": cell_text(cell)} | {
             Path(file).name: Path(file).read_bytes() for file in cell.path.files
         }
@@ -52,7 +58,9 @@ def run_rsi(args) -> Answer:
         report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
         if args.host.startswith("127."):
             report("no controller reaches this address: give that of this host in its network with --host")
-        session = RsiSession(connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist")
+        session = RsiSession(
+            connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist", elements, arm
+        )
         ended: list[int] = []
 
         def end(number: int, _) -> None:

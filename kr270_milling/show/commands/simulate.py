@@ -13,7 +13,7 @@ from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import jobs
 from kr270_milling.cell.cell_file import read_cell, read_cells
-from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, path_of, thin_chips
+from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, flat_floors, path_of, thin_chips
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide import check as decision
 from kr270_milling.decide.check_cut import residue_of
@@ -22,8 +22,7 @@ from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.decide.tools import in_turn
 from kr270_milling.path.trajectory_csv import read_csv
-from kr270_milling.show.commands.console import Answer, joints_text
-from kr270_milling.show.commands.progress import steps, title_of
+from kr270_milling.show.commands.console import Answer, joints_text, steps, title_of
 from kr270_milling.show.report.series import write_series
 
 
@@ -59,10 +58,10 @@ def _simulated(cell, args, draft, final, whole):
         files = write_series(draft, arm_of(cell), path_of(cell).target, [scored])
         if "stl" in args.write and not path_of(cell).straight:
             files.append(draft / f"part{suffix}.stl")
-            write_part(files[-1], cut_of(cell), scored.result, path_of(cell).clock)
+            write_part(files[-1], cut_of(cell), scored.result, path_of(cell).clock, path_of(cell).target)
         summary["files"] = [str(final(path)) for path in files]
     columns = columns_of(FeatureRow, unit="um")
-    absent = {"max_surface_error_um"} if cell.tool.has_flat_end else {"max_wall_error_um", "max_floor_error_um"}
+    absent = {"max_surface_error_um"} if flat_floors(cell) else {"max_wall_error_um", "max_floor_error_um"}
     columns = tuple(column for column in columns if column[1] not in absent)
     scores: list = _scores(cell, summary)
     if part:

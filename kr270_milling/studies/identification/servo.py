@@ -17,7 +17,7 @@ from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.table import read_table
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.imperfections import Imperfections, second_order
-from kr270_milling.recordings.bag.series import FIXED
+from kr270_milling.recordings.messages.cdr import FIXED
 from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.intervals import half_interval
 from kr270_milling.studies.identification.signals import even_stamps, pose_series, read_topic, resampled

@@ -10,6 +10,7 @@ import pytest
 from hostile import refused, settings
 from samples.small_part import small_part, swayed
 
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.path.cam.gcode.reader import read_gcode
@@ -49,6 +50,23 @@ N200 M30
 %
 """
 INCHES = re.sub(r"([XYZIJRF])(-?[\d.]+)", lambda w: f"{w[1]}{float(w[2]) / 25.4:.6f}", PART.replace("G21", "G20"))
+
+
+def test_a_finishing_pass_repeats_the_moves_of_the_program_after_a_way_back_above_the_part(tmp_path):
+    cell = small_part(tmp_path, PART, "compensation.finish=1")
+    path = path_of(cell).timed.toolpath
+    once = small_part(tmp_path, PART)
+    jobs = [[(each, swayed(path_of(each).target))] for each in (cell, once)]
+    (written, (tool,)), (_, (single,)) = (
+        write_gcode(tmp_path, job, method="inverse", date="2026-01-01") for job in jobs
+    )
+    read = read_gcode(written)
+    assert tool.error < 3e-6 and tool.blocks > 1.9 * single.blocks
+    assert read.position[~read.rapid].shape[0] >= path.position[~path.rapid].shape[0]
+    low = np.minimum(read.position[1:, 2], read.position[:-1, 2])[read.rapid[1:]]
+    sideways = np.hypot(*np.diff(read.position[:, :2], axis=0).T)[read.rapid[1:]] > 1e-6
+    assert np.all(low[sideways] > 0.0)
+    assert written.read_text().count("M30") == 1
 
 
 def rows_of(path) -> list[np.ndarray]:
@@ -208,3 +226,29 @@ def test_a_program_that_cannot_be_corrected_is_refused_before_a_pass(tmp_path, p
 def test_a_tool_that_goes_up_before_it_goes_home_sideways_is_corrected(tmp_path, home):
     cell = small_part(tmp_path, f"{MOVE}G1 X12 F4000\n{home}\nM30\n")
     assert len(check_gcode([cell]).moves) >= 3
+
+
+CORNERS = "G21 G90 S8000 M3\n{}\nG0 X0 Y0 Z1\nG1 Z-0.3 F600\nX10 F3000\nX18 Y1\nX26 Y4\nG0 Z5\nM30\n"
+
+
+@pytest.mark.parametrize(("words", "rounding", "blend"), [
+    ("G64 P0.004", 4e-6, 0.0), ("G64 P0.5", 0.5e-3, 0.0), ("G61", 0.0, 0.0), ("G64", 0.0, 0.2e-3), ("", 0.0, 2e-3),
+])  # fmt: skip
+def test_the_figures_are_those_of_the_rounded_corners(tmp_path, words, rounding, blend):
+    """A parabola from d before a point misses it by d |e1 - e0| / 4; P of G64 is that miss, d at most half a block."""
+    settings = f"program.blend_distance_mm={1e3 * blend}", "program.tolerance_um=500"
+    cell = small_part(tmp_path, CORNERS.format(words), *settings)
+    target = path_of(cell).target
+    assert cell.path.source.rounding == pytest.approx(rounding)
+    path, (written,) = write_gcode(tmp_path, [(cell, target)], method="none", date="2026-11-23")
+    most = 0.0
+    for row in rows_of(read_gcode(path)):
+        length = np.linalg.norm(np.diff(row, axis=0), axis=1)
+        turn = np.linalg.norm(np.diff(np.diff(row, axis=0) / length[:, None], axis=0), axis=1)
+        wanted = 4 * rounding / np.maximum(turn, 1e-9) if rounding else blend
+        d = np.minimum(wanted, np.minimum(length[1:], length[:-1]) / 2)
+        most = max(most, np.max(d * turn / 4, initial=0.0))
+    assert written.blended == pytest.approx(max(most, written.error), abs=0.2e-6)
+    moved = abs(written.deviation - simulate(cell, target).scores.max_deviation)
+    assert (moved > 10e-6) == (most > 10e-6)
+    assert f"with rounded corners within {1e6 * written.blended:.2g} um" in written.text

@@ -14,6 +14,7 @@ from arm_oracle import pinocchio_arm
 from krl_robot import NUMBER, Robot
 from samples.small_part import GCODE, small_part, swayed
 from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from splines import spline
 
@@ -29,6 +30,7 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.programs.files import (
     offsets,
+    program_bytes,
     time_law,
     write_joint_table,
     write_programs,
@@ -39,18 +41,24 @@ from kr270_milling.decide.programs.krl_motion import knot_notes
 from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
+from kr270_milling.live.rsi.telegram import Elements, read_elements
 from kr270_milling.path.cam.gcode.reader import read_gcode
-from kr270_milling.path.controller_motion import block_ends, controller_motion
+from kr270_milling.path.cam.krl.reader import read_krl_program
+from kr270_milling.path.controller_motion import block_ends, controller_motion, places_on_program
 from kr270_milling.path.timing import Timing, time_path
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.physics.robot import BARE
 
 
-def setup(*runs: Trajectory, **more) -> Setup:
+def setup(**more) -> Setup:
     mount = Pose.from_abc([0.0, 0.0, 0.25], np.radians([0.0, 90.0, 0.0]))
     base = Pose.from_abc([1.0, -1.6, 0.3], np.radians([30.0, 1.0, -2.0]))
-    approaches = [(np.array([*run.position[0, :2], 0.05]), 2, 35) for run in runs]
-    return Setup(mount, base, approaches, 0.05, 12.0, (0.0, 0.01, 0.1), date="2025-06-01", **more)
+
+    def approach(run: Trajectory, knot: int):
+        return np.array([*run.position[knot, :2], 0.05]), 2, 35
+
+    about = dict(top=0.0, load_mass=12.0, load_centre=(0.0, 0.01, 0.1), date="2025-06-01")
+    return Setup(mount, base, approach, **about | more)
 
 
 def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
@@ -66,14 +74,16 @@ def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
     return original, Trajectory(time_ns, position + random.normal(0, 1e-4, (count, 3)), (small * turn).as_quat())
 
 
-def write(directory, program: Program, original, revised, **more) -> list[Path]:
-    return write_krl(directory, program, setup(original, revised, **more), original, revised)
+def write(directory, program: Program, original, revised, **more) -> tuple[list[Path], np.ndarray, list]:
+    if directory.parent.exists():
+        directory.mkdir(exist_ok=True)
+    return write_krl(directory, program, setup(**more), original, revised)
 
 
-def assert_recovered(robot: Robot, run: Trajectory) -> None:
-    """To 1 um and 0.001 deg at each point."""
-    k = robot.numbers - 1
-    assert np.abs(robot.column("XYZ") * 1e-3 - run.position[k]).max() < 1e-6
+def assert_recovered(robot: Robot, run: Trajectory, k: np.ndarray) -> None:
+    """To 0.1 um and 0.001 deg at each point, which is knot k; numbers of comments are those of the knots, from 1."""
+    assert np.abs(robot.column("XYZ") * 1e-3 - run.position[k]).max() < 1e-7
+    assert all(number == k[order] + 1 for number, order in robot.comments)
     turned = Rotation.from_euler("ZYX", robot.column("ABC"), degrees=True)
     assert np.degrees((turned.inv() * Rotation.from_quat(run.quaternion[k])).magnitude()).max() < 1e-3
 
@@ -82,16 +92,16 @@ def assert_recovered(robot: Robot, run: Trajectory) -> None:
 @pytest.mark.parametrize("limit", [1400, 120])
 def test_both_programs_are_parsed_back_across_all_their_modules(tmp_path, motion, limit):
     pair = swaying(500)
-    files = write(tmp_path, Program(name="PART", motion=motion, line_limit=limit), *pair)
+    files, knots, _ = write(tmp_path, Program(name="PART", motion=motion, line_limit=limit), *pair)
     assert sorted(files) == sorted(tmp_path.iterdir()) and (len(files) == 4) == (limit == 1400)
     assert max(len(path.read_text().splitlines()) for path in files) <= limit
     robots = [Robot(tmp_path, main) for main in ("PART_ORG", "PART_CMP")]
     for robot, run in zip(robots, pair, strict=True):
-        assert robot.numbers.tolist() == list(range(1, 501))
-        assert_recovered(robot, run)
+        assert len(robot.points) == 500 and len(robot.comments) == 9
+        assert_recovered(robot, run, knots)
         if motion == "LIN":
             speed = np.linalg.norm(np.diff(run.position, axis=0), axis=1) / np.diff(run.time)
-            written = [speed for _, _, speed in robot.points[1:]]
+            written = [speed for _, speed in robot.points[1:]]
             np.testing.assert_allclose(written, speed, atol=0.5e-3 + 1e-9)  # rounded to 1 mm/s
     assert robots[0].rests == robots[1].rests
 
@@ -101,20 +111,20 @@ def test_a_tool_that_lies_level_is_recovered_although_its_angles_are_singular(tm
     lean = np.concatenate([np.linspace(-1e-3, 1e-3, 39), [0.0]])
     level = Rotation.from_euler("ZYX", np.stack([np.full(40, 0.4), np.pi / 2 + lean, np.full(40, -0.7)], 1))
     run = Trajectory(original.time_ns, original.position, level.as_quat())
-    write(tmp_path, Program(), run, run)
-    assert_recovered(Robot(tmp_path, "MILLING_CMP"), run)
+    _, knots, _ = write(tmp_path, Program(tolerance=0.0), run, run)
+    assert_recovered(Robot(tmp_path, "MILLING_CMP"), run, knots)
 
 
 def test_speeds_are_those_along_the_curve_rounded_to_a_millimetre_a_second_and_never_zero(tmp_path):
     slow = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 1e-5, 1e-5, 0.05)
     write(tmp_path, Program(tolerance=0.0), slow, slow)
-    assert {speed for _, _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]} == {1e-3}
+    assert {speed for _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]} == {1e-3}
     angle = np.linspace(0, np.pi, 41)
     circle = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     time_ns = np.arange(41) * 50_000_000
     tangent = 0.05 * np.pi / 2 * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
     write(tmp_path, Program(), *2 * [Trajectory(time_ns, circle, [1.0, 0, 0, 0], tangent)])
-    speeds = [speed for _, _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]]
+    speeds = [speed for _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]]
     np.testing.assert_allclose(speeds, 0.05 * np.pi / 2, atol=0.5e-3)
 
 
@@ -126,21 +136,70 @@ def milled(tmp_path, text: str) -> Trajectory:
 @pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
 def test_the_robot_stops_in_the_corners_and_nowhere_else(tmp_path, motion):
     run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nG1 Y20\nG1 X0.3\nX0.3 Y20.004\nM30\n")
-    write(tmp_path, Program(motion=motion), run, run)
+    _, knots, _ = write(tmp_path, Program(motion=motion), run, run)
     robot = Robot(tmp_path, "MILLING_ORG")
-    rests = run.position[np.array(robot.rests) - 1] * 1e3
+    rests = run.position[knots[np.array(robot.rests) - 1]] * 1e3
     np.testing.assert_allclose(rests[:2], [[20, 0, 0], [20, 20, 0]], atol=1e-6)
     np.testing.assert_allclose(rests[-1], [0.3, 20.004, 0], atol=1e-6)
     assert len(rests) <= 4 and np.linalg.norm(np.diff(robot.column("XYZ"), axis=0), axis=1).min() > 1e-3
     run = milled(tmp_path, "G0 X0 Y0 Z0\n" + "G1 X30 F4000\nX0\n" * 20 + "M30\n")
     program = Program(motion=motion, line_limit=400, tolerance=0.0)  # modules end at a stop where one is near
-    files = write(tmp_path, program, run, run)
-    stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0) + 1
-    assert len(files) > 8 and set(Robot(tmp_path, "MILLING_ORG").rests) <= set(stops)
+    files, knots, _ = write(tmp_path, program, run, run)
+    stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0)
+    rests = knots[np.array(Robot(tmp_path, "MILLING_ORG").rests) - 1]
+    assert len(files) > 8 and set(rests) <= set(stops)
+
+
+#: rows of zigzag with a retract after each
+ROWS = "G21 S8000 M3\nG0 X0 Y0 Z5\n" + "".join(
+    f"(row {row})\nG1 Z-1 F2000\n" + "".join(f"G1 X{x} Y{row + x % 2}\n" for x in range(60)) + "G0 Z5\nG0 X0\n"
+    for row in range(12)
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+def test_a_program_larger_than_the_memory_has_parts_that_begin_and_end_above_the_stock(tmp_path, motion):
+    run = milled(tmp_path, ROWS + "M30\n")
+    program = Program(name="A234567890123456", motion=motion, memory=10e3)
+    whole, knots, (one,) = write(tmp_path / "whole", program.replace(memory=4e6), run, run)
+    files, same, parts = write(tmp_path / "parts", program, run, run)
+    (before, stopped), (pose, stops) = (read_krl(tmp_path / name, f"{program.name}_CMP") for name in ("whole", "parts"))
+    assert one == (0, len(run) - 1) and same.tolist() == knots.tolist()
+    np.testing.assert_array_equal(pose.position, before.position)
+    np.testing.assert_array_equal(stops, stopped)
+    robot = Robot(tmp_path / "parts", f"{program.name}_CMP")
+    assert_recovered(robot, run, knots)
+    assert knots[np.array(robot.starts) - 1].tolist() == [first for first, _ in parts]
+    assert [last for _, last in parts] == [*(first for first, _ in parts[1:]), len(run) - 1]
+    assert all(run.standing[last] and run.position[last, 2] >= 0.0 for _, last in parts[:-1])
+    assert robot.steps.count("PTP XAPPROACH") == robot.steps.count("LIN XRETRACT") == len(parts) > 2
+    for kind in ("ORG", "CMP"):
+        sizes = [sum(f.stat().st_size for f in (tmp_path / "parts" / f"P{n}").glob(f"*_{kind}*"))
+                 for n in range(1, len(parts) + 1)]  # fmt: skip
+        assert max(sizes) <= 10e3 and sum(sizes) > sum(f.stat().st_size for f in whole if f"_{kind}" in f.name)
+    assert len({path.name for path in files}) == len(files) and max(len(path.stem) for path in files) <= 24
+    with pytest.raises(TrajectoryError, match="none of them is a stop above the stock"):
+        write(tmp_path, program, run, run, top=0.1)
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+def test_angles_are_written_where_the_tool_turns_and_a_point_takes_half_the_bytes(tmp_path, motion):
+    """Version 0.3.0 took 109 bytes a point. The reader of foreign KRL finds the same points."""
+    run = milled(tmp_path, ROWS + "M30\n")
+    files, knots, _ = write(tmp_path / "krl", Program(motion=motion), run, run)
+    assert sum(path.stat().st_size for path in files if "_CMP" in path.name) < 55 * len(knots)
+    robot, path = (
+        Robot(tmp_path / "krl", "MILLING_CMP"),
+        read_krl_program(tmp_path / "krl" / "MILLING_CMP.src", "", 0.05),
+    )
+    places = [line for line in robot.steps if line.startswith(f"{motion[:3]} {{")]
+    modules = [path for path in files if "_CMP" in path.name and f"{motion[:3]} {{" in path.read_text()]
+    assert sum(",A " in line for line in places) == len(robot.comments) + len(modules)
+    assert cKDTree(path.position).query(run.position[knots])[0].max() < 1e-7
 
 
 def test_names_are_krl_names_and_what_no_controller_reads_is_refused(tmp_path):
-    files = write(tmp_path, Program(name="A234567890123456", line_limit=100), *swaying(200))
+    files, *_ = write(tmp_path, Program(name="A234567890123456", line_limit=100), *swaying(200))
     assert max(len(path.stem) for path in files) <= 24
     names = ("", "1PART", "part", "PART-1", "A2345678901234567", "../X", "PART\n")
     values = dict(spindle_on=("A\nB",)), dict(home="x"), dict(home_angles=[1.0]), dict(coolant_off=("\u00e4",))
@@ -170,7 +229,7 @@ def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_
     with pytest.raises(TrajectoryError):
         write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
     with pytest.raises(InputError):
-        write(tmp_path / "none", Program(), *swaying(20))
+        write(tmp_path / "none" / "none", Program(), *swaying(20))
     with pytest.raises(TrajectoryError, match="raise program.line_limit"):
         write(tmp_path, Program(motion="LIN", line_limit=100), *swaying(4000))
     assert not list(tmp_path.iterdir())
@@ -181,11 +240,12 @@ def test_a_name_of_an_operation_is_one_line_of_ascii(tmp_path, sign):
     run = swaying(20)[0]
     name = f"Tasche \u00dc1{sign}HALT {sign} \u2205"
     notes = knot_notes(range(1, 21), (name,) * 20)
-    write_krl(tmp_path, Program(tolerance=0.0), setup(run, run), run, run, notes)
+    write_krl(tmp_path, Program(tolerance=0.0), setup(), run, run, notes)
     text = (tmp_path / "MILLING_CMP.src").read_bytes()
     assert not set(text) - {*range(32, 127), 10, 13} and len(text.splitlines()) == text.count(b"\r\n")
     gap = b" " if sign.isspace() else b""
-    assert b"; line 7 (Tasche U1" + gap + b"HALT" in text and len(Robot(tmp_path, "MILLING_CMP").numbers) == 20
+    assert b"; XP2 line 2 (Tasche U1" + gap + b"HALT" in text and b"; XP12 line 12\r\n" in text
+    assert len(Robot(tmp_path, "MILLING_CMP").points) == 20
 
 
 # --- What a program does before and behind the path: home, safe height, spindle, coolant, tool and base ---
@@ -203,7 +263,7 @@ def test_the_program_starts_and_ends_at_home_with_the_spindle_on_in_between(tmp_
     pair = swaying(200)
     write(tmp_path, OWN.replace(motion=motion, line_limit=limit), *pair)
     steps = [line for line in Robot(tmp_path, "MILLING_CMP").steps if not line.startswith((";", "&"))]
-    moves = [line for line in steps if line.startswith(("PTP", "LIN", "SPL "))]
+    moves = [line for line in steps if line.startswith(("PTP", "LIN X", "SPL "))]
     assert moves[:3] == ["PTP XHOME", "PTP XAPPROACH", "LIN XP1"] and moves[-2:] == ["LIN XRETRACT", "PTP XHOME"]
     order = [steps.index(line) for line in ("PTP XHOME", "$OUT[1]=TRUE", "WAIT SEC 4.0", "$OUT[2]=TRUE",
                                             "PTP XAPPROACH", "LIN XP1", "LIN XRETRACT", "$OUT[1]=FALSE")]  # fmt: skip
@@ -221,7 +281,7 @@ def test_the_program_starts_and_ends_at_home_with_the_spindle_on_in_between(tmp_
 @pytest.mark.parametrize("lines", [(), ("HALT",)])
 def test_the_program_halts_where_the_operator_starts_the_spindle(tmp_path, lines):
     run = swaying(20)[0]
-    spindle = setup(run, run, spindle="8000 rpm, clockwise")
+    spindle = setup(spindle="8000 rpm, clockwise")
     write_krl(tmp_path, OWN.replace(spindle_on=lines), spindle, run, run)
     steps = Robot(tmp_path, "MILLING_CMP").steps
     halt = steps.index("HALT")
@@ -259,7 +319,7 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
         file = next(tmp_path.glob(f"joints_{name}_*.csv"))
         assert file.read_text().partition("\n")[0] == "time_s," + ",".join(f"joint_{j}_deg" for j in range(1, 7))
         table = np.loadtxt(file, delimiter=",", skiprows=1)
-        knots = read.numbers - 1
+        knots = point_numbers(cell.krl.replace(motion=motion), target, swayed(target))
         assert_flange(read, cell.arm, np.radians(table[knots, 1:]))
         assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
         assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
@@ -308,6 +368,7 @@ def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_pat
     address = rsi_address("192.168.1.10:50000")
     files, _ = write_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
     src, context, _, ethernet = files["rsi_context"]
+    assert read_elements(ethernet) == Elements()  # the command ``rsi`` speaks as the written context
     network = ElementTree.parse(ethernet)
     assert [network.findtext(f"CONFIG/{key}") for key in ("IP_NUMBER", "PORT")] == ["192.168.1.10", "50000"]
     channel = {one.get("INDX"): one.get("TAG") for one in network.iterfind("RECEIVE/ELEMENTS/ELEMENT")}
@@ -326,6 +387,24 @@ def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_pat
     order = [lines.index(f"RSI_RET={step}") for step in steps]
     order.insert(2, lines.index("MILLING_ORG( )"))
     assert order == sorted(order) and lines.count("HALT") == 3
+
+
+def test_each_part_of_a_program_has_its_table_and_its_program_for_rsi(tmp_path):
+    rows = GCODE.replace("M5\nM30\n", "") + "G0 X-14 Y0\nG0 Z-1\nG1 X12\nY10\nG0 Z2\n" * 8 + "M5\nM30\n"
+    cell = small_part(tmp_path, rows, "program.memory_mb=0.01", "program.tolerance_um=0")
+    target = path_of(cell).target
+    files, text = write_programs(
+        tmp_path / "out", cell, target, swayed(target), method="m", date=DATE, rsi=rsi_address("192.168.1.10")
+    )
+    count = len(files["rsi"])
+    tables = [np.genfromtxt(path, delimiter=",", names=True) for path in files["rsi"]]
+    programs = [path.stem for path in files["rsi_context"] if path.suffix == ".src"]
+    assert programs == [f"MILLING_RSI_P{n}" for n in range(1, count + 1)] and count > 1
+    for path in files["rsi_context"][:count]:
+        assert f"{path.stem.replace('RSI', 'ORG')}( )" in path.read_text().splitlines()
+    assert all(table["time_s"][0] == 0.0 and abs(table["dX_mm"][-1]) < 1e-9 for table in tables)
+    assert sum(table["time_s"][-1] for table in tables) >= target.time[-1]
+    assert f"it has {count} parts" in text and f"{program_bytes(files['krl_spline']) / 1e6:.3g} MB" in text
 
 
 @pytest.mark.parametrize("text", ["", "host", "1.2.3", "1.2.3.4:0", "1.2.3.4:x", "1.2.3.4:99999", "::1"])
@@ -452,8 +531,8 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     )
     folder = files[f"krl_{motion.lower()}"][0].parent
     main = f"{cell.krl.name}_CMP"
-    (number, pose, stops), robot = read_krl(folder, main), Robot(folder, main)
-    assert number.tolist() == robot.numbers.tolist() and [1, *robot.rests] == number[stops].tolist()
+    (pose, stops), robot = read_krl(folder, main), Robot(folder, main)
+    assert [0, *(np.array(robot.rests) - 1)] == np.flatnonzero(stops).tolist()
     assert pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
     assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
     assert time_law(path_of(cell)) in text
@@ -468,9 +547,9 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
     write_programs(tmp_path, cell, target, run, method="inverse", date=DATE, motions=(motion,))
     for kind, planned in (("ORG", target), ("CMP", run)):
         robot = Robot(next(tmp_path.glob("krl_*")), f"MILLING_{kind}")
-        assert max(speed for _, _, speed in robot.points[1:]) < 1.01 * planned.feed(planned.time_ns).max()
+        assert max(speed for _, speed in robot.points[1:]) < 1.01 * planned.feed(planned.time_ns).max()
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(planned.position, axis=0), axis=1))])
-        knots, ends = robot.numbers - 1, [0, *(np.flatnonzero(np.isin(robot.numbers, robot.rests)))]
+        knots, ends = point_numbers(program, target, run), [0, *(np.array(robot.rests) - 1)]
         for first, last in pairwise(ends):
             points, inner = slice(first, last + 1), np.arange(knots[first], knots[last] + 1)
             place = 1e-3 * robot.column("XYZ")[points]
@@ -479,13 +558,44 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
                 way[knots[points]], place, *([1] if straight else [0, "natural"])
             )
             gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
-            assert gap.max() < program.tolerance + 0.1 * UM  # frames are written to 0.1 um
+            assert gap.max() < program.tolerance + 0.1 * UM  # places are written to 0.1 um
     assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
     apart = point_numbers(program.replace(point_spacing=1e-3, tolerance=0.0), target, run)
     for planned in (target, run):
         assert np.linalg.norm(np.diff(planned.position[apart], axis=0), axis=1).min() >= 1e-3
     coarse = np.diff(run.time_ns[point_numbers(program.replace(tolerance=1e-3), target, run)])
     assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
+
+
+@pytest.mark.parametrize("blend", [0.0, 1e-3, 3e-3, 1.0])
+@pytest.mark.parametrize("stop", [False, True])
+def test_lin_motions_are_blended_by_the_parabola_that_touches_both_lines(blend, stop):
+    """A corner of 90 deg between legs of 4 and 10 mm, d at most half a leg: sqrt(y) + sqrt(10 - x) = sqrt(d)."""
+    s = np.linspace(0.0, 14e-3, 1401)
+    line = np.stack([np.minimum(s, 10e-3), np.maximum(s - 10e-3, 0.0), 0 * s], axis=1)
+    knots = np.array([0, 1000, 1400])
+    run = Trajectory(np.arange(1401) * 10**6, line, TOOL_DOWN)
+    place = places_on_program(run, knots, line[knots], np.array([True, stop, True]), False, blend)
+    d = 0.0 if stop else min(blend, 2e-3)
+    rounded = np.abs(s - 10e-3) < d - 1e-9
+    np.testing.assert_allclose(place[~rounded], line[~rounded], atol=1e-12)
+    x, y, _ = place[rounded].T
+    np.testing.assert_allclose(np.sqrt(y) + np.sqrt(10e-3 - x), np.sqrt(d), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(place[1000] - line[1000]), d * np.sqrt(2) / 4, atol=1e-12)
+
+
+def test_a_program_of_lin_motions_is_judged_by_its_blended_path(part):
+    cell, original = part
+    program = cell.krl.replace(motion="LIN", tolerance=50e-6, blend_distance=2e-3)
+    target = path_of(cell).target
+    exact, blended = (
+        written_trajectory(cell.replace(krl=program.replace(blend_distance=d)), target, "LIN") for d in (0.0, 2e-3)
+    )
+    knots = point_numbers(program, target, target)
+    stops = target.standing[knots]
+    expected = places_on_program(target, knots, target.position[knots], stops, False, program.blend_distance)
+    np.testing.assert_allclose(blended.position, expected, atol=1e-7)
+    assert np.linalg.norm(blended.position - exact.position, axis=1).max() > 5e-6
 
 
 def test_a_straight_cut_stops_where_a_module_ends_and_has_no_second_time_law():

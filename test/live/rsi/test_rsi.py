@@ -10,26 +10,28 @@ import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from ros_domain import open_ports
 from rsi_controller import Controller, telegram
 from samples.recording_samples import full_disk
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import InputError, MessageError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import cell_text, read_cell
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cli import main
 from kr270_milling.decide.programs.files import write_rsi_table
 from kr270_milling.live.rsi import session as rsi_session
 from kr270_milling.live.rsi.corrector import CorrectionLimits, CorrectionTable, Corrector, read_corrections
-from kr270_milling.live.rsi.recording import RsiRecording
-from kr270_milling.live.rsi.session import RsiSession, open_socket
-from kr270_milling.live.rsi.telegram import read_telegram, write_answer
+from kr270_milling.live.rsi.session import RsiRecording, RsiSession, open_socket
+from kr270_milling.live.rsi.telegram import Elements, read_elements, read_telegram, write_answer
+from kr270_milling.physics.robot import pose
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.passes import series
 
 CYCLE = 0.004
 FEED = 4.0 / 60  # [m/s]
@@ -303,3 +305,118 @@ def test_a_table_without_places_and_a_used_port_are_refused(tmp_path):
         read_corrections(tmp_path / "rsi.csv")
     with open_socket("127.0.0.1", 0) as connection, pytest.raises(InputError, match="cannot be used"):
         open_socket("127.0.0.1", connection.getsockname()[1])
+
+
+# --- contexts and simulators of others ---
+JOINTS = tuple(f"A{k}" for k in range(1, 7))
+
+
+def context(path, send: list[str], receive: list[str], sensor: str = "ImFree"):
+    def rows(tags):
+        return "".join(f'<ELEMENT TAG="{tag}" TYPE="DOUBLE" INDX="1" />' for tag in tags)
+
+    path.write_text(
+        f"<ROOT><CONFIG><SENTYPE>{sensor}</SENTYPE></CONFIG><SEND><ELEMENTS>{rows(send)}</ELEMENTS></SEND>"
+        f"<RECEIVE><ELEMENTS>{rows(receive)}</ELEMENTS></RECEIVE></ROOT>"
+    )
+    return path
+
+
+def axes(name: str, letters) -> list[str]:
+    return [f"{name}.{letter}" for letter in letters]
+
+
+#: SEND, RECEIVE -> elements; the second is that of fzi-forschungszentrum-informatik/kuka_rsi_driver
+CONTEXTS = [
+    (["DEF_RIst", "DEF_RSol"], axes("RKorr", "XYZABC"), {}),
+    (["DEF_RIst", "DEF_RSol", "DEF_AIPos", "DEF_ASPos", "DEF_Delay", "OvPro.R"], axes("AK", JOINTS),
+     dict(joints="ASPos", correction="AK", axes=JOINTS)),
+    (["DEF_RIst", "DEF_AIPos"], axes("AK", JOINTS), dict(commanded="", joints="AIPos", correction="AK", axes=JOINTS)),
+    (axes("Place", "XYZABC"), ["Stop", *axes("Shift", "XYZ")],
+     dict(actual="Place", commanded="", correction="Shift", axes=("X", "Y", "Z"))),
+    (["DEF_AIPos"], [*axes("AK", JOINTS), *axes("RKorr", "XYZABC")], dict(actual="", commanded="", joints="AIPos")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("send", "receive", "names"), CONTEXTS)
+def test_the_elements_have_the_names_of_the_context(tmp_path, send, receive, names):
+    elements = read_elements(context(tmp_path / "e.xml", send, receive, "Other"))
+    assert elements == Elements(**{"sensor": "Other"} | names)
+    answer = ElementTree.fromstring(write_answer(17, np.arange(6.0) * 1e-3, elements))
+    factor = np.degrees(1.0) if elements.of_joints else 1e3
+    assert answer.get("Type") == "Other" and answer.findtext("IPOC") == "17"
+    assert float(answer.find(elements.correction).get(elements.axes[2])) == pytest.approx(2e-3 * factor, abs=1e-4)
+    assert tuple(answer.find(elements.correction).attrib) == elements.axes
+
+
+@pytest.mark.parametrize(("send", "receive", "reason"), [
+    (["DEF_RIst"], ["RKorr.X", "RKorr.Y"], "RECEIVE has no element"),
+    (["DEF_Delay"], axes("RKorr", "XYZ"), "SEND has no element with the pose"),
+    (["DEF_RIst"], axes("AK", JOINTS), "SEND has no element with the joint positions"),
+    (["DEF_RIst"], axes("P", "XYZ") + axes("Q", "XYZ"), "several elements for a correction: P, Q"),
+])  # fmt: skip
+def test_a_context_without_a_correction_or_a_place_is_refused(tmp_path, send, receive, reason):
+    with pytest.raises(InputError, match=reason):
+        read_elements(context(tmp_path / "e.xml", send, receive))
+    (tmp_path / "e.xml").write_text("DEF x( )")
+    with pytest.raises(InputError, match="is no XML file"):
+        read_elements(tmp_path / "e.xml")
+
+
+def test_a_correction_of_joints_moves_the_tool_by_the_correction():
+    cell = read_cell(find_file("paper.yaml"))
+    arm = arm_of(cell)
+    session = RsiSession(None, corrector_of(line()), 4, print, elements=Elements(axes=JOINTS, joints="AIPos"), arm=arm)
+    correction = np.array([3e-4, -5e-4, 2e-4, 1e-4, -2e-4, 3e-4])
+    q = arm.joints_at(path_of(cell).target.position[:1], path_of(cell).target.quaternion[:1])[0]
+    before, after = (
+        arm.place.inverse() @ pose(arm.arm, arm.mount, joints)
+        for joints in (q, q + session._joint_correction(q, correction))
+    )
+    np.testing.assert_allclose(after.position - before.position, correction[:3], atol=1e-6)
+    turn = Rotation.from_matrix(after.rotation @ before.rotation.T).as_euler("ZYX")
+    np.testing.assert_allclose(turn, correction[3:], atol=1e-6)
+
+
+def fzi(ipoc: int, joints) -> bytes:
+    """A telegram of FZI's simulator with the context of its driver."""
+    pose = dict.fromkeys("XYZABC", "0.0")
+    rest = {"GearTorque": dict.fromkeys(JOINTS, "0.0"), "ProgStatus": {"R": "3"}, "OvPro": {"R": "100.0"}}
+    elements = {"RIst": pose, "RSol": pose, "AIPos": joints, "ASPos": dict.fromkeys(JOINTS, "0.0"), "Delay": {"D": "0"}}
+    root = ElementTree.Element("Rob", {"TYPE": "KukaRsiDriver"})
+    for name, values in (elements | rest).items():
+        ElementTree.SubElement(root, name, values)
+    ElementTree.SubElement(root, "IPOC").text = str(ipoc)
+    return ElementTree.tostring(root)
+
+
+def kroshu(ipoc: int, joints) -> bytes:
+    """A telegram of kroshu's kuka_rsi_simulator."""
+    root = ElementTree.Element("Rob", {"TYPE": "KUKA"})
+    outer = {f"E{k}": "0.0" for k in range(1, 7)}
+    elements = {"RIst": dict.fromkeys("XYZABC", "0.0"), "AIPos": joints, "EIPos": outer, "Delay": {"D": "0"}}
+    for name, values in elements.items():
+        ElementTree.SubElement(root, name, values)
+    ElementTree.SubElement(root, "IPOC").text = str(ipoc)
+    return ElementTree.tostring(root, encoding="utf-8", method="xml").replace(b" />", b"/>")
+
+
+@pytest.mark.parametrize(("simulator", "case"), [(fzi, 1), (kroshu, 2)])
+def test_the_telegrams_of_the_public_simulators_are_answered(tmp_path, patient, simulator, case):
+    """Their counters rise by one a cycle, and they take AK as joint positions or add it to the first posture."""
+    send, receive, _ = CONTEXTS[case]
+    elements = read_elements(context(tmp_path / "e.xml", send, receive))
+    with open_socket("127.0.0.1", 0) as connection:
+        arm = arm_of(read_cell(find_file("paper.yaml")))
+        session = RsiSession(connection, corrector_of(line()), 4, lambda _: None, elements=elements, arm=arm)
+        with ThreadPoolExecutor(1) as thread, contextlib.closing(Controller(connection.getsockname()[1])) as robot:
+            done = thread.submit(session.run)
+            joints = dict(zip(JOINTS, ("0", "-90.0", "90.0", "0.0", "90.0", "0.0"), strict=True))
+            for ipoc in range(1, 301):
+                robot.send(simulator(ipoc, joints))
+                answer = ElementTree.fromstring(robot.socket.recv(1024))
+                assert answer.tag == "Sen" and answer.findtext("IPOC") == str(ipoc)
+                assert all(abs(float(answer.find("AK").get(joint))) < 0.5 for joint in JOINTS)
+            session.stop.set()
+            counts = done.result()
+    assert (counts.answered, counts.refused, counts.missed, counts.repeated) == (300, 0, 0, 0)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict
-from kr270_milling.show.report.identification.outcome import Outcome
+from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.play import ARCSEC, Backlash, backlash_keys

@@ -1,0 +1,135 @@
+"""The mean force of a tilted cutter of revolution beside a quadrature of its edge; volume, torque, undo, turns."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from samples.tilted_cuts import (
+    CUTTINGS,
+    MICRO_STEP,
+    RADIUS,
+    SHARP,
+    SPEED,
+    TEETH,
+    TOOLS,
+    VELOCITY,
+    axis_of,
+    error,
+    measured,
+    swept_widths,
+)
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.physics.cutting import EngagementCut, Stock
+
+ALONG = {"lead 15": (15.0, 0.0), "lead 45": (45.0, 0.0), "lean 15": (0.0, 15.0), "lean 45": (0.0, 45.0)}
+
+
+@pytest.mark.parametrize("tilt", ALONG)
+@pytest.mark.parametrize("name", ["flat", "ball", "bull", "taper"])
+def test_the_mean_force_is_that_of_the_quadrature_within_two_percent(name, tilt):
+    """Slot, 70, 30 and 5 % of the width, up and down; three laws take turns.
+
+    The shallow side of a leaning tool meets 5 % of its width in a wedge of 0.1 mm: see the last test.
+    """
+    low, high = swept_widths(TOOLS[name], 2e-3, ALONG[tilt])
+    laws = list(CUTTINGS.values())
+    for k, share in enumerate((1.0, 0.7, 0.3, 0.05)):
+        for side in ("up", "down") if share > 0.1 or "lead" in tilt else ("down",):
+            reach = round(share * (high - low), 4)  # on the border of a cell of the map
+            sides = (-9e-3, low + reach) if side == "up" else (high - reach, 9e-3)
+            assert error(TOOLS[name], laws[k % 3], ALONG[tilt], sides) < 0.02, (share, side)
+
+
+@pytest.mark.parametrize("name", ["flat", "ball", "bull", "taper"])
+def test_torque_times_angle_is_the_cutting_coefficient_times_the_volume_while_the_axis_turns(name):
+    """Exactly: 1e-9, without what was above the leaning tool; the lag moves work to a later step and keeps its sum."""
+    stock = Stock(min=np.array([0.0, -8e-3, -12e-3]), max=np.array([30e-3, 8e-3, 0.0]), grid_step=1e-4)
+    cut, n, k = EngagementCut(TOOLS[name], SHARP, stock, MICRO_STEP, tilts=True), 192, np.arange(150)
+    path = np.column_stack([2e-4 * k, 1e-3 * np.sin(k / 9.0), -1e-3 + 1e-3 * np.sin(k / 5.0)])
+    lead, lean = 0.3 + 0.25 * np.sin(k / 20.0), 0.2 * np.sin(k / 15.0)
+    axes = np.column_stack([np.sin(lead), np.cos(lead) * np.sin(lean), np.cos(lead) * np.cos(lean)])
+    _, torque, volume = cut.along(path, n * k, axes=axes)
+    fresh = n * MICRO_STEP / (n * MICRO_STEP + math.pi / TEETH)
+    work = n * MICRO_STEP * torque.sum() + n * MICRO_STEP * (1.0 / fresh - 1.0) * torque[-1]
+    removed = SHARP.linear_edge.tangential_cutting * volume.sum()
+    assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-12)
+    assert work <= removed * (1.0 + 1e-9)
+    assert work == pytest.approx(removed, rel=1e-9 + 2.0 * cut.undercut_volume / cut.removed_volume)
+
+
+def test_an_upright_axis_gives_every_bit_of_a_cut_without_an_axis():
+    stock = Stock(min=np.array([0.0, -8e-3, -12e-3]), max=np.array([30e-3, 8e-3, 0.0]), grid_step=1e-4)
+    path = np.column_stack([2e-4 * np.arange(60), np.zeros(60), np.full(60, -1e-3)])
+    rows = [
+        EngagementCut(TOOLS["ball"], SHARP, stock, MICRO_STEP, tilts=tilts).along(path, 192 * np.arange(60))
+        for tilts in (False, True)
+    ]
+    for plain, with_axis in zip(*rows, strict=True):
+        np.testing.assert_array_equal(plain, with_axis)
+
+
+@pytest.mark.parametrize("name", ["flat", "ball", "bull", "taper"])
+def test_a_part_that_is_turned_with_its_tool_has_the_forces_of_the_same_cut_in_the_frame_of_the_tool(name):
+    """A slot into a level top and one into a top that is turned by 20 deg about the feed: an invariant."""
+    (force, torque), _ = measured(TOOLS[name], CUTTINGS["edge"], (0.0, 0.0), (-9e-3, 9e-3), depth=1e-3)
+    turned = Rotation.from_euler("x", -20.0, degrees=True)
+    stock = Stock(min=np.array([0.0, -9e-3, -9e-3]), max=np.array([30e-3, 9e-3, 4e-3]), grid_step=1e-4)
+    cut, n = EngagementCut(TOOLS[name], CUTTINGS["edge"], stock, MICRO_STEP, tilts=True), 192
+    step = VELOCITY * n * MICRO_STEP / SPEED
+    # a wide upright pass of a tilted flat tool makes the turned top
+    x, axis = np.arange(-9e-3, 40e-3, 4.0 * step), turned.apply([0.0, 0.0, 1.0])
+    wide = TOOLS["flat"].replace(diameter=40e-3, profile=np.array([20e-3, 0.0]))
+    face = EngagementCut(wide, SHARP, stock, MICRO_STEP, tilts=True)
+    face.along(np.column_stack([x, 0 * x, 0 * x]), 0 * np.arange(x.size), axes=np.tile(axis, (x.size, 1)))
+    cut.continue_from(face)
+    x = np.arange(-RADIUS - 2e-3, 30e-3, step)
+    path = x[:, None] * [1.0, 0.0, 0.0] - 1e-3 * axis
+    wrench, moment, _ = cut.along(path, n * np.arange(x.size), axes=np.tile(axis, (x.size, 1)))
+    chosen = (x > 11e-3) & (x < 19e-3)
+    seen = turned.inv().apply(wrench[chosen, :3].mean(axis=0))
+    assert seen == pytest.approx(force, abs=0.02 * np.linalg.norm(force))
+    assert moment[chosen].mean() == pytest.approx(torque, rel=0.02)
+
+
+def test_a_tilted_step_taken_back_leaves_every_bit_and_the_next_step_unchanged():
+    stock = Stock(min=np.array([0.0, -8e-3, -12e-3]), max=np.array([30e-3, 8e-3, 0.0]), grid_step=1e-4)
+    cut, n, axis = EngagementCut(TOOLS["bull"], SHARP, stock, MICRO_STEP, tilts=True), 192, axis_of((15.0, 10.0))
+    path = np.column_stack([1e-3 + 2e-4 * np.arange(40), np.zeros(40), np.full(40, -1e-3)])
+    cut.along(path, n * np.arange(40), axes=np.tile(axis, (40, 1)))
+    start = np.concatenate([path[-1], axis])
+    end, used = np.concatenate([path[-1] + [2e-4, 1e-4, -5e-5], axis_of((16.0, 10.0))]), cut.tiles * 256**2
+
+    def bits():
+        state = cut.state
+        return [a.tobytes() for a in (state.pool[:used], state.rest[:used], state.floats, state.load, state.last)]
+
+    before = bits()
+    first = cut.sweep(start, end, 39 * n, n)
+    assert bits() != before
+    cut.restore()
+    assert bits() == before
+    np.testing.assert_array_equal(cut.sweep(start, end, 39 * n, n), first)
+
+
+def test_the_volume_above_a_leaning_flank_is_counted():
+    """A slot of a flat end that leans by 15 deg, as deep as the whole end: the triangle above its high wall."""
+    stock = Stock(min=np.array([0.0, -9e-3, -12e-3]), max=np.array([20e-3, 9e-3, 0.0]), grid_step=1e-4)
+    cut, lean, depth = EngagementCut(TOOLS["flat"], SHARP, stock, MICRO_STEP, tilts=True), math.radians(15.0), 4e-3
+    x = np.arange(-7e-3, 27e-3, 2e-4)
+    tip = 0 * x - depth + RADIUS * math.sin(lean)
+    cut.along(np.column_stack([x, 0 * x, tip]), 192 * np.arange(x.size), axes=np.tile(axis_of((0, 15.0)), (x.size, 1)))
+    high = depth - 2.0 * RADIUS * math.sin(lean)  # of the material above the end at the high wall
+    triangle = 0.5 * high**2 * math.tan(lean) * 20e-3
+    assert cut.undercut_volume == pytest.approx(triangle, rel=0.1)
+
+
+def test_the_error_of_a_thin_wedge_falls_with_the_map():
+    """5 % of the width at the shallow side of a flat end that leans by 15 deg: 0.4 mm wide and 0.1 mm deep."""
+    low, high = swept_widths(TOOLS["flat"], 2e-3, (0.0, 15.0))
+    sides = (-9e-3, low + round(0.05 * (high - low), 4))
+    steps = (1e-4, 5e-5)
+    errors = [error(TOOLS["flat"], SHARP, (0.0, 15.0), sides, grid_step=step) for step in steps]
+    assert errors[0] < 0.12 and errors[1] < 0.5 * errors[0]

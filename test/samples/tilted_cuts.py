@@ -1,0 +1,117 @@
+"""Straight cuts of a tilted cutter of revolution, and the quadrature of the mean force over its edge.
+
+The quadrature needs no map: a convex tool on a straight way first meets each point of the material with the part of its
+surface where d.n > 0. It sums the law over all such places inside the stock.
+"""
+
+import math
+
+import numpy as np
+from samples.cuttings import LAWS
+
+from kr270_milling.physics.cutting import AL7075_T6, Cutting, EngagementCut, Stock, Tool
+from kr270_milling.physics.cutting.profile import outline
+
+RADIUS, TEETH, FEED = 5e-3, 4, 0.125e-3  # [m]; feed per tooth
+SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
+VELOCITY = FEED * TEETH * SPEED / (2.0 * math.pi)
+MICRO_STEP = math.radians(1.0)
+SHARP = Cutting("linear_edge", linear_edge=AL7075_T6.replace(tangential_edge=0.0, radial_edge=0.0), end_share=1.0)
+EDGE = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=2e3), end_share=1.0)
+CUTTINGS = {"sharp": SHARP, "edge": EDGE, "fractional": LAWS["fractional"].replace(end_share=1.0)}
+FLAT = Tool(diameter=2 * RADIUS, teeth=TEETH, spindle_speed=SPEED)
+TOOLS = {
+    "flat": FLAT.replace(type="points", profile=np.array([RADIUS, 0.0])),
+    "ball": FLAT.replace(type="ball"),
+    "bull": FLAT.replace(type="bull_nose", corner_radius=1e-3),
+    "taper": FLAT.replace(type="tapered", taper=math.radians(20.0), tip_diameter=4e-3),
+}
+
+
+def axis_of(tilt) -> np.ndarray:
+    """Return the axis of a tool that leads along x and leans to y by two angles [deg]."""
+    lead, lean = np.radians(tilt)
+    return np.array([math.sin(lead), math.cos(lead) * math.sin(lean), math.cos(lead) * math.cos(lean)])
+
+
+def edge(tool: Tool) -> tuple[np.ndarray, ...]:
+    """Radius, height, kappa and length [m], [rad] of small pieces of the edge, and of 15 mm of the cylinder."""
+    points = np.vstack([outline(tool), [outline(tool)[-1, 0], outline(tool)[-1, 1] + 15e-3]])
+    rows = []
+    for before, after in zip(points, points[1:], strict=False):
+        count = max(4, int(np.linalg.norm(after - before) / 10e-6))
+        middle = (np.arange(count)[:, None] + 0.5) / count
+        step = (after - before) / count
+        kappa, length = math.atan2(step[1], step[0]), float(np.hypot(*step))
+        rows.append(np.column_stack([before + middle * (after - before), np.full((count, 2), [kappa, length])]))
+    return tuple(column[:, None] for column in np.vstack(rows).T)
+
+
+def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, top: float, inside, turns: int = 1440):
+    """Mean force (3,) [N] and torque [N m]; inside(points) [m]: whether places from the tip are in the stock.
+
+    top [m]: of the stock above the tip.
+    """
+    pieces = np.hstack(edge(tool))
+    below = pieces[:, 1] * axis[2] - pieces[:, 0] * math.hypot(*axis[:2]) < top
+    r, h, kappa, length = (column[:, None] for column in pieces[below].T)
+    ahead = move - np.dot(move, axis) * axis
+    ahead = ahead / np.linalg.norm(ahead)
+    side = np.cross(axis, ahead)
+    phi = ((np.arange(turns) + 0.5) / turns * 2.0 - 1.0) * math.pi
+    out = np.cos(phi)[:, None] * ahead + np.sin(phi)[:, None] * side
+    normal = np.sin(kappa)[..., None] * out - np.cos(kappa)[..., None] * axis
+    feed = normal @ move
+    cuts = (feed > 1e-12) & inside(r[..., None] * out + h[..., None] * axis)
+    f_t, f_r, f_a = np.where(cuts, cutting.active.per_depth(np.where(cuts, feed, 1e-9) / passes), 0.0)
+    f_a = np.where(kappa == 0.0, 0.0, f_a)  # the force along an end edge is left out
+    weight = TEETH / turns * length
+    along = -np.cos(kappa)[..., None] * out - np.sin(kappa)[..., None] * axis  # towards the tip
+    tooth = tool.sense * np.cross(axis, out)
+    force = -f_t[..., None] * tooth - f_r[..., None] * normal + f_a[..., None] * along
+    return (weight[..., None] * force).sum(axis=(0, 1)), float((weight * f_t * r).sum())
+
+
+def lowest(tool: Tool, axis) -> float:
+    """Return the height of the lowest point of a tilted tool above its tip [m]."""
+    return float(min(h * axis[2] - r * math.hypot(*axis[:2]) for r, h in outline(tool)))
+
+
+def swept_widths(tool: Tool, depth: float, tilt) -> tuple[float, float]:
+    """Return the least and largest y that a tool cuts below the top on its way along x [m], on the nodes of the map."""
+    axis = axis_of(tilt)
+    r, h, *_ = edge(tool)
+    phi = np.linspace(-math.pi, math.pi, 721)
+    first = np.array([axis[2], 0.0, -axis[0]]) / math.hypot(axis[0], axis[2])
+    second = np.cross(axis, first)
+    places = r[..., None] * (np.cos(phi)[:, None] * first + np.sin(phi)[:, None] * second) + h[..., None] * axis
+    y = places[..., 1][places[..., 2] < depth + lowest(tool, axis)]
+    return float(np.round(y.min(), 4)), float(np.round(y.max(), 4))
+
+
+def measured(tool: Tool, cutting: Cutting, tilt, sides, depth=2e-3, dt=4e-3, grid_step=1e-4, bins=72):
+    """Mean force and torque of the kernel and of the quadrature, where the tool is fully engaged.
+
+    sides: y of the borders of the stock [m]; depth [m]: of the lowest point of the tool below the top.
+    """
+    axis, n = axis_of(tilt), round(SPEED * dt / MICRO_STEP)
+    stock = Stock(min=np.array([0.0, sides[0], -12e-3]), max=np.array([32e-3, sides[1], 0.0]), grid_step=grid_step)
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, bins, tilts=True)
+    step = VELOCITY * n * MICRO_STEP / SPEED
+    x = np.arange(-3.0 * RADIUS, 18e-3, step)
+    path = np.column_stack([x, 0.0 * x, 0.0 * x - depth - lowest(tool, axis)])
+    wrench, torque, _ = cut.along(path, n * np.arange(x.size), axes=np.tile(axis, (x.size, 1)))
+    chosen, z = x > 12e-3, path[0, 2]
+
+    def inside(places):
+        return (places[..., 2] + z < 0.0) & (places[..., 1] > sides[0]) & (places[..., 1] < sides[1])
+
+    passes = n * MICRO_STEP * TEETH / (2 * math.pi)
+    exact = quadrature(tool, cutting, axis, np.array([step, 0.0, 0.0]), passes, -z, inside)
+    return (wrench[chosen, :3].mean(axis=0), torque[chosen].mean()), exact
+
+
+def error(*arguments, **options) -> float:
+    """Return the error of the mean force, a share of its size."""
+    (force, _), (exact, _) = measured(*arguments, **options)
+    return float(np.abs(force - exact).max() / np.linalg.norm(exact))
