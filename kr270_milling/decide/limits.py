@@ -74,7 +74,7 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     if assumed.learned.size:  # a measured part ties the unknowns to each other
         return ()
     ran = Plant(model, model, Imperfections()).run(reference)
-    scored = _across(model, ran), ran.wrench.any(axis=1)
+    scored = _across(model, ran), np.any(ran.wrench != 0.0, axis=1)
     values = {key: getattr(assumed, key) for keys, _ in UNKNOWNS.values() for key in keys}
     nothing = {key: np.array([]) if isinstance(value, np.ndarray) else 0.0 for key, value in values.items()}
     known = assumed.replace(repeatability=0.0, **nothing)
@@ -85,10 +85,10 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
             rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
             drawn += [(name, perturbed(other, rng)) for _ in range(count)]
     with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
-        rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))
+        ran_rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))
     size = {}
     for name in dict.fromkeys(name for name, _ in drawn):
-        some = [row for (other, _), row in zip(drawn, rows, strict=True) if other == name and row is not None]
+        some = [row for (other, _), row in zip(drawn, ran_rows, strict=True) if other == name and row is not None]
         size[name] = float(np.mean(np.var(some, axis=0))) if len(some) > 1 else 0.0
     total = sum(size.values())
     rows = (Limit(name, value / total, UNKNOWNS[name][1]) for name, value in size.items() if total > 0.0)

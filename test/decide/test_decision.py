@@ -119,6 +119,11 @@ def test_the_only_unknown_has_the_whole_band_and_a_measurement_of_it_brings_ever
     assert (first.name, second.name) == ("base", "servo lag") and first.share == pytest.approx(1.0, abs=1e-12)
     assert first.within(np.array([0.9, 1.5, 3.0])) == 3 and second.within(np.array([0.9, 1.5, 3.0])) == 1
     assert limits(part.replace(uncertainty=known), path_of(part).target, 2) == ()
+    target = path_of(part).target
+    bent = target.with_position(target.position + np.outer(1e-4 * (np.arange(len(target)) % 2), [0.0, 1.0, 0.0]))
+    identified = known.replace(base_compliance=0.08e-6, servo_frequency=np.array([18.0, 18.0]))
+    shares = {row.name: row.share for row in limits(part.replace(uncertainty=identified), bent, 2)}
+    assert shares["servo lag"] == pytest.approx(0.0, abs=1e-9)  # every robot has the same lag
 
 
 def test_a_method_is_recommended_only_where_methods_were_compared():

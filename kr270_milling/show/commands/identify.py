@@ -227,8 +227,8 @@ def identify_backlash(args) -> Answer:
     """Identify the backlash of the joints from push and pull at the tool."""
     arm, mount = read_arm(find_file(args.arm))
     file = find_file(args.pushes)
-    found = fit_backlash(arm, mount, read_pushes(file), str(file))
-    return _answer(args, backlash_outcome(found, f"Backlash from {Path(args.pushes).name}"))
+    result = fit_backlash(arm, mount, read_pushes(file), str(file))
+    return _answer(args, backlash_outcome(result, f"Backlash from {Path(args.pushes).name}"))
 
 
 def identify_material(args) -> Answer:

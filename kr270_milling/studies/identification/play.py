@@ -1,11 +1,11 @@
 """Backlash of the joints from push and pull at the tool: readings of a dial gauge along the force.
 
-    d = o_i + c_i f + sum_k u . J_k b_k s_k / 2     reading d, force f, of stand i (posture and axis u)
+    d = o_i + c_i f + sum_k u . J_k b_k s_k / 2     reading d, force f, of setup i (posture and axis u)
 
 s_k is the flank of joint k (``physics.motion.backlash``): the sign of its torque of weight and force beyond
 friction.
 Gravity holds joints on one flank; only a joint whose flank changes shows its backlash b_k. Offset o and compliance c of
-each stand are fitted with the b_k, by least squares.
+each setup are fitted with the b_k, by least squares.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Pushes:
     sigma: np.ndarray  #: [m], (n,); all 0: not stated
 
     @property
-    def stand(self) -> np.ndarray:
-        """Number of the stand of each reading, (n,); a stand is a stretch with one posture and axis."""
+    def setup(self) -> np.ndarray:
+        """Number of the setup of each reading, (n,); a setup is a stretch with one posture and axis."""
         rows = np.column_stack([self.q, self.axis])
         return np.cumsum(np.append(0, np.any(np.diff(rows, axis=0), axis=1)))
 
@@ -80,8 +80,8 @@ def read_pushes(path) -> Pushes:
         reading,
         sigma,
     )
-    for number in range(pushes.stand[-1] + 1):
-        here = np.flatnonzero(pushes.stand == number)
+    for number in range(pushes.setup[-1] + 1):
+        here = np.flatnonzero(pushes.setup == number)
         if not pushes.force[here].min() < 0.0 < pushes.force[here].max():
             raise InputError(
                 path, "needs push and pull, forces above and below 0, in each posture", table.lines[here[0]]
@@ -91,10 +91,10 @@ def read_pushes(path) -> Pushes:
 
 def _columns(arm: Arm, mount: Mount, pushes: Pushes) -> tuple[np.ndarray, np.ndarray]:
     """Columns of the backlash of each joint (n, 6), and the compliance of the arm along the axis [m/N], (n,)."""
-    loads, number = link_loads(arm, mount), pushes.stand
+    loads, number = link_loads(arm, mount), pushes.setup
     columns, soft = np.zeros((len(pushes.force), 6)), np.zeros(len(pushes.force))
-    for stand in range(number[-1] + 1):
-        here = np.flatnonzero(number == stand)
+    for setup in range(number[-1] + 1):
+        here = np.flatnonzero(number == setup)
         q, axis = pushes.q[here[0]], pushes.axis[here[0]]
         frames = forward(arm, mount, q)
         lever = jacobian_at(frames, frames.tool.position)[axis]
@@ -109,29 +109,29 @@ def _columns(arm: Arm, mount: Mount, pushes: Pushes) -> tuple[np.ndarray, np.nda
 
 
 def fit_backlash(arm: Arm, mount: Mount, pushes: Pushes, path: str = "") -> Backlash:
-    """Fit the backlash of each joint whose load reverses; where these cannot be told apart, their common multiple.
+    """Fit the backlash of each joint whose load reverses; where these cannot be separated, their common multiple.
 
     Raises InputError where no load reverses.
     """
     columns, soft = _columns(arm, mount, pushes)
-    number, known = pushes.stand, bool(pushes.sigma.any())
-    stands = (number[:, None] == np.arange(number[-1] + 1)).astype(float)
-    own = np.hstack([stands, stands * pushes.force[:, None]])
+    number, known = pushes.setup, bool(pushes.sigma.any())
+    setups = (number[:, None] == np.arange(number[-1] + 1)).astype(float)
+    own = np.hstack([setups, setups * pushes.force[:, None]])
     seen = np.zeros(6, bool)
-    for stand in range(number[-1] + 1):
-        seen |= np.ptp(columns[number == stand], axis=0) > 0.0
+    for setup in range(number[-1] + 1):
+        seen |= np.ptp(columns[number == setup], axis=0) > 0.0
     if not seen.any():
         raise InputError(path, "no load of a joint reverses: push and pull harder, or along another axis")
     weight = 1.0 / pushes.sigma if known else np.ones(len(pushes.force))
     sought = np.flatnonzero(seen)
 
     def fitted(of_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers and half widths of the columns (n, k), and the compliances of the stands."""
+        """Numbers and half widths of the columns (n, k), and the compliances of the setups."""
         rows = np.hstack([of_joints, own])
         x, half = solve(weight[:, None] * rows, weight * pushes.reading, known)
         left = pushes.reading - rows @ x
         k = of_joints.shape[1]
-        return x[:k], half[:k], np.append(x[k + stands.shape[1] :], np.sqrt(np.mean(left**2)))
+        return x[:k], half[:k], np.append(x[k + setups.shape[1] :], np.sqrt(np.mean(left**2)))
 
     shown = 0.5  # half width of an interval, as share of the value, up to which a number is identified
     joints: tuple[int, ...] = ()
@@ -170,12 +170,12 @@ def _doubts(measured: np.ndarray, expected: np.ndarray, multiple: float, share: 
         yield Doubt(f"no backlash is identified: {width.max() / ARCSEC:.3g} arcsec +- {100 * share:.0f} %", True)
 
 
-def backlash_keys(found: Backlash) -> dict:
+def backlash_keys(result: Backlash) -> dict:
     """Return the keys of a parameter file; simulated robots then have the interval of the identified backlash."""
-    names = f"joints {', '.join(map(str, found.joints))} each" if found.joints else "common multiple of the arm file"
-    share = min(found.half, 1.0)
+    names = f"joints {', '.join(map(str, result.joints))} each" if result.joints else "common multiple of the arm file"
+    share = min(result.half, 1.0)
     return {
-        "arm": {"backlash_arcsec": (found.width / ARCSEC, names)},
+        "arm": {"backlash_arcsec": (result.width / ARCSEC, names)},
         "uncertainty": {
             "least_backlash": (1.0 - share, "lower limit of the 95 % interval, as a share"),
             "backlash": 1.0 + share,

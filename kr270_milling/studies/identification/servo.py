@@ -82,7 +82,7 @@ def moved_along(
     """Return a straight line through a place [m] along a direction (3,), and the same with the test move across."""
     t, shift = test_move()
     time_ns = np.rint(1e9 * t).astype(np.int64)
-    line = Trajectory(time_ns, place + np.outer(speed * (t - t.mean()), along), TOOL_DOWN)
+    line = Trajectory(time_ns, place + np.outer(speed * (t - t.mean()), along), np.array(TOOL_DOWN))
     return line, line.with_position(line.position + np.outer(shift, across))
 
 
@@ -113,7 +113,8 @@ def _recorded_move(path) -> Move:
     time, commanded = time[inside], commanded[inside]
     time, step, note = even_stamps(path, time, None)
     measured = np.interp(time, at, place @ direction)
-    return _moving(path, Move(step, *resampled(time, np.column_stack([commanded, measured]), step).T, note))
+    commanded, measured = resampled(time, np.column_stack([commanded, measured]), step).T
+    return _moving(path, Move(step, commanded, measured, note))
 
 
 def _moving(path, move: Move) -> Move:

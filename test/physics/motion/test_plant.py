@@ -147,12 +147,10 @@ def test_check_and_decision_name_the_place_and_the_jump_where_the_load_reverses(
     assert twice.value == pytest.approx(2 * one.value) and "12.4 arcsec of backlash (arm.back" in twice.sentence
     places = gathered(path_of(cell), path_of(cell).target, [one])
     assert (
-        backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, places, True)
+        backlash_statement(cell.arm.backlash, (0.0, 2.0), places, True)
         == "backlash: in the verdict only, 0 to 12.4 arcsec"
     )
-    assert "not included, up to 49.2 um" in backlash_statement(
-        cell.arm.backlash, cell.uncertainty.backlash, places, False
-    )
+    assert "not included, up to 49.2 um" in backlash_statement(cell.arm.backlash, (0.0, 2.0), places, False)
     decision = compensate(cell, "linear").decision
     assert decision.backlash == "backlash: not included, no load reverses"
     assert decision.backlash in decision.headline and decision.backlash in decision.lines()

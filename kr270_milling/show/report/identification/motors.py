@@ -51,21 +51,26 @@ def _figures(servo: Servo, move: Move) -> list:
     ]
 
 
-def backlash_outcome(found: Backlash, title: str) -> Outcome:
+def backlash_outcome(identified: Backlash, title: str) -> Outcome:
     """Return the result of ``identify backlash``."""
     names = [f"joint {k}" for k in range(1, 7)]
     rows = [
-        (name, f"{width / ARCSEC:.3g}", f"{100 * found.half:.0f} %", "yes" if k in found.joints else "by the multiple")
-        for k, (name, width) in enumerate(zip(names, found.width, strict=True), 1)
+        (
+            name,
+            f"{width / ARCSEC:.3g}",
+            f"{100 * identified.half:.0f} %",
+            "yes" if k in identified.joints else "by the multiple",
+        )
+        for k, (name, width) in enumerate(zip(names, identified.width, strict=True), 1)
     ]
-    refused = any(doubt.forbids for doubt in found.doubts)
+    refused = any(doubt.forbids for doubt in identified.doubts)
     sentences = [
-        f"{found.multiple:.3g} times the backlash of the arm file; residual {1e6 * found.residual:.3g} um RMS",
-        *(doubt.text for doubt in found.doubts),
+        f"{identified.multiple:.3g} times the backlash of the arm file; residual {1e6 * identified.residual:.3g} um",
+        *(doubt.text for doubt in identified.doubts),
     ]
-    if not found.joints:
-        sentences.append("the joints are not told apart: one multiple for all; more postures separate them")
-    result = as_dict(found) | {"doubts": [doubt.text for doubt in found.doubts], "usable": not refused}
+    if not identified.joints:
+        sentences.append("the joints are not separated: one multiple for all; more postures separate them")
+    result = as_dict(identified) | {"doubts": [doubt.text for doubt in identified.doubts], "usable": not refused}
     head = ("backlash", "arcsec", "95 % +-", "identified alone")
     table = TextTable(title, head, tuple(rows))
-    return Outcome("backlash", title, result, [table], sentences, None, backlash_keys(found), USE, refused)
+    return Outcome("backlash", title, result, [table], sentences, None, backlash_keys(identified), USE, refused)
