@@ -175,9 +175,7 @@ def _common(file: str, path: Toolpath, stock: Box) -> dict:
     frames = {}
     if program.base_frame:
         frames = {"place": ON_DISPLAY.format(*map(_number, program.base_frame))}
-        frames["place_note"] = (
-            "[source: the program's $BASE, mm and deg]; compare it with the display of the controller"
-        )
+        frames["place_note"] = "[source: the program's $BASE]; compare it with the display of the controller"
     if program.tool_frame:
         frames |= {"mounted": ON_DISPLAY.format(*map(_number, program.tool_frame))}
         frames["tool_note"] = "[source: the program's $TOOL]; compare it with the display of the controller"
