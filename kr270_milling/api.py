@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict, columns_of, fixed, table_of
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell_file, jobs
@@ -30,10 +30,9 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
-from kr270_milling.show.commands.console import now
+from kr270_milling.show.commands.console import now, steps
 from kr270_milling.show.commands.options import make_parser
 from kr270_milling.show.commands.options import run as run_command
-from kr270_milling.show.commands.progress import steps
 from kr270_milling.show.report import report_text
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.show.report.study_page import figure_of, fragment, points, write_page

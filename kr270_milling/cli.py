@@ -12,9 +12,8 @@ import signal
 import sys
 import warnings
 
-from kr270_milling.base.arguments import UsageError
+from kr270_milling.base.arguments import UsageError, end_process, exit_code
 from kr270_milling.base.errors import MillingError, one_line
-from kr270_milling.base.process import end_process, exit_code
 from kr270_milling.show.commands.options import make_parser, run
 
 __all__ = ["main"]

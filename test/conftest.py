@@ -137,9 +137,9 @@ def ros_environment(domain, monkeypatch):
 @pytest.fixture(scope="session", autouse=True)
 def no_lines_of_progress():
     """On a busy machine a command may print lines of progress; the tests look at its other lines."""
-    from kr270_milling.show.commands import progress
+    from kr270_milling.show.commands import console
 
-    progress.LINE_PERIOD = 1e6
+    console.LINE_PERIOD = 1e6
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -178,7 +178,7 @@ def browser():
 def demo(tmp_path_factory):
     """``kr270_milling demo --plain``, run once: its passes, its printed tables and its JSON."""
     from kr270_milling.cli import main
-    from kr270_milling.show.commands import demo as command
+    from kr270_milling.show.commands import run as command
 
     calls, answer = [], command._answer
     directory = str(tmp_path_factory.mktemp("demo") / "out")

@@ -34,6 +34,7 @@ from kr270_milling import (
 )
 from kr270_milling.api import Compensation, Pass
 from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.physics.compensation.method import Correction
 from kr270_milling.physics.motion.scores import Scores
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "config").glob("*.ipynb"))
@@ -148,11 +149,25 @@ def test_a_dict_replaces_values_of_a_section_and_wrong_names_are_sentences():
         cell.replace(dynamic={})
     with pytest.raises(ParameterError, match="'liner'.*did you mean linear"):
         compensate(cell, "liner")
-    array = SimpleNamespace(
-        name="mine", repeats=False, smooth=False, recommended=False, revise=lambda task: task.target.position
-    )
-    with pytest.raises(ParameterError, match="method mine .*a Correction"):
-        compensate(cell, array)
+
+
+@pytest.mark.parametrize(("returned", "reason"), [
+    (lambda target: target.position, "method mine .*a Correction"),
+    (lambda target: Correction(np.zeros((3, 3)), smooth=True), r"\(3, 3\), but must be finite .*, 3\)"),
+    (lambda target: Correction(np.full_like(target.position, np.nan), smooth=True), "'not finite', but must be finite"),
+])  # fmt: skip
+def test_a_method_of_ones_own_that_returns_no_correction_is_refused_in_a_sentence(returned, reason):
+    fields = {"name": "mine", "repeats": False, "smooth": True, "recommended": False}
+    with pytest.raises(ParameterError, match=reason):
+        compensate(
+            read_cell("paper.yaml", *SHORT), SimpleNamespace(**fields, revise=lambda task: returned(task.target))
+        )
+
+
+@pytest.mark.parametrize("method", [3, lambda task: None, SimpleNamespace, SimpleNamespace(name="mine")])
+def test_an_object_that_is_no_method_is_refused_in_a_sentence(method):
+    with pytest.raises(ParameterError, match="a name, or an object with name, smooth, repeats"):
+        compensate(read_cell("paper.yaml", *SHORT), method)
 
 
 def test_stiffness_identify_and_compare_give_the_keys_of_the_commands():

@@ -1,13 +1,16 @@
-"""The parser of a command line, and types of its options: numbers within bounds, lists and ranges of numbers."""
+"""Command line of a process: parser, types of options, options of a playback, exit codes and the end."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+import os
+import signal
+import sys
+from typing import NoReturn
 
 from kr270_milling.base.errors import MillingError, nearest
-
-__all__ = ["Parser", "UsageError", "bounded", "grid", "numbers", "stretch", "words"]
 
 
 class UsageError(MillingError):
@@ -126,3 +129,49 @@ def grid(low: float, high: float, most: int):
         return values[0], values[1], int(count)
 
     return parse
+
+
+#: signals that end a process in order; a terminal that closes sends SIGHUP, which nohup ignores
+STOPS = (signal.SIGINT, signal.SIGTERM, *[signal.SIGHUP][: signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN])
+
+
+def exit_code(error: BaseException | None) -> int:
+    """Return the exit code of a process that ends with this error; 0 for None."""
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else int(error.code is not None)
+    if isinstance(error, KeyboardInterrupt):
+        return 128 + signal.SIGINT
+    return 0 if error is None else 2
+
+
+def end_process(code: int) -> NoReturn:
+    """Flush the outputs and end this process without Python's finalisation.
+
+    During finalisation static objects of a middleware can crash, and an interrupt in compiled code replaces the exit
+    code by SIGINT.
+    """
+    flush()
+    os._exit(code)
+
+
+def flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # the reader has ended, or the stream is closed
+            stream.flush()
+
+
+CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
+_ABOVE, _LEAST = bounded(0.0, 1e6, above=True), bounded(0.0, 9e9)  # [s], 285 years, the largest log time in ns
+#: names and keywords for ``add_argument`` of the options of ``ros2 bag play`` that the player has
+PLAY: tuple[tuple[tuple[str, ...], dict], ...] = (
+    (("-r", "--rate"), dict(type=_ABOVE, default=1.0, help="how many times as fast as recorded")),
+    (("--start-offset",), dict(
+        type=_LEAST, default=0.0, metavar="S",
+        help="start so many seconds into the recording; latched messages from before come first")),
+    (("--playback-duration",), dict(type=_LEAST, metavar="S", help="play so many seconds of the recording")),
+    (("--topics",), dict(nargs="+", metavar="TOPIC", help="only these")),
+    (("-p", "--start-paused"), dict(action="store_true", help="wait for the service ~/resume")),
+    (("--clock",), dict(
+        type=_ABOVE, nargs="?", const=CLOCK_RATE, metavar="HZ",
+        help=f"publish /clock at this rate ({CLOCK_RATE:g} without a number) in place of the recorded one")),
+)  # fmt: skip

@@ -20,21 +20,8 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
-
-__all__ = [
-    "CONVERGED",
-    "Column",
-    "TextTable",
-    "as_dict",
-    "column",
-    "columns",
-    "columns_of",
-    "computed",
-    "fixed",
-    "table_of",
-    "yes",
-]
 
 Value = TypeVar("Value")
 
@@ -143,6 +130,21 @@ def _written(value, factor: float):
     if isinstance(value, dict):
         return {k: _written(v, factor) for k, v in value.items()}
     return value if value is None or factor == 1.0 else value * factor
+
+
+def json_value(value, pack: Callable[[Any], Any] = lambda array: array.tolist()):
+    """Return a value as strict JSON has it: numbers that are not finite are None. pack: array -> its plain value."""
+    if dataclasses.is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(k): json_value(v, pack) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_value(v, pack) for v in value]
+    if hasattr(value, "tolist"):
+        return json_value(pack(value), pack)
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def columns_of(record, unit: str = "") -> tuple[tuple, ...]:

@@ -29,18 +29,6 @@ import difflib
 import reprlib
 from collections.abc import Collection
 
-__all__ = [
-    "ConfigError",
-    "InputError",
-    "MessageError",
-    "MillingError",
-    "ModelError",
-    "ParameterError",
-    "RecordingError",
-    "nearest",
-    "one_line",
-]
-
 
 class MillingError(Exception):
     """Base class of every error that this package raises on purpose; the command line exits with 2 on it."""

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["fresh_directory", "staged", "write_failure", "write_files"]
-
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 

@@ -11,11 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-__all__ = [
-    "JOINT_NAMES", "OLD_TOOL", "TOOL", "TOOL0", "WORKPIECE", "Pose", "abc_from_rotation", "quaternion_from_rotation",
-    "rotation_from_abc", "rotation_from_quaternion",
-]  # fmt: skip
-
 TOOL, WORKPIECE = "tcp", "workpiece"  #: frames of the messages; z of tcp is along the spindle, away from the flange
 #: the tool tip of recordings before 0.3; since then ``tool0`` is the flange with z out of it, as in ROS-Industrial
 OLD_TOOL = "tool0"

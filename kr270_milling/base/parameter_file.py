@@ -13,11 +13,6 @@ from pathlib import Path
 
 from kr270_milling.base.errors import ConfigError
 
-__all__ = [
-    "AXES", "DISPLAYED", "find_file", "from_display", "merge", "override", "parse", "read_tree", "read_yaml", "refusal",
-    "write_include",
-]  # fmt: skip
-
 MOST_BYTES = 256 * 1024  # the YAML reader needs some seconds for a file of this size
 #: group -> key with the numbers of the controller's display, their name there, largest distance [mm]
 DISPLAYED = {"mount": ("tool_kuka", "TOOL_DATA", 5000.0), "workpiece": ("base_kuka", "BASE_DATA", 100000.0)}

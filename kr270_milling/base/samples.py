@@ -12,11 +12,6 @@ import numpy as np
 
 from kr270_milling.base.errors import MessageError
 
-__all__ = [
-    "ClockSample", "CompensatorState", "JointProgram", "JointSample", "LearnedRecording", "PoseSample", "StockMap",
-    "Text", "TwistSample", "WrenchSample",
-]  # fmt: skip
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sample:

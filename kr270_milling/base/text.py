@@ -7,8 +7,6 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["encoding_of", "read_lines", "short", "unended"]
-
 MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
 

@@ -16,8 +16,6 @@ from kr270_milling.physics.motion.arm_model import Dynamics, modal_models
 from kr270_milling.physics.motion.dynamics import ModalModel
 from kr270_milling.physics.robot import Arm, Mount, inverse_along
 
-__all__ = ["PlacedArm", "commanded_joints", "mirrored"]
-
 
 @dataclass(frozen=True)
 class PlacedArm:

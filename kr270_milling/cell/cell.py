@@ -13,6 +13,7 @@ from kr270_milling.base.record import Record, derived, parameter, section
 from kr270_milling.cell.paths import StraightCut
 from kr270_milling.cell.sections import Limits, PathSection, Program, Tolerances, Uncertainty, Workpiece
 from kr270_milling.cell.stage import Removal, Stage
+from kr270_milling.path.kinematics import Kinematics
 from kr270_milling.path.timing import Timing
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.cutting import Cutting, Stock, Tool
@@ -21,8 +22,6 @@ from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.periods import Exchange, Publish
 from kr270_milling.physics.robot import Arm, Mount
 from kr270_milling.physics.robot.sensor import ForceSensor
-
-__all__ = ["Cell"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,6 +45,7 @@ class Cell(Record):
     cutting: Cutting
     stock: Stock
     path: PathSection
+    machine: Kinematics = section(Kinematics)
     dynamics: Dynamics
     exchange: Exchange
     compensation: CompensationSettings

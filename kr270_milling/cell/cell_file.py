@@ -24,8 +24,6 @@ from kr270_milling.path.cam.readers import find_tool_path
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.physics.robot import pose
 
-__all__ = ["cell_text", "read_cell", "read_cells", "write_cell_file"]
-
 #: sections that a tool may override; its other keys are those of ``tool``
 SECTIONS = ("compensation", "cutting", "dynamics", "exchange", "limits", "mount", "part", "program", "stock", "timing")
 
@@ -90,7 +88,9 @@ def _cell_of_tool(name: str, tree: dict, assigned: frozenset, path) -> Cell:
 def _one_cell(tree: dict, assigned: frozenset, path) -> Cell:
     """The placed cell of one tree, with its program, the spindle speed that it states and the cut that it needs."""
     cell = _placed(build(Cell, tree, path), assigned, path)
-    cell = cell.replace(path=cell.path.loaded())  # an error appears where the path is used
+    cell = cell.replace(
+        path=cell.path.replace(machine=cell.machine).loaded()
+    )  # an error appears where the path is used
     try:
         return _with_cut_model(_with_spindle(_with_shape(cell)))
     except ParameterError as error:

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell.path import check_moves
+from kr270_milling.cell.paths import check_moves
 from kr270_milling.path.toolpath import Toolpath
-
-__all__ = ["draft_text", "stock_of", "straight_text", "tools_text"]
 
 #: YAML with places for str.format
 TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="utf-8")

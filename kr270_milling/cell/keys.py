@@ -17,8 +17,6 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import SECTIONS
 from kr270_milling.cell.draft import straight_text
 
-__all__ = ["keys_of", "schema"]
-
 TYPES = {
     float: "number", int: "whole number", bool: "true or false", str: "text", np.ndarray: "numbers", tuple: "texts",
 }  # fmt: skip

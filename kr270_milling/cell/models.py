@@ -11,8 +11,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.path import check_postures
-from kr270_milling.cell.paths import CellPath, ProgramPath, StraightCut
+from kr270_milling.cell.paths import CellPath, ProgramPath, StraightCut, check_postures
 from kr270_milling.cell.sections import PathSection
 from kr270_milling.cell.stage import Removal, cleared, removal_along
 from kr270_milling.path.timing import Timing

@@ -16,8 +16,8 @@ import numpy as np
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, derived, parameter, specs
-from kr270_milling.cell.path import check_feed
 from kr270_milling.path.cam.readers import READERS, PathReader, known_reader, read_path_file
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import Toolpath
@@ -113,6 +113,7 @@ class PathSection(Record):
     )
 
     content: Toolpath | TimedPath | None = derived(None)  #: content of ``file``, once it is read
+    machine: Kinematics = derived(NO_ROTARY_AXES)  #: section ``machine`` of the cell
 
     @property
     def recorded(self) -> bool:
@@ -198,9 +199,9 @@ class PathSection(Record):
             raise InputError(self.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
         offsets = tuple(self.offsets.tolist())
         stamp = state.st_mtime_ns, state.st_size
-        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, offsets, stamp)
+        read = _read_once(self.file, self.tool, self.topic, self.feed_rate, offsets, self.machine, stamp)
         if not (self.length or self.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
-            check_feed(self.file, read, self.feed_rate)
+            _check_feed(self.file, read, self.feed_rate)
         return read
 
     def loaded(self) -> PathSection:
@@ -226,10 +227,25 @@ class PathSection(Record):
                 raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
 
 
+def _check_feed(file: str, path: Toolpath, feed: float) -> None:
+    """Raise InputError where the feeds of the program differ from the feed of the cell [m/s]; 0: the cell has none."""
+    same_feed = 1e-6  # [m/s]
+    other = ~path.rapid & (np.abs(path.feed - feed) > same_feed)
+    if feed and other.any():
+        block = int(np.argmax(other))
+        reason = (
+            f"its feed is {6e4 * path.feed[block]:.6g} mm/min, but path.feed_rate_m_per_min of the cell says "
+            f"{6e4 * feed:.6g}; leave that key out"
+        )
+        raise InputError(file, reason, int(path.line[block]))
+
+
 @functools.lru_cache(maxsize=8)
-def _read_once(file: str, tool: str, topic: str, feed: float, offsets: tuple, stamp: tuple) -> Toolpath | TimedPath:
+def _read_once(
+    file: str, tool: str, topic: str, feed: float, offsets: tuple, machine: Kinematics, stamp: tuple
+) -> Toolpath | TimedPath:
     """Return the tool path of a file, read once for each tool as long as its stamp is the same."""
-    return read_path_file(file, tool, topic, feed, offsets)
+    return read_path_file(file, tool, topic, feed, offsets, machine)
 
 
 @dataclass(frozen=True, eq=False)

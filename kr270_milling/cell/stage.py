@@ -13,8 +13,6 @@ import numpy as np
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import AL7075_T6, CutModel, Cutting, EngagementCut, Stock, Tool
 
-__all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
-
 
 @dataclass(frozen=True, eq=False)
 class Removal:

@@ -17,10 +17,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.motion.milling_pass import silent_periods
 
-__all__ = [
-    "CutProtocol",
-]
-
 
 class CutProtocol:
     """tool_pose in; wrench and workpiece out. A pass needs a fresh workpiece: ``configure``."""

@@ -22,14 +22,11 @@ from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.periods import Clock
 
-__all__ = ["BREAK_NS", "PassInbox", "ReceivedPass", "interpolated", "lag"]
-
 PositionQuaternion = tuple[np.ndarray, np.ndarray]
 FrameWrench = tuple[str, np.ndarray]
 GAP_NS = 100_000_000  # longest time between two messages of a pass without a report
 START_TOLERANCE = 0.5e-3  #: [m], from the first point of the reference, in which a robot with another clock waits
 SEEK_NS = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
-MOST_EARLY = 2000  # poses and wrenches before the start is known
 BREAK_NS = 2_000_000_000  #: without progress, after which a pass is over; assumed: longer than any lag of a controller
 FAR = 5e-3  # [m], from the reference; far above the deflection of an arm
 
@@ -51,8 +48,9 @@ class ReceivedPass:
 
     @property
     def missing(self) -> int:
-        """Number of poses that are missing, where poses come at one period."""
-        return _missing(self.pose_ns)
+        """Number of poses that are missing, by the median of the times between two poses."""
+        steps = np.diff(self.pose_ns)
+        return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
 
     def until_wrench(self, count: int) -> ReceivedPass:
         """Return the pass with its first ``count`` wrenches only."""
@@ -81,8 +79,8 @@ class StartSeeker:
 
     def __init__(self, reference: Trajectory, announced: bool = False):
         self.distance: float | None = None  #: [m], of the tool from the first point of the reference; None: no pose yet
-        self.poses: deque[PoseSample] = deque(maxlen=MOST_EARLY)
-        self.wrenches: deque[WrenchSample] = deque(maxlen=MOST_EARLY)
+        self.poses: deque[PoseSample] = deque(maxlen=2000)
+        self.wrenches: deque[WrenchSample] = deque(maxlen=2000)
         self._reference = reference
         self._announced = announced
 
@@ -337,14 +335,6 @@ def interpolated(stamps: np.ndarray, known: np.ndarray, values: np.ndarray) -> n
     if not known.size:
         return np.zeros((stamps.size, values.shape[1]))
     return np.column_stack([np.interp(stamps, known, column) for column in values.T])
-
-
-def _missing(stamps: np.ndarray) -> int:
-    """Number of messages that are missing in a pass, where they come at one period."""
-    if stamps.size < 2:
-        return 0
-    steps = np.diff(stamps) / np.median(np.diff(stamps))
-    return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0
 
 
 def lag(reference: Trajectory, time_ns: np.ndarray, position: np.ndarray) -> int:

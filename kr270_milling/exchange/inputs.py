@@ -17,16 +17,6 @@ from kr270_milling.physics.robot.arm import Mount
 from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.sensor import ForceSensor, moved_wrench
 
-__all__ = [
-    "ExchangeError",
-    "Output",
-    "WrenchFrames",
-    "checked_length",
-    "checked_pose",
-    "checked_wrench",
-    "in_workpiece_axes",
-]
-
 Output = tuple[str, object]  #: topic, record
 
 MOST_STEPS = 20_000_000  #: exchange periods of a pass, 2.8 h at 0.5 ms; assumed: the arrays of a pass then have 3 GB

@@ -19,8 +19,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import CompliantArm
 from kr270_milling.physics.robot.urdf import urdf
 
-__all__ = ["RobotProtocol"]
-
 
 class RobotProtocol:
     """Reference trajectory and wrench in; tool_pose, deflection, joint_states and, on request, clock out."""

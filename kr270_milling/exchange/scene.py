@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE, quaternion_from_rotation
 from kr270_milling.path.trajectory import Trajectory
@@ -15,8 +16,6 @@ from kr270_milling.physics.robot.urdf_links import Link, links_of
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import from_bytes, named, serialise, time_fields
 from kr270_milling.recordings.messages.topics import TOPICS
-
-__all__ = ["INPUTS", "OUTPUTS", "Scene", "path_bytes"]
 
 #: topic -> type of the derived messages; transforms are global, as viewers expect
 OUTPUTS = {
@@ -40,7 +39,7 @@ class Scene:
         self._target: Trajectory | None = None
         self._start_ns = self._next_ns = 0  # starts of the pass and of the next pass
         self._fresh()
-        self._tool_width = 0.02
+        self._tool_width = 0.02  # [m], of the tip in the description
 
     def _fresh(self) -> None:
         self._points: list[np.ndarray] = []
@@ -55,7 +54,9 @@ class Scene:
         """name: of the topic without its namespace. Raises MillingError, ValueError if the bytes are not a message."""
         if name == "robot_description":
             self._links = links_of(from_bytes(INPUTS[name], data).text)
-            self._tool_width = self._width()
+            tips = [link for link in self._links if link.name in (TOOL, OLD_TOOL)]
+            tools = [mesh for link in tips for mesh in link.meshes if mesh.colour == "tool"]
+            self._tool_width = 2 * float(np.hypot(*tools[0].vertex[:, :2].T).max()) if tools else 0.02
             yield "/tf_static", self._transforms(0, {}, moving=False)
         elif name.endswith("_trajectory"):
             run = from_bytes(INPUTS[name], data)
@@ -91,8 +92,9 @@ class Scene:
     def _transforms(self, stamp_ns: int, joints: Mapping[str, float], moving: bool) -> bytes:
         """Return the frames of the moving or of the fixed links, in their parents; joints: name -> [rad]."""
         links = [link for link in self._links if link.parent >= 0 and bool(link.joint) == moving]
-        turns = [link.rotation @ _turn(link.axis, joints[link.joint]) if moving else link.rotation for link in links]
-        quaternions = quaternion_from_rotation(np.array(turns).reshape(-1, 3, 3))
+        turns = [joints[link.joint] * link.axis if moving else np.zeros(3) for link in links]
+        turned = Rotation.from_rotvec(np.reshape(turns, (-1, 3))).as_matrix()
+        quaternions = quaternion_from_rotation(np.reshape([link.rotation for link in links], (-1, 3, 3)) @ turned)
         rows = [
             {
                 "header": {"stamp": time_fields(stamp_ns), "frame_id": self._links[link.parent].name},
@@ -102,12 +104,6 @@ class Scene:
             for link, quaternion in zip(links, quaternions, strict=True)
         ]
         return serialise(OUTPUTS["/tf"], {"transforms": rows})
-
-    def _width(self) -> float:
-        """[m], of the tool's tip in the description."""
-        tips = [link for link in self._links if link.name in (TOOL, OLD_TOOL)]
-        tools = [mesh for link in tips for mesh in link.meshes if mesh.colour == "tool"]
-        return 2 * float(np.hypot(*tools[0].vertex[:, :2].T).max()) if tools else 0.02
 
     def _add_point(self, stamp: int, position: np.ndarray) -> None:
         self._count += 1
@@ -169,10 +165,3 @@ def path_bytes(run: Trajectory) -> bytes:
         for ns, place, turn in zip(times.tolist(), run.sample(times), turns, strict=True)
     ]
     return serialise("nav_msgs/msg/Path", {"header": {"frame_id": run.frame}, "poses": poses})
-
-
-def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rotation about a unit axis (Rodrigues): I + sin(a) K + (1 - cos(a)) K^2."""
-    x, y, z = axis
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.path.trajectory import AT_REST, Trajectory
+from kr270_milling.path.trajectory import AT_REST, Trajectory, chords
 
 __all__ = ["block_ends", "controller_motion", "other_motion", "places_on_program", "spline_slopes"]
 
@@ -94,7 +94,7 @@ def places_on_program(
     (p,): distance from a point where the tool leaves its line for a parabola to the next line, at most half
     of a line [mxAutomation]; none at stops.
     """
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(run.position, axis=0), axis=1))])
+    travelled = np.concatenate([[0.0], np.cumsum(chords(run))])
     step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
     first, last = step * _natural_slopes(step, move / step, stops) if spline else (move, move)
     place = np.empty(run.position.shape)

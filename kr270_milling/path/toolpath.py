@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from array import array
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.path.source_program import SourceProgram
-from kr270_milling.path.trajectory import TOOL_DOWN, slerp
+from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, turned
 
 __all__ = ["MOST_BLOCKS", "REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
 
@@ -87,8 +90,12 @@ class Toolpath:
 
     @property
     def block_length(self) -> np.ndarray:
-        """Return the length of each block [m], (n,), along the arcs; 0 for block 0."""
-        return np.hypot(self.plane_length, np.diff(self.position[:, 2], prepend=self.position[0, 2]))
+        """Return the length of each block [m], (n,), along the arcs; 0 for block 0, LEVER times a turn in place."""
+        length = np.hypot(self.plane_length, np.diff(self.position[:, 2], prepend=self.position[0, 2]))
+        turns = np.flatnonzero(length[1:] == 0) + 1
+        if turns.size:
+            length[turns] = LEVER * turned(self.quaternion[turns - 1], self.quaternion[turns])
+        return length
 
     @property
     def plane_length(self) -> np.ndarray:
@@ -109,12 +116,13 @@ class Toolpath:
         return np.clip(np.searchsorted(ends, distance, side="right"), 1, len(self) - 1)
 
     def tangent(self, block: np.ndarray, travelled: np.ndarray) -> np.ndarray:
-        """Return the unit tangent, (m, 3), ``travelled`` [m] in the xy plane from the start of a block."""
+        """Return the unit tangent, (m, 3), ``travelled`` [m] in the xy plane from the start; 0 for a turn in place."""
         move = self.position[block] - self.position[block - 1]
         plane = self.plane_length[block]
         heading = np.arctan2(move[:, 1], move[:, 0]) + self.curvature[block] * (travelled - plane / 2)
         flat = np.stack([plane * np.cos(heading), plane * np.sin(heading), move[:, 2]], axis=1)
-        return flat / np.linalg.norm(flat, axis=1, keepdims=True)
+        length = np.linalg.norm(flat, axis=1, keepdims=True)
+        return flat / np.where(length > 0, length, 1.0)
 
     def position_at(self, distance: np.ndarray) -> np.ndarray:
         """Return the position [m], (m, 3), at distances [m], (m,); only a block of the tangents is in memory."""
@@ -136,8 +144,40 @@ class Toolpath:
         turned, bent = heading + (bend * share * plane)[arc], bend[arc]
         position[arc, 0] = start[arc, 0] + (np.sin(turned) - np.sin(heading)) / bent
         position[arc, 1] = start[arc, 1] - (np.cos(turned) - np.cos(heading)) / bent
-        quaternion = slerp(self.quaternion[block - 1], self.quaternion[block], share[:, None])
-        return position, self.tangent(block, share * plane), quaternion
+        return position, self.tangent(block, share * plane), self._orientation(block, share[:, None])
+
+    def _orientation(self, block: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Return the quaternions at shares (m, 1) of blocks: those of the program at its points, and smooth in between.
+
+        The rotation vector from the start of a block is a monotone cubic, whose rates at the points are those of
+        PCHIP: a tool that turns along rows of short blocks has no jumps of its rate, and none overshoots.
+        """
+        if self._turns is None:
+            return np.broadcast_to(self.quaternion[0], (len(block), 4))
+        turn, first, last = (rows[block] for rows in self._turns)
+        bent = share**2 * (3 * turn - 2 * first - last) + share**3 * (first + last - 2 * turn)
+        moved = Rotation.from_rotvec(share * first + bent) * Rotation.from_quat(self.quaternion[block - 1])
+        return moved.as_quat()
+
+    @functools.cached_property
+    def _turns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Rotation vectors [rad] of the blocks, (n, 3), and their rates at both ends, a block; None: no turn."""
+        if not np.any(self.quaternion != self.quaternion[0]):
+            return None
+        length, at = self.block_length[:, None], Rotation.from_quat(self.quaternion)
+        turn = np.zeros((len(self), 3))
+        turn[1:] = (at[1:] * at[:-1].inv()).as_rotvec()
+        rate = turn[1:] / length[1:]
+        before, after, a, b = rate[:-1], rate[1:], length[1:-1], length[2:]
+        same = before * after > 0
+        safe = np.where(same, before, 1.0), np.where(same, after, 1.0)
+        mean = np.where(same, 3 * (a + b) / ((2 * b + a) / safe[0] + (b + 2 * a) / safe[1]), 0.0)
+        in_place = (np.diff(self.position, axis=0) == 0).all(axis=1)
+        apart = (in_place[:-1] | in_place[1:])[:, None]  # the tool rests there
+        first, last = np.zeros_like(turn), np.zeros_like(turn)
+        first[1:] = np.vstack([rate[:1], np.where(apart, after, mean)]) * length[1:]
+        last[1:] = np.vstack([np.where(apart, before, mean), rate[-1:]]) * length[1:]
+        return turn, first, last
 
 
 #: height of a tool at its home position, before ``PathBuilder.build`` sets the largest height
@@ -176,9 +216,7 @@ class PathBuilder:
     def move(self, position: tuple[float, float, float], feed: float, rapid: bool, line: int, curvature=0.0) -> None:
         """Append one block; position [m], feed [m/s], curvature [1/m]."""
         self.line = line
-        if position == self.last:
-            if self.quaternion != self._last_quaternion:
-                raise InputError(self.source, "the tool turns without moving; that has no feed", line)
+        if position == self.last and self.quaternion == self._last_quaternion:
             return
         if len(self) >= MOST_BLOCKS:
             raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
@@ -211,12 +249,11 @@ class PathBuilder:
     def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:
         """Return the path; raise InputError for a path that cannot be run."""
         columns = self.columns()
-        position, away = columns["position"], np.isinf(columns["position"][:, 2])
+        away = np.isinf(columns["position"][:, 2])
         if away.any():
-            position = position.copy()
-            position[away, 2] = 0.0 if away.all() else position[~away, 2].max()
-            moves = np.append(True, np.any(np.diff(position, axis=0) != 0, axis=1))
-            columns = {name: values[moves] for name, values in (columns | {"position": position}).items()}
+            blocks = _taken_away(np.frombuffer(self._blocks).reshape(-1, 14), away)
+            moves = np.append(True, np.any(np.diff(blocks[:, :7], axis=0) != 0, axis=1))
+            columns = {name: blocks[moves, column] for name, column in COLUMNS.items()}
         line, feature = columns["line"], columns["feature"].astype(np.int64)
         if len(line) < 2:
             raise InputError(self.source, "the path never moves", int(line[0]) if len(line) else self.line)
@@ -230,6 +267,49 @@ class PathBuilder:
         except ToolpathError as error:
             at = None if error.index is None else int(line[error.index])
             raise InputError(self.source, error.reason, at) from None
+
+
+def _taken_away(blocks: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Return the blocks with the largest height for tools that were taken away; a tilted tool leaves along its axis.
+
+    It leaves the box of all places and, beside them, LEVER more, then goes up; it comes back in the same manner.
+    """
+    blocks, places = blocks.copy(), blocks[~away, :3]
+    top = places[:, 2].max() if len(places) else 0.0
+    blocks[away, 2] = top
+    turned = blocks[:, 5] ** 2 + blocks[:, 6] ** 2 > 1e-12  # z and w: the tool is not along z
+    if not turned.any():
+        return blocks
+    low, high = places.min(axis=0), places.max(axis=0)
+
+    def outside(block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The blocks of a place where a tool has left the box, and of the place above it."""
+        axis = -rotation_from_quaternion(block[3:7])[:, 2]
+        room = np.where(axis > 0, high - block[:3], block[:3] - low) / np.maximum(np.abs(axis), 1e-12)
+        room[:2] += LEVER / np.maximum(np.abs(axis[:2]), 1e-12)
+        out, above = block.copy(), block.copy()
+        out[:3] += max(room.min(), 0.0) * axis
+        above[:3] = *out[:2], top
+        for new in (out, above):
+            new[[COLUMNS["feed"], COLUMNS["curvature"], COLUMNS["drilling"]]] = 0.0
+            new[COLUMNS["rapid"]] = 1.0
+        return out, above
+
+    rows: list[np.ndarray] = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], away.astype(int), [0]])))
+    begin = 0
+    for first, end in edges.reshape(-1, 2).tolist():
+        before, after = first > 0, end < len(blocks)
+        rows.append(blocks[begin:first])
+        begin = end
+        if not (before and turned[first - 1]) and not (after and turned[end]):
+            rows.append(blocks[first:end])
+            continue
+        if before:
+            rows.append(np.array(outside(blocks[first - 1])))
+        if after:
+            rows.append(np.array(outside(blocks[end]))[::-1])
+    return np.concatenate([*rows, blocks[begin:]])
 
 
 def cut_features(columns: dict[str, np.ndarray]) -> list[int]:

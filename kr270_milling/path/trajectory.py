@@ -20,10 +20,23 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
 
-__all__ = ["TOOL_DOWN", "Trajectory", "TrajectoryError", "fingerprint", "offsets", "slerp"]
+__all__ = [
+    "LEVER",
+    "TOOL_DOWN",
+    "Trajectory",
+    "TrajectoryError",
+    "chords",
+    "fingerprint",
+    "offsets",
+    "slerp",
+    "tool_along",
+    "turned",
+]
 
 #: tcp in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
+#: [m/rad], assumed, length of a tool: a turn moves its holder by the angle times this length
+LEVER = 0.1
 BLOCK = 65_536  #: times that are sampled at once
 AT_REST = 1e-6  #: [m/s] a slower tool is at rest: 12 nm in a tick of 12 ms are below the resolution of any axis
 
@@ -125,10 +138,18 @@ class Trajectory:
 
     @property
     def standing(self) -> np.ndarray:
-        """Return an array (n,), true at the knots where the tool rests; without velocities no inner knot is at rest."""
+        """Return an array (n,), true at the knots where the tool rests; without velocities no inner knot is at rest.
+
+        A tool that turns in place rests before and after the turn only.
+        """
         if self.velocity is None:
             return np.zeros(len(self), bool)
-        return np.linalg.norm(self.velocity, axis=1) <= AT_REST
+        standing = np.linalg.norm(self.velocity, axis=1) <= AT_REST
+        if self.turns:
+            turning = (np.diff(self.position, axis=0) == 0).all(axis=1)
+            turning &= (np.diff(self.quaternion, axis=0) != 0).any(axis=1)
+            standing[1:-1] &= ~(turning[:-1] & turning[1:])
+        return standing
 
     def feed(self, time_ns) -> np.ndarray:
         """Return the speed of the tool tip [m/s] at times [ns] of any shape."""
@@ -212,6 +233,38 @@ def slerp(first: np.ndarray, second: np.ndarray, u: np.ndarray) -> np.ndarray:
     mixed = np.where(turning, np.sin((1 - u) * angle) / safe, 1 - u) * first
     mixed = mixed + np.where(turning, np.sin(u * angle) / safe, u) * second
     return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+
+
+def tool_along(axis) -> tuple[float, float, float, float]:
+    """Return the quaternion of tcp whose -z is ``axis``, (3,), from tip to holder; raise ValueError for another length.
+
+    The tool turns about its axis by no more than it must: by the shortest rotation from TOOL_DOWN. The turn is thus a
+    smooth function of the axis alone, also at the pole: along a closed row of axes no turn of the last joint remains,
+    which a transport from point to point would leave (Berry's angle, 105 deg for each circle at a tilt of 45 deg).
+    """
+    length = math.hypot(*axis)
+    if not abs(length - 1) < 1e-3:
+        raise ValueError(f"the tool axis has the length {length:g} instead of 1")
+    i, j, k = (float(v) / length for v in axis)
+    if k < -0.999:
+        raise ValueError("the tool comes from below, where its turn about its axis is not defined; turn the workpiece")
+    w = math.sqrt((1 + k) / 2)  # the turn is (z x axis, 1 + k) / (2 w), and this is its product with TOOL_DOWN
+    return w, 0.0, 0.0 - i / (2 * w), j / (2 * w)
+
+
+def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles [rad], (...), of the shortest rotations between quaternions (..., 4)."""
+    sign = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    return 4.0 * np.arcsin(np.minimum(np.linalg.norm(first - sign * second, axis=-1) / 2.0, 1.0))
+
+
+def chords(run: Trajectory) -> np.ndarray:
+    """Return the distances [m], (n - 1,), between the knots; LEVER times the angle where the tool turns in place."""
+    length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
+    k = np.flatnonzero(length == 0)
+    if run.turns and k.size:
+        length[k] = LEVER * turned(run.quaternion[k], run.quaternion[k + 1])
+    return length
 
 
 def _rows(name: str, array, count: int, width: int) -> np.ndarray:

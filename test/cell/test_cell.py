@@ -15,7 +15,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, low_frequency_of, path_of
-from kr270_milling.cell.path import MOST_VISITS, check_effort, check_postures, sinking
+from kr270_milling.cell.paths import MOST_VISITS, check_effort, check_postures, sinking
 from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.physics.robot import Mount, equilibrium, pose
 

@@ -15,7 +15,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.exchange.joint_program import joint_program
+from kr270_milling.exchange.compensator import joint_program
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot.kinematics import pose
 

@@ -14,7 +14,8 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.scene import OUTPUTS, Scene
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
-from kr270_milling.recordings.messages.codec import deserialise, to_bytes
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.definitions import deserialise
 
 pytestmark = made.needs_messages
 

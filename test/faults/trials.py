@@ -16,14 +16,14 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.exchange.replay.recorded import attached_cell
 from kr270_milling.live.ros.node import NOT_COMPLETE
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.messages.cdr import stamp_of
+from kr270_milling.recordings.passes import series
 
 #: a pass of 14,400 exchanges, at full speed longer than a stop of 2 s; twice as many for the faster composed graph
 CELL = ("path.length_mm=120", "stock.max_mm=[120,12,0]", "stock.grid_step_um=50", "exchange.period_ms=0.125")

@@ -64,8 +64,9 @@ CONVERSATIONAL = {
         (10, 2), (14, 2), (18, 6), (18, 10), 0],
     "CYCL DEF 203 X ~\nQ200=2 ;A ~\nQ201=-3 ~\nQ206=90 Q202=9 Q203=-1\nL X+5 FMAX M99\nL X+6 FMAX\nCYCL CALL": [
         (5, 0, -4), (6, 0, -4)],
-    "L X+1 M128": "post a 3-axis program", "CYCL DEF 209 TAPPING": "CYCL DEF 200 and 203 are read",
-    "CYCL DEF 7.1 X+5": "let the CAM output", "PLANE SPATIAL SPA0 SPB10": "post a 3-axis program",
+    "L X+1 M128": [1], "CYCL DEF 209 TAPPING": "CYCL DEF 200 and 203 are read",
+    "CYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+5\nL X+1\nTRANS DATUM RESET\nL X+2": [6, 2],
+    "PLANE SPATIAL SPA0 SPB10": "needs SPA, SPB, SPC", "PLANE VECTOR BX1": "let the CAM output PLANE SPATIAL",
     "L X+10,5": "',5' is no word", "L X+1 Q": "is no word", "L X+Q9": "#9 has no value",
     "L X+5 RL": "radius of the tool",
     "L X+5\nRND R2": "RND without a next move", "C X+5 DR+": "C needs CC", "CT X+5 Y+0": "needs a move in the xy plane",
@@ -303,7 +304,7 @@ def test_points_feeds_and_kuka_angles_of_a_table_are_read_in_their_units(read):
 REFUSED = {".apt": [
     ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5,0.1,0.5,9,0,TIMES,2\n", 3, "several turns"),
-    ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
+    ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,1,5\nGOTO/-5,0,0\n", 3, "has the length 1.41421"),
     ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5\nGOTO/-4,0,0\n", 4, "does not close"),
     ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
     *((f"GOTO/5,0,9\n{cycle}\n", 2, words) for cycle, words in (

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from samples.small_part import path_error
 
-from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.readers import read_toolpath
 from kr270_milling.path.timing import (
@@ -219,7 +218,7 @@ def test_pieces_of_a_line_are_run_as_one_rapid_moves_at_their_speed_and_each_tim
         time_path(read("G1 X5000 F0.001\n"), FINE)
 
 
-def test_the_tool_turns_evenly_along_a_block_and_not_on_the_spot():
+def test_the_tool_turns_evenly_along_a_block():
     builder = PathBuilder("here")
     builder.move((0.0, 0.0, 0.0), 0.0, True, 1)
     builder.quaternion = (np.cos(0.1), 0.0, np.sin(0.1), 0.0)
@@ -227,14 +226,26 @@ def test_the_tool_turns_evenly_along_a_block_and_not_on_the_spot():
     timed = time_path(builder.build(), Timing())
     angle = np.arctan2(timed.trajectory.quaternion[:, 2], timed.trajectory.quaternion[:, 0])
     np.testing.assert_allclose(angle, 0.1 * timed.distance / 0.1, atol=1e-12)
-    builder = corner()
-    builder.quaternion = (0.0, 1.0, 0.0, 0.0)
-    with pytest.raises(InputError, match="line 7"):
-        builder.move((0.02, 0.01, 0.0), 0.5, False, 7)
 
 
 # --- Slowing down for the joints ---
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 8.0)
+
+
+@pytest.mark.parametrize("times", [1.0, 4.0, 25.0])
+def test_a_turning_tool_is_slowed_down_where_a_joint_needs_it_and_by_no_more(times):
+    """A joint runs from rest to rest by a parabola each at ``times`` its limit, which takes sqrt(times) as long."""
+    count = 401
+    time_ns, share = np.arange(count) * 5_000_000, np.linspace(0, 1, count)
+    bump = np.where(share < 0.5, 2 * share**2, 1 - 2 * (1 - share) ** 2)
+    peak = 0.25 * ACCELERATION[0] * times * (1e-9 * time_ns[-1]) ** 2  # a (T / 2)^2
+    joints = np.outer(bump * peak, [1.0, 0.5, 0.0, 0.0, 0.0, 0.1])
+    turn = np.stack([np.cos(share), 0 * share, np.sin(share), 0 * share], axis=1)
+    place = np.outer(share, [0.1, 0, 0])
+    run = Trajectory(time_ns, place, turn, np.gradient(place, 1e-9 * time_ns, axis=0) * (bump * (1 - bump))[:, None])
+    slow = limit_by_joints(run, joints, np.full(6, 1e9), ACCELERATION)
+    assert slow.duration_ns == pytest.approx(run.duration_ns * np.sqrt(times), rel=0.06)
+    assert np.abs(joint_rates(slow.time, joints)[1]).max() <= ACCELERATION[0] * (1 + 1e-4)  # times in whole ns
 
 
 def motion(joints: np.ndarray, velocity=None) -> Trajectory:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from samples.recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH
 
+from kr270_milling.base.arguments import PLAY
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell_file
 from kr270_milling.cell.cell_file import read_cell
@@ -20,9 +21,7 @@ from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.robot import RobotProtocol
-from kr270_milling.live.nodes.play_arguments import PLAY
-from kr270_milling.recordings.bag.playback import playback, span
-from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.reader import Recording, playback, span
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.recordings.messages.topics import TOPICS

@@ -34,7 +34,7 @@ from kr270_milling.path.cam.readers import GCODE, read_toolpath, reader_of
 from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.timing import TimedPath, time_path
 from kr270_milling.path.toolpath import Toolpath
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 
 __all__ = ["WrittenGcode", "check_gcode", "write_gcode"]
 
@@ -84,6 +84,10 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
         raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
     if cells[0].path.offsets.size:
         raise InputError(file, "corrected G-code is written in one work offset, so path.offsets_mm must be left out")
+    for path in (cell.path.read() for cell in cells):
+        if isinstance(path, Toolpath) and np.any(path.quaternion != TOOL_DOWN):
+            reason = "corrected G-code is written for a tool along z; the robot program takes a tilted one"
+            raise InputError(file, reason)
     tools = {cell.path.source.tool for cell in cells}
     return read_source(file, tools, float(cells[0].stock.max[2]), cells[0].path.feed_rate)
 

@@ -15,9 +15,10 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.base.column import column, computed
+from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.cell.sections import Program
 from kr270_milling.path.controller_motion import places_on_program
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import LEVER, Trajectory, turned
 
 __all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
 
@@ -33,7 +34,7 @@ def point_numbers(
     0 takes all other knots.
     """
     fixed = original.standing if fixed is None else fixed
-    knots = _apart(program.point_spacing, fixed, original.position, revised.position)
+    knots = _apart(program.point_spacing, fixed, _places(original), _places(revised))
     if not program.tolerance:
         return knots
     fixed = fixed[knots]
@@ -130,9 +131,17 @@ def program_blocks(program: Program, original: Trajectory, revised: Trajectory) 
     )
 
 
+def _places(run: Trajectory) -> np.ndarray:
+    """Return the positions (n, 3), of a run that turns with the axes of the tool, (n, 12), as far apart as a holder."""
+    if not run.turns:
+        return run.position
+    axes = rotation_from_quaternion(run.quaternion).reshape(-1, 9)
+    return np.hstack([run.position, LEVER / math.sqrt(2.0) * axes])
+
+
 @njit(cache=True, nogil=True)
 def _apart(spacing, stops, original, revised):
-    """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs (n, 3), and stops."""
+    """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs, and stops."""
     last, chosen, count = len(stops) - 1, np.zeros(len(stops), np.int64), 1
     for k in range(1, last + 1):
         while (stops[k] or k == last) and count > 1 and _near(spacing, original, revised, k, chosen[count - 1]):
@@ -152,15 +161,12 @@ def _near(spacing, original, revised, k, before):
 def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.ndarray:
     """Return the distance [m] of each knot from its place on the program, (n,), the largest of the runs."""
     stops, worst = runs[0].standing[points], np.zeros(len(runs[0]))
-    lever = 0.1  # [m], length of a tool: a turn by an angle moves its shank by the angle times the length
     for run in runs:
         spline = program.motion == "SPLINE"
         place = places_on_program(run, points, run.position[points], stops, spline, program.blend_distance)
         worst = np.maximum(worst, np.linalg.norm(place - run.position, axis=1))
-        if np.any(run.quaternion != run.quaternion[0]):
-            turned = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
-            first, other = turned.sample_orientation(run.time_ns), run.quaternion
-            sign = np.where(np.sum(first * other, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-            angle = 2.0 * np.linalg.norm(first - sign * other, axis=1)  # [rad], small
-            worst = np.maximum(worst, lever * angle)
+        if run.turns:
+            written = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
+            angle = turned(written.sample_orientation(run.time_ns), run.quaternion)
+            worst = np.maximum(worst, LEVER * angle)
     return worst

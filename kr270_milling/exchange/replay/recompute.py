@@ -6,46 +6,37 @@ passes. There is no ROS graph and no clock. Robots in several namespaces are rec
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
 import operator
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from kr270_milling.base.column import column, computed
-from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.cut import CutProtocol
-from kr270_milling.exchange.replay.attached import recorded_cells
-from kr270_milling.exchange.replay.revisions import NotRecorded, Revisions
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.exchange.replay.recorded import Cells, recorded_cells
+from kr270_milling.exchange.replay.revisions import (
+    NotRecorded,
+    Revisions,
+    array_difference,
+    pass_over,
+    record_difference,
+    robots_of,
+    usable,
+)
 from kr270_milling.physics.motion.milling_pass import CompliantArm, silent_periods
-from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.messages.topics import TOPICS
 from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
 
-__all__ = [
-    "Difference",
-    "Recomputed",
-    "TopicCount",
-    "pass_over",
-    "recompute",
-    "record_difference",
-    "robots_of",
-    "usable",
-]
-
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
-TRAJECTORY = ("time_ns", "position", "quaternion", "velocity")  # fields with the bits of a message
 AXES = {  # fields of the columns of a topic
     "tool_pose": [f"pose.position.{a}" for a in "xyz"] + [f"pose.orientation.{a}" for a in "xyzw"],
     "wrench": [f"wrench.force.{a}" for a in "xyz"] + [f"wrench.torque.{a}" for a in "xyz"],
@@ -117,7 +108,9 @@ class Recomputed:
     @property
     def sentences(self) -> list[str]:
         """Return a sentence for each reason why the recompute is not complete."""
-        return [f"{stop['robot']}: {_at(stop['stamp_ns'])}{stop['reason']}" for stop in self.stops]
+        stamps = (stop["stamp_ns"] for stop in self.stops)
+        places = ("" if ns is None else f"cannot continue at {ns * 1e-9:.6f} s: " for ns in stamps)
+        return [f"{stop['robot']}: {at}{stop['reason']}" for stop, at in zip(self.stops, places, strict=True)]
 
 
 def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None) -> Recomputed:
@@ -143,41 +136,10 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
         return Recomputed(str(recording.path), recording.cut_off, channels, first, stops, version, damage)
 
 
-def _at(stamp_ns: int | None) -> str:
-    return "" if stamp_ns is None else f"cannot continue at {stamp_ns * 1e-9:.6f} s: "
-
-
-def robots_of(recording: Recording) -> list[str]:
-    """Return the namespaces of the robots in a recording. Raises RecordingError where there is none."""
-    names = ("tool_pose", "wrench", "reference_trajectory")
-    places = {t.rpartition("/")[0] for t, a in recording.topics().items() if t.rpartition("/")[2] in names and a.count}
-    if not places:
-        raise RecordingError(recording.path, f"holds no {', '.join(names[:2])} or {names[2]} to recompute")
-    return sorted(places)
-
-
-@contextlib.contextmanager
-def usable(recording: Recording) -> Iterator[None]:
-    """Raise RecordingError for messages whose values are too large for a simulation, or that a model refuses."""
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a force of 1e300 N is a valid input
-            yield
-    except RecordingError:
-        raise
-    except (MillingError, ValueError, OverflowError) as error:
-        raise RecordingError(recording.path, " ".join(str(error).split())) from error
-
-
-def pass_over(damage: Damage, size: int) -> None:
-    """Pass over a damage that costs no message, which ``findings`` reports. Raises Damage."""
-    if size > 13:  # bytes of the record with the checksum of the data
-        raise damage
-
-
 class _Robot:
     """The nodes of one namespace: counts, the first difference, and the reasons why something was not compared."""
 
-    def __init__(self, recording: Recording, cells: tuple[Cell, Cell], namespace: str, progress):
+    def __init__(self, recording: Recording, cells: Cells, namespace: str, progress):
         self.cell, self.plant = cells
         self.counts: dict[str, TopicCount] = {}
         self.first: tuple[tuple, Difference] | None = None  # its order by pass, time and cause
@@ -266,7 +228,10 @@ class _Robot:
         model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
         stamps = path_of(plant).clock.stamp(np.arange(last + 1))
         arm = CompliantArm(model, model.push(planned, stamps))
-        guesses = self._guesses(series)
+        guesses: dict[int, np.ndarray] = {}  # the wrench from which the last pose of an iterated exchange was predicted
+        if self.cell.exchange.iterations > 1:
+            before = series.topic("wrench").last(1)
+            guesses = dict(zip(before.step.tolist(), before.values, strict=True))
         tool, deflection = planned.sample(stamps[: count + 1]), np.zeros((count, 6))
         for step in range(1, len(tool)):
             tool[step] += arm.predict(guesses.get(step))[:3]
@@ -277,13 +242,6 @@ class _Robot:
         joints = arm_of(plant).joints_along(reference, stamps[:count:every]) if count else np.zeros((0, 6))
         repeated = np.repeat(joints, every, axis=0)[:count]  # only the rows at multiples of ``every`` are compared
         return {"tool_pose": np.hstack([tool, turn]), "deflection": deflection, "joint_states": repeated}
-
-    def _guesses(self, series: PassSeries) -> dict[int, np.ndarray]:
-        """Return the wrench from which the last pose of an iterated exchange was predicted, by steps."""
-        if self.cell.exchange.iterations == 1:
-            return {}
-        before = series.topic("wrench").last(1)
-        return dict(zip(before.step.tolist(), before.values, strict=True))
 
     def _cut(self, series: PassSeries, number: int, pose: Series, count: int) -> np.ndarray:
         """Return the wrenches along the recorded poses, by steps; compare the map of the part at their end."""
@@ -301,7 +259,7 @@ class _Robot:
         if at_end:
             counted, recorded = self._count("workpiece"), series.maps[at_end[-1]]
             counted.compared += 1
-            if field := _array_difference("data", recorded.cells.T.ravel(), expected.cells.T.ravel()):
+            if field := array_difference("data", recorded.cells.T.ravel(), expected.cells.T.ravel()):
                 counted.differing += 1
                 self._differs("workpiece", (number, recorded.stamp), at_end[-1], *field)
         return wrench
@@ -359,28 +317,3 @@ class _Robot:
                 if field := record_difference(published[name][index], expected):
                     counted.differing += 1
                     self._differs(name, order, index, *field)
-
-
-def _array_difference(field: str, recorded: np.ndarray, expected: np.ndarray) -> tuple[str, object, object] | None:
-    """Return place and both values of the first item with other bits."""
-    if recorded.shape != expected.shape:
-        return f"shape of {field}", recorded.shape, expected.shape
-    a, b = (np.ascontiguousarray(x).view(f"i{x.dtype.itemsize}") for x in (recorded, expected))
-    if np.array_equal(a, b):
-        return None
-    place = tuple(int(k) for k in np.argwhere(a != b)[0])
-    return f"{field}[{', '.join(map(str, place))}]", recorded[place].item(), expected[place].item()
-
-
-def record_difference(recorded, expected) -> tuple[str, object, object] | None:
-    """Return name and both values of the first field of two records that differs."""
-    is_trajectory = isinstance(expected, Trajectory)
-    names = TRAJECTORY if is_trajectory else [field.name for field in dataclasses.fields(expected)]
-    for name in names:
-        a, b = getattr(recorded, name), getattr(expected, name)
-        if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-            if field := _array_difference(name, a, b):
-                return field
-        elif (a is None) != (b is None) or (not is_trajectory and a != b):
-            return name, a, b
-    return None

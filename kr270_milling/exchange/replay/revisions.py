@@ -1,21 +1,84 @@
-"""The compensator of a recording: each state and reference that it published, from the passes that the state names."""
+"""The compensator of a recording: each published state and reference, and the revision of the last recorded pass."""
 
 from __future__ import annotations
 
-from kr270_milling.base.errors import MillingError
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.samples import CompensatorState, LearnedRecording
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.arm import PlacedArm, commanded_joints
 from kr270_milling.cell.jobs import compensator
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.inbox import ReceivedPass
+from kr270_milling.exchange.replay.recorded import Cells, recorded_cells
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.physics.compensation.settings import CompensationSettings
+from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.passes import GraphRecord, PassSeries
+from kr270_milling.recordings.passes import GraphRecord, PassSeries, read_graph
 
-__all__ = ["NotRecorded", "Revisions"]
+
+def robots_of(recording: Recording) -> list[str]:
+    """Return the namespaces of the robots in a recording. Raises RecordingError where there is none."""
+    names = ("tool_pose", "wrench", "reference_trajectory")
+    places = {t.rpartition("/")[0] for t, a in recording.topics().items() if t.rpartition("/")[2] in names and a.count}
+    if not places:
+        raise RecordingError(recording.path, f"holds no {', '.join(names[:2])} or {names[2]} to recompute")
+    return sorted(places)
+
+
+@contextlib.contextmanager
+def usable(recording: Recording) -> Iterator[None]:
+    """Raise RecordingError for messages whose values are too large for a simulation, or that a model refuses."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a force of 1e300 N is a valid input
+            yield
+    except RecordingError:
+        raise
+    except (MillingError, ValueError, OverflowError) as error:
+        raise RecordingError(recording.path, " ".join(str(error).split())) from error
+
+
+def pass_over(damage: Damage, size: int) -> None:
+    """Pass over a damage that costs no message, which ``findings`` reports. Raises Damage."""
+    if size > 13:  # bytes of the record with the checksum of the data
+        raise damage
+
+
+def array_difference(field: str, recorded: np.ndarray, expected: np.ndarray) -> tuple[str, object, object] | None:
+    """Return place and both values of the first item with other bits."""
+    if recorded.shape != expected.shape:
+        return f"shape of {field}", recorded.shape, expected.shape
+    a, b = (np.ascontiguousarray(x).view(f"i{x.dtype.itemsize}") for x in (recorded, expected))
+    if np.array_equal(a, b):
+        return None
+    place = tuple(int(k) for k in np.argwhere(a != b)[0])
+    return f"{field}[{', '.join(map(str, place))}]", recorded[place].item(), expected[place].item()
+
+
+def record_difference(recorded, expected) -> tuple[str, object, object] | None:
+    """Return name and both values of the first field of two records that differs."""
+    is_trajectory = isinstance(expected, Trajectory)
+    names = [field.name for field in dataclasses.fields(expected)]
+    if is_trajectory:  # fields with the bits of a message
+        names = ["time_ns", "position", "quaternion", "velocity"]
+    for name in names:
+        a, b = getattr(recorded, name), getattr(expected, name)
+        if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+            if field := array_difference(name, a, b):
+                return field
+        elif (a is None) != (b is None) or (not is_trajectory and a != b):
+            return name, a, b
+    return None
 
 
 class NotRecorded(MillingError):
@@ -29,7 +92,7 @@ class NotRecorded(MillingError):
 class Revisions:
     """The node publishes its n-th state together with its n-th reference."""
 
-    def __init__(self, recording: Recording, cells: tuple[Cell, Cell], graph: GraphRecord):
+    def __init__(self, recording: Recording, cells: Cells, graph: GraphRecord):
         self.graph = graph
         self.cell, plant = cells
         self._plant = None if plant is self.cell else plant.imperfections
@@ -169,3 +232,77 @@ class Revisions:
         rebuilt.revise(self._record(last, number))
         published = self.graph.published[place + 1] if same and place + 1 < len(self.graph.published) else None
         return rebuilt, target, published
+
+
+@dataclass(frozen=True, eq=False)
+class Revised:
+    """The revision after the last complete pass of one robot in a recording."""
+
+    robot: str  #: namespace
+    method: str
+    reference: Trajectory
+    joints: np.ndarray  #: [rad], (n, 6), at its knots
+    remaining_error: float  #: [m], of the recorded pass
+    largest_correction: float  #: [m], of a knot against the target
+    published: bool | None  #: the live node published the same bits; None: not recorded, or another method was chosen
+
+    def as_dict(self) -> dict:
+        return dict(
+            robot=self.robot or "/",
+            method=self.method,
+            remaining_error_um=self.remaining_error * 1e6,
+            largest_correction_um=self.largest_correction * 1e6,
+            identical_to_published=self.published,
+            time_ns=self.reference.time_ns,
+            position_m=self.reference.position,
+            quaternion_xyzw=self.reference.quaternion,
+            velocity_m_per_s=self.reference.velocity,
+            joints_rad=self.joints,
+        )
+
+
+def compensate_recording(
+    path, method: str | None = None, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None
+) -> list[Revised]:
+    """Return one revision per robot; ``method`` takes the place of the recorded one.
+
+    remap: see ``Recording``; cell_file: see ``recorded_cells``.
+
+    Raises RecordingError where no pass is complete, or where the pass cannot be revised.
+    """
+    revised = []
+    with Recording(path, remap=remap) as recording:
+        cells = recorded_cells(recording, cell_file)
+        cell, _ = cells
+        namespaces = robots_of(recording)
+        for number, namespace in enumerate(namespaces, 1):
+            graph = read_graph(recording, path_of(cell).clock, namespace, on_damage=pass_over)
+            with usable(recording):
+                revision = Revisions(recording, cells, graph).revise(method)
+            if revision is not None:
+                revised.append(_revised(arm_of(cell), cell.compensation, namespace, *revision))
+            if progress:
+                progress(number, len(namespaces))
+        if not revised:
+            raise RecordingError(recording.path, "holds no complete pass along a recorded reference trajectory")
+    return revised
+
+
+def _revised(
+    arm: PlacedArm,
+    settings: CompensationSettings,
+    namespace: str,
+    compensator: Compensator,
+    target: Trajectory,
+    published: Trajectory | None,
+) -> Revised:
+    shift = compensator.reference.position - target.sample(compensator.reference.time_ns)
+    return Revised(
+        namespace,
+        compensator.method,
+        compensator.reference,
+        commanded_joints(arm, settings, compensator.reference),
+        compensator.errors[-1],
+        float(np.linalg.norm(shift, axis=1).max()),
+        None if published is None else record_difference(published, compensator.reference) is None,
+    )

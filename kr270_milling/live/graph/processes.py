@@ -17,12 +17,10 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from kr270_milling.base.arguments import STOPS
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import STOPS
 from kr270_milling.live.ros.environment import child_environment
 from kr270_milling.recordings.messages.topics import ROBOT
-
-__all__ = ["AlreadyRunning", "Child", "RunError", "own_graph", "recording_parameters", "ros_arguments", "stop"]
 
 
 class RunError(MillingError):

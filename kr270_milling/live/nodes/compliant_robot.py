@@ -20,10 +20,7 @@ from kr270_milling.live.ros.readiness import Report, read_reports
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import COMPENSATOR, ROBOT
 
-__all__ = ["CompliantRobot"]
-
 LOOK = 0.1  # [s] of the wall clock between two checks
-AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
 #: exchanges from one check that every subscriber has the poses to the next: a fifth of the history of the publisher.
 #: A check takes 0 to 20 ms, the time to the next heartbeat of the profile; a subscriber that was killed delays the pass
 #: until its lease ends, 20 s
@@ -85,11 +82,6 @@ class CompliantRobot(ManagedNode):
         if planner is not None:
             self._ready = planner.values.get("waiting_for") == ""
 
-    def _is_planned(self) -> bool:
-        """Return whether a compensator publishes the reference and decides when a pass may start."""
-        infos = self.get_publishers_info_by_topic(self._reference.topic_name)
-        return any(info.node_name == COMPENSATOR for info in infos)
-
     def _is_too_far_ahead(self) -> bool:
         """Return whether a subscriber lacks poses; one that is stopped, or has no room, confirms none."""
         self._exchanges += 1
@@ -108,7 +100,10 @@ class CompliantRobot(ManagedNode):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
         if not protocol.started:
-            usable = cut and protocol.reference is not None and (self._ready or not self._is_planned())
+            # a compensator that publishes the reference decides when a pass may start
+            infos = self.get_publishers_info_by_topic(self._reference.topic_name)
+            planned = any(info.node_name == COMPENSATOR for info in infos)
+            usable = cut and protocol.reference is not None and (self._ready or not planned)
             if usable and not self.used("reference_trajectory", self._start):
                 protocol.reference = None  # a pass cannot follow it
             return
@@ -146,7 +141,7 @@ class CompliantRobot(ManagedNode):
             if self.pace > 0.0:
                 paced = self._started + self.protocol.time_ns * 1e-9 / self.pace - time.monotonic()
                 ahead = max(ahead, paced)
-            if ahead > AHEAD:
+            if ahead > 0.005:  # [s] of the wall clock
                 self._late, outputs = outputs[:1], outputs[1:]
                 self._pace_timer = self.create_timer(ahead, self._ask_late)
         self.send(outputs)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from std_srvs.srv import Trigger
 
 from kr270_milling.base.samples import PoseSample
 from kr270_milling.cell.models import cut_of
@@ -12,8 +11,6 @@ from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import CUT
-
-__all__ = ["CuttingProcess"]
 
 LOOK = 0.1  # [s] of the wall clock between two checks of the robot
 
@@ -31,7 +28,7 @@ class CuttingProcess(ManagedNode):
         self.open_outlets(CUT)
         self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose)
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
-        self.create_service(Trigger, "~/publish_workpiece", self._on_request)
+        self.serve("~/publish_workpiece", self._publish_map)
         self.create_timer(LOOK, self._watch_robot)
         self.set_values(reference="")
         self.report(OK, "unconfigured")
@@ -41,15 +38,11 @@ class CuttingProcess(ManagedNode):
         return self.protocol.under_way
 
     def configure(self) -> None:
-        self._compile()
+        above = np.array([0.0, 0.0, float(self.cell.stock.max[2]) + 1.0])
+        cut_of(self.cell).sweep(above, above, 0, 1)  # compiles before the pass
         self.send(self.protocol.configure())
         self._mapped = True
         self.report(OK, "configured: fresh workpiece")
-
-    def _compile(self) -> None:
-        """Compile or load the compiled sweep before the pass."""
-        above = np.array([0.0, 0.0, float(self.cell.stock.max[2]) + 1.0])
-        cut_of(self.cell).sweep(above, above, 0, 1)
 
     def activate(self) -> None:
         self._robots = 0  # not counted yet
@@ -100,9 +93,6 @@ class CuttingProcess(ManagedNode):
         self.send(self.protocol.workpiece())
         self._mapped = True
         return "workpiece published"
-
-    def _on_request(self, _, response):
-        return self.answer(response, "~/publish_workpiece", self._publish_map)
 
     def watch(self) -> dict:
         volume = self.protocol.removed_volume

@@ -12,21 +12,33 @@ from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from std_srvs.srv import Trigger
 
+from kr270_milling.base.arguments import PLAY, end_process
 from kr270_milling.base.errors import RecordingError, one_line
-from kr270_milling.base.process import end_process
-from kr270_milling.live.nodes.play_arguments import PLAY
-from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
-from kr270_milling.recordings.bag.bagmeta import read_qos
-from kr270_milling.recordings.bag.playback import PlayClock, is_latched, playback, span
-from kr270_milling.recordings.bag.reader import RawMessage, Recording
-
-__all__ = ["Player", "player_main", "run_player", "qos_of"]
+from kr270_milling.live.ros.topics import NameRefused, message_class
+from kr270_milling.recordings.bag.files import read_qos
+from kr270_milling.recordings.bag.mcap_file import RawMessage
+from kr270_milling.recordings.bag.reader import Recording, is_latched, playback, span
 
 DEPTH = 1000  # messages that may wait for a slow reader
+
+
+class PlayClock:
+    """Position of a playback [ns of log time], from readings [s] of any clock that does not go back."""
+
+    def __init__(self, start: int, rate: float, now: float, paused: bool = False):
+        self.rate, self.paused = rate, paused
+        self._position, self._since = start, now
+
+    def position(self, now: float) -> int:
+        if self.paused:
+            return self._position
+        return self._position + int(max(now - self._since, 0.0) * self.rate * 1e9)
+
+    def set_paused(self, paused: bool, now: float) -> None:
+        self._position, self._since, self.paused = self.position(now), now, paused
 
 
 class Player(ReportingNode):
@@ -44,7 +56,7 @@ class Player(ReportingNode):
         self._progress = progress
         self.count = 0
         for name, paused in (("pause", True), ("resume", False), ("toggle_paused", None)):
-            self.create_service(Trigger, f"~/{name}", functools.partial(self._set_paused, paused))
+            self.serve(f"~/{name}", functools.partial(self._set_paused, paused))
         self._timer = self.create_timer(0.001, self._tick)  # [s]
         self.report(OK, "paused" if args.start_paused else "playing")
 
@@ -103,7 +115,9 @@ class Player(ReportingNode):
                 break
             self._publish(self._next)
             self._next = None
-        self._publish_clock(position)
+        if self._clock_publisher is not None and position >= self._clock_due:
+            self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
+            self._clock_due += self._clock_period * ((position - self._clock_due) // self._clock_period + 1)
 
     def _publish(self, message) -> None:
         self._outlets[message.topic].publish(message.data)
@@ -111,18 +125,13 @@ class Player(ReportingNode):
         if self._progress is not None:
             self._progress(max(message.log_time - self._start, 0), max(self._end - self._start, 1))
 
-    def _publish_clock(self, position: int) -> None:
-        if self._clock_publisher is not None and position >= self._clock_due:
-            self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
-            self._clock_due += self._clock_period * ((position - self._clock_due) // self._clock_period + 1)
-
-    def _set_paused(self, wanted: bool | None, _, response):
-        """Pause or resume; wanted: None toggles."""
+    def _set_paused(self, wanted: bool | None) -> str:
+        """Pause or resume, and return the state; wanted: None toggles."""
         paused = not self._pace.paused if wanted is None else wanted
-        (self._pace.pause if paused else self._pace.resume)(time.monotonic())
-        self.report(WARN if paused else OK, "paused" if paused else "playing")
-        response.success = True
-        return response
+        self._pace.set_paused(paused, time.monotonic())
+        state = "paused" if paused else "playing"
+        self.report(WARN if paused else OK, state)
+        return state
 
     def watch(self) -> dict:
         return {"messages": getattr(self, "count", 0)}

@@ -14,11 +14,9 @@ import signal
 import sys
 from pathlib import Path
 
+from kr270_milling.base.arguments import STOPS
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import STOPS
 from kr270_milling.live.ros.environment import keep_to_this_host, require_ros
-
-__all__ = ["NODES", "start"]
 
 #: node -> class in the module of the same name
 CLASSES = {
@@ -40,7 +38,7 @@ def start(name: str | None = None) -> int:
         print(error, file=sys.stderr)
         return 2
     for number in STOPS:
-        signal.signal(number, _end)
+        signal.signal(number, lambda *_: os._exit(0))  # no file is open yet
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)  # blocked by ``run`` until here
     if name == "player":
         from kr270_milling.live.nodes.player import player_main
@@ -65,11 +63,6 @@ def _help(name: str) -> int:
     )
     parser.print_help()
     return 0
-
-
-def _end(number, frame) -> None:
-    """End at once: no file is open yet."""
-    os._exit(0)
 
 
 def _node_class(name: str) -> type:

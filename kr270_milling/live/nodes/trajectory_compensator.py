@@ -8,7 +8,6 @@ import time
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from std_srvs.srv import Trigger
 
 from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.parameter_file import find_file
@@ -20,22 +19,18 @@ from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.inbox import BREAK_NS
 from kr270_milling.exchange.scene import path_bytes
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.names import message_class, resolved_topic
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
-from kr270_milling.live.ros.topics import RosTopic
+from kr270_milling.live.ros.topics import RosTopic, message_class, resolved_topic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.topics import COMPENSATOR
 
-__all__ = ["TrajectoryCompensator"]
-
 METHOD = "compensation.method"
 TARGET = "the target itself"
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
-#: reliable and best-effort publishers match; of the joints only the last message counts
-LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: reliable and best-effort publishers match
 SENSOR = QoSProfile(depth=topics.LOOP.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 
@@ -78,9 +73,10 @@ class TrajectoryCompensator(ReportingNode):
         names = self.declared("wait_for", WAIT_FOR, about)
         self._readiness = Readiness(self, names, (self._pose.topic_name, self._wrench.topic_name))
         self.set_values(waiting_for=self._readiness.waiting_for)
-        self.subscribe(topics.JOINT_STATES._replace(qos=LATEST), self._on_joints)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_service(Trigger, "~/send_joint_trajectory", self._on_send)
+        latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # only the last message counts
+        self.subscribe(topics.JOINT_STATES._replace(qos=latest), self._on_joints)
+        self.serve("~/reset", self._reset)
+        self.serve("~/send_joint_trajectory", self._send_program)
         self._revision = 0
         self._joints: tuple[float, np.ndarray] | None = None  # arrival [s of the monotonic clock], positions [rad]
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
@@ -242,13 +238,7 @@ class TrajectoryCompensator(ReportingNode):
         """Publish the reference for a joint controller; return what was published."""
         if self._readiness.waiting_for:
             raise MessageError(f"the pass waits: {self._readiness.waiting_for}")
-        start = self.get_clock().now().nanoseconds + int(LEAD * SECOND)
+        start = self._now_ns() + int(LEAD * SECOND)
         program = self.protocol.program(self._present_joints(), start)
         self.send([("joint_trajectory", program)])
         return f"{len(program.time)} points, {program.time[-1] / SECOND:.3f} s, start in {LEAD:g} s"
-
-    def _on_send(self, _, response):
-        return self.answer(response, "~/send_joint_trajectory", self._send_program)
-
-    def _on_reset(self, _, response):
-        return self.answer(response, "~/reset", self._reset)

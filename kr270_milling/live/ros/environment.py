@@ -11,10 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.parameter_file import find_file
-
-__all__ = ["child_environment", "keep_to_this_host", "require_ros"]
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 FAST_DDS = "rmw_fastrtps_cpp"

@@ -19,6 +19,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from kr270_milling.base.errors import InputError, MessageError, MillingError, one_line
 from kr270_milling.base.parameter_file import find_file
@@ -31,12 +32,9 @@ from kr270_milling.live.ros.readiness import SUBSCRIBERS, Report, joined
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 from kr270_milling.recordings.messages.topics import published_by
 
-__all__ = ["LOST", "NOT_COMPLETE", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
-
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
 NOT_COMPLETE = "its recording is not complete"
-CATCH_UP = Duration(seconds=5)  # for a subscriber at the end of a pass to request the messages that it missed
 LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a run gives up
 
 
@@ -177,11 +175,15 @@ class ReportingNode(Node):
             self._refuse(source, one_line(f"{what}{error}")[:300], isinstance(error, (MessageError, ExchangeError)))
         return None
 
-    def answer(self, response, source: str, use: Callable):
-        """Return the response of a Trigger service: the text of ``use()``, or the reason of its refusal."""
-        text = self.used(source, use)
-        response.success, response.message = text is not None, self.unusable[source][1] if text is None else text
-        return response
+    def serve(self, name: str, use: Callable[[], str]) -> None:
+        """Create a Trigger service; its response is the text of ``use()``, or the reason of its refusal."""
+
+        def answer(_, response):
+            text = self.used(name, use)
+            response.success, response.message = text is not None, self.unusable[name][1] if text is None else text
+            return response
+
+        self.create_service(Trigger, name, answer)
 
     def _refuse(self, source: str, sentence: str, message: bool) -> None:
         """Count what cannot be used; message: the reason is the content of the message."""
@@ -247,13 +249,14 @@ class ReportingNode(Node):
         infos = self.get_publishers_info_by_topic(subscription.topic_name)
         return [i.node_name for i in infos if i.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT]
 
-    def _report_incompatible(self) -> None:
-        """Name the publishers whose messages this node does not receive."""
+    def _report(self) -> None:
+        """Publish the report, with the publishers whose messages this node does not receive."""
         for subscription in self.subscriptions:
             names = self.incompatible(subscription)
             if names and subscription.topic_name not in self.unusable:
                 where = subscription.topic_name
                 self._refuse(where, f"{', '.join(names)} must publish reliably on {where}, not with best effort", True)
+        self.publish_report()
 
     def full_name(self, node: str) -> str:
         """Return the full name of a node whose name is relative to the namespace of this node."""
@@ -273,10 +276,6 @@ class ReportingNode(Node):
         own = {**self._values, **self.watch(), "state": self.state}
         values = {**own, "reads": reads, **known, "refused": self.refused, **refused}
         return Report(self._level[0], self.message, {key: str(value) for key, value in values.items()})
-
-    def _report(self) -> None:
-        self._report_incompatible()
-        self.publish_report()
 
     def publish_report(self) -> None:
         diagnostic = DiagnosticStatus(
@@ -337,7 +336,8 @@ class ManagedNode(ReportingNode, LifecycleNode):
 
     def stop(self) -> None:
         """Report the end of a pass when every subscriber has its messages; this node keeps them so long."""
-        received = all(outlet.wait_for_all_acked(CATCH_UP) for outlet in self.outlets.values())
+        catch_up = Duration(seconds=5)  # for a subscriber to request the messages that it missed
+        received = all(outlet.wait_for_all_acked(catch_up) for outlet in self.outlets.values())
         lacking = "" if received else f"; a subscriber has not received the end of the pass; {NOT_COMPLETE}"
         self.report(OK if received else WARN, f"stopped{lacking}")
 

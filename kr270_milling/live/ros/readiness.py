@@ -7,13 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from kr270_milling.live.ros import topics
-from kr270_milling.recordings.messages.codec import deserialise
+from kr270_milling.recordings.messages.definitions import deserialise
 from kr270_milling.recordings.messages.topics import CUT, RECORDER, ROBOT
 
-__all__ = ["SUBSCRIBERS", "WAIT_FOR", "Readiness", "Report", "is_recorded", "joined", "read_reports", "unmatched"]
-
 WAIT_FOR = f"{CUT}, {ROBOT}?, {RECORDER}?"  #: names, separated by commas; with ?: only where the node is in the graph
-OURS = (ROBOT, CUT, RECORDER)
 SUBSCRIBERS = "subscribers of "  #: begin of a key; then a topic that the node publishes
 
 
@@ -77,7 +74,8 @@ class Readiness:
             if full not in reporting and name.rpartition("/")[2] not in partners:
                 return f"{name} is not in the graph (parameter wait_for)"
         # a driver of another maker may publish on /diagnostics, but no report of its node
-        ours = {full for full in reporting & self._names.keys() if full in self._reports or self._names[full] in OURS}
+        own = (ROBOT, CUT, RECORDER)
+        ours = {full for full in reporting & self._names.keys() if full in self._reports or self._names[full] in own}
         self._reports = {full: report for full, report in self._reports.items() if full in ours}
         for full, name in self._needed.items():
             if full in self._reports and self._reports[full].values.get("state", "") not in ("", "active"):

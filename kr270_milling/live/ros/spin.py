@@ -16,11 +16,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
+from kr270_milling.base.arguments import STOPS, end_process, flush
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import STOPS, end_process, flush
 from kr270_milling.live.ros.environment import PARENT, keep_to_this_host
-
-__all__ = ["own_arguments", "run_node", "run_nodes"]
 
 LAP = 0.1  # [s] between two checks for signals and for the parent process
 
@@ -48,7 +46,7 @@ def run_node(make: Callable, args: list[str] | None = None) -> int:
 
 
 def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
-    """Spin nodes with one executor until a signal arrives, the parent process ends, or a node has finished.
+    """Spin nodes, ``make(context=...)`` each, until a signal arrives, the parent process ends, or a node has finished.
 
     Exit code: 0 after a signal or at the end, 1 when a node failed, 2 when a node could not be made (bad parameters).
     Without ``args`` the process belongs to the nodes and ends here; otherwise the exit code is returned.

@@ -1,15 +1,70 @@
-"""The table of topics as ROS needs it: ``topics.TOOL_POSE`` has message class, name and quality of service."""
+"""The table of topics as ROS needs it: ``topics.TOOL_POSE`` has message class, name and quality of service.
+
+Names from users and files are checked before ROS gets them, so that the error is a sentence of this package.
+"""
 
 from __future__ import annotations
 
+import functools
+import importlib
+import importlib.util
+import re
+from pathlib import Path
 from typing import NamedTuple
 
+from rclpy.exceptions import NameValidationException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.validate_namespace import validate_namespace
+from rclpy.validate_topic_name import validate_topic_name
 
-from kr270_milling.live.ros.names import message_class
+from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["BY_NAME", "EVERY", "LATCHED", "LOOP", "RosTopic"]
+
+class NameRefused(MillingError):
+    """A message type that cannot be used here."""
+
+
+@functools.cache
+def message_class(type_name: str) -> type:
+    """Return the class of a message type such as geometry_msgs/msg/Pose. Raises NameRefused.
+
+    The name may come from a foreign file: only packages of messages are imported.
+    """
+    parts = re.fullmatch(r"([A-Za-z][A-Za-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)", type_name)
+    if parts is None:
+        raise NameRefused(f"{type_name!r} is not the name of a message type, such as std_msgs/msg/String")
+    package, name = parts.groups()
+    spec = importlib.util.find_spec(package)  # imports nothing for a top-level package
+    places = (spec.submodule_search_locations if spec is not None else None) or []
+    if not any(Path(place, "msg", "__init__.py").is_file() for place in places):
+        raise NameRefused(f"the message package {package} is not installed")
+    kind = getattr(importlib.import_module(f"{package}.msg"), name, None)
+    if kind is None or not hasattr(kind, "SLOT_TYPES"):
+        raise NameRefused(f"the message package {package} has no {name}")
+    return kind
+
+
+def resolved_topic(node, name: str, where: str) -> str:
+    """Return the full name of a topic from a user. Raises InputError; where: the place of the name."""
+    try:
+        validate_topic_name(name)
+        return node.resolve_topic_name(name)
+    except (NameValidationException, RuntimeError, ValueError, TypeError):
+        what = "must be the name of a topic: letters, digits and '_', in parts between '/' that begin with no digit"
+        raise InputError(where, f"{name!r} {what}") from None
+
+
+def full_namespace(name: str, where: str) -> str:
+    """Return a namespace from a user with its first slash. Raises InputError; where: the place of the name."""
+    full = "/" + name.removeprefix("/")
+    try:
+        validate_namespace(full)
+    except (NameValidationException, ValueError, TypeError):
+        what = "must be a ROS namespace: letters, digits and '_', in parts between '/' that begin with no digit"
+        raise InputError(where, f"{name!r} {what}") from None
+    return full
+
 
 #: the loop of one exchange: lockstep, one message in flight; the publisher's history is so long that a recorder which
 #: was stopped for two seconds can still request the messages that it missed

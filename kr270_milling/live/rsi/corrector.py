@@ -14,11 +14,9 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table
 from kr270_milling.path.progress import PathProgress
 
-__all__ = ["Corrector", "CorrectionTable", "CorrectionLimits", "read_corrections"]
-
 SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
 PLACE = ("X_mm", "Y_mm", "Z_mm")
-UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])
+UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  #: of X, Y, Z, A, B, C: mm and degrees -> m and rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,18 +92,10 @@ class Corrector:
             self.reason = f"{1e3 * distance:.1f} mm from the path"
         change = self._cycle / limits.ramp
         self.share = min(max(self.share + (change if near and not missed else -change), 0.0), 1.0)
-        wanted = self.share * self._at_progress()
-        self.applied = self._limit(wanted)
-        return self.applied
-
-    def repeat(self) -> np.ndarray:
-        """Return the correction of the last cycle, for a telegram that arrived twice."""
-        return self.applied
-
-    def _at_progress(self) -> np.ndarray:
         index = int(np.clip(np.searchsorted(self._way, self.progress, side="right") - 1, 0, len(self._way) - 2))
-        share = (self.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
-        return (1.0 - share) * self._value[index] + share * self._value[index + 1]
+        part = (self.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
+        self.applied = self._limit(self.share * ((1.0 - part) * self._value[index] + part * self._value[index + 1]))
+        return self.applied
 
     def _limit(self, wanted: np.ndarray) -> np.ndarray:
         """Bound the size, then the change since the last cycle, separately for the displacement and the angles."""

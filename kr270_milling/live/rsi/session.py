@@ -1,4 +1,8 @@
-"""The sensor side of RSI: receive the telegrams of one robot, answer the newest, report and record."""
+"""The sensor side of RSI: receive the telegrams of one robot, answer the newest, report and record.
+
+Elements of the telegram of the robot: RIst (actual pose), RSol (commanded pose), Delay (late answers), IPOC (cycle
+counter [ms]). The answer carries RKorr and repeats the IPOC. Source: KUKA.RobotSensorInterface 3, object ETHERNET.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +14,72 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError, MessageError, RecordingError
+from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotation_from_abc
+from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
 from kr270_milling.cell.arm import PlacedArm
-from kr270_milling.live.rsi.corrector import Corrector
+from kr270_milling.live.rsi.corrector import CorrectionTable, Corrector
 from kr270_milling.live.rsi.telegram import MOST_BYTES, Elements, RobotTelegram, read_telegram, write_answer
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.robot import jacobian, pose
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes, type_of
 
-__all__ = ["Counts", "RsiSession", "open_socket", "real_time"]
+
+class RsiRecording:
+    """Writes the topics ``target_trajectory``, ``reference_trajectory``, ``tool_pose``, ``correction``, ``rsi_status``.
+
+    The stamps are the counter of the robot since the first telegram. attachments: name -> bytes, the cell and its
+    files. now: the time of receipt [ns], which is the log time. Raises RecordingError.
+    """
+
+    def __init__(
+        self,
+        directory,
+        table: CorrectionTable,
+        metadata: Mapping[str, object],
+        attachments: Mapping[str, bytes | str],
+        now: Callable[[], int],
+    ):
+        self._now = now
+        self._writer = BagWriter(directory, metadata=metadata, attachments=attachments)
+        time_ns = (table.time * SECOND).round().astype("int64")
+        target = Trajectory(time_ns - time_ns[0], table.position, np.array(TOOL_DOWN))
+        self._write("target_trajectory", target)
+        self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]))
+
+    def add(self, stamp: int, actual: np.ndarray | None, correction: np.ndarray) -> None:
+        """Record an answered cycle: stamp [ns], RIst and RKorr, (6,) [m, rad]."""
+        if actual is not None:
+            turn = quaternion_from_rotation(rotation_from_abc(actual[3:]))
+            self._write("tool_pose", PoseSample(stamp, WORKPIECE, actual[:3], turn))
+        a, b, c = correction[3:]
+        twist = TwistSample(stamp, WORKPIECE, np.array([*correction[:3], c, b, a]))
+        self._write("correction", twist)
+        self._writer.tick(time.monotonic())
+
+    def report(self, sentence: str) -> None:
+        """Record a sentence of the session; where the file cannot be written, ``add`` raises the error."""
+        with suppress(RecordingError):
+            self._write("rsi_status", Text(sentence))
+
+    def _write(self, topic: str, record) -> None:
+        self._writer.add_topic(f"/{topic}", type_of(record))
+        self._writer.write(f"/{topic}", to_bytes(record), self._now())
+
+    def __enter__(self) -> RsiRecording:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._writer.close()
+
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
 WRAP = 2**32  #: IPOC counts milliseconds in 32 bits
@@ -84,7 +141,8 @@ class RsiSession:
                 self._answer(*newest)
                 latest = time.monotonic()
             elif self._robot is not None and time.monotonic() - latest > SILENCE:
-                self._lose_robot()
+                self.report(f"no telegram for {SILENCE:g} s")
+                self.stop.set()  # the next program starts from the first point with a new session
         return self.counts
 
     def _newest(self) -> tuple[RobotTelegram, np.ndarray, int] | None:
@@ -151,7 +209,7 @@ class RsiSession:
     def _correction(self, telegram: RobotTelegram, point: np.ndarray) -> np.ndarray:
         """Return the correction of a cycle, and count the cycles before it that have no answer."""
         if telegram.ipoc == self._last:
-            return self.corrector.repeat()
+            return self.corrector.applied
         ahead = 0 if self._last is None else (telegram.ipoc - self._last) % WRAP
         cycles = max(1, round(ahead / self.cycle_ms))
         self.counts.missed += cycles - 1
@@ -192,11 +250,6 @@ class RsiSession:
             self.counts.first = reason
             self.report(f"ignored: {reason}; further ones are counted")
         self.counts.refused += 1
-
-    def _lose_robot(self) -> None:
-        """Report the silent robot and end: the next program starts from the first point with a new session."""
-        self.report(f"no telegram for {SILENCE:g} s")
-        self.stop.set()
 
     def _record(self, *cycle) -> None:
         if self.record is None:

@@ -11,6 +11,10 @@ import math
 import re
 from collections.abc import Callable
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.base.frames import Pose
 from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.drilling import Cycle
@@ -19,8 +23,10 @@ from kr270_milling.path.cam.gcode.expressions import NUMBER, ExpressionError, Sc
 from kr270_milling.path.cam.gcode.words import SILENT_M, word_of
 from kr270_milling.path.cam.machine import INCH, MM, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.trajectory import TOOL_DOWN
 
 __all__ = ["read_heidenhain"]
 
@@ -34,15 +40,19 @@ CONDITION = re.compile(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GO
 ASSIGNED = re.compile(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)")
 LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?)?")
 SILENT = re.compile(
-    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET|CYCL DEF (?:247|32\.|9\.)|PLANE RESET|FN ?(?:14|16|38):|M ?0*[01]\Z"
+    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET (?!TCPM)|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z"
 )
-#: shifts, turns, planes that change nothing with zeros alone
-RESETS = re.compile(r"CYCL DEF (?:7|8|10|11|19)\.[0-9]+|PLANE SPATIAL|TRANS DATUM")
+#: turns, mirrors, scales that change nothing with zeros alone
+RESETS = re.compile(r"CYCL DEF (?:8|10|11|19)\.[0-9]+")
+SHIFT = re.compile(r"(?:CYCL DEF 7\.[0-9]+|TRANS DATUM)(?: DATUM SHIFT| AXIS| RESET)?")
+TCPM = re.compile(r"FUNCTION (RESET )?TCPM\b(?!.*AXIS SPAT)")
+#: PLANE -> its angles and the axes of the rotations: of the fixed axes in small letters
+PLANES = {"SPATIAL": (("SPA", "SPB", "SPC"), "xyz"), "EULER": (("EULPR", "EULNU", "EULROT"), "ZXZ")}
 ADVICE = {
     **dict.fromkeys(("APPR", "DEP"), "let the CAM output lead-ins and lead-outs as L and C"),
     **dict.fromkeys(("CALL PGM", "SEL"), "post one program without calls of other files"),
     "CYCL DEF": "CYCL DEF 200 and 203 are read; let the CAM output other cycles as moves",
-    "PLANE": "post a 3-axis program: the tool must be parallel to z of the workpiece",
+    "PLANE": "let the CAM output PLANE SPATIAL or PLANE EULER",
     "TCH PROBE": "leave probing out of this program",
 }
 OTHERS = "let the CAM output L, C, CR, CT, LP and CP"
@@ -51,12 +61,13 @@ SPINDLE = {3: 1, 13: 1, 4: -1, 14: -1, 5: 0}
 M_WORDS = {*SILENT_M, 6, 107, 108, 120, 126, 127, 129, 141}
 
 
-def read_heidenhain(path, tool: str = "", feed: float = 0.0) -> Toolpath:
-    """Read a conversational program; tool: "T1" where several cut; feed [m/s]: for a program without F."""
+def read_heidenhain(path, tool: str = "", feed: float = 0.0, machine: Kinematics = NO_ROTARY_AXES) -> Toolpath:
+    """Read a conversational program; options as of ``read_gcode``."""
     program = ProgramBuilder(path, f"T{int(tool)}" if tool.isdigit() else tool)
-    machine = _Conversational(program, feed)
-    machine.run_lines(read_lines(path))
-    return program.finish(machine.unit)
+    reader = _Conversational(program, feed)
+    reader.kinematics = machine
+    reader.run_lines(read_lines(path))
+    return program.finish(reader.unit)
 
 
 class _Refused(ValueError):
@@ -66,11 +77,14 @@ class _Refused(ValueError):
 class _Conversational(Machine):
     """Runs statements: L, C, CR, CT, LP and CP are blocks of G0 to G3."""
 
+    by_planes = True
+
     def __init__(self, program: ProgramBuilder, feed: float):
         super().__init__(program, feed)
         self.absolute_centre = True
         self.speed = 0.0  #: [rad/s]
         self.turning = 0
+        self.datum = [0.0] * 3  #: shift of the datum [m]
         self.pole: complex | None = None  #: CC [m]
         self.heading: complex | None = None  #: direction of the last move in the xy plane
         self.arc_centre: complex | None = None  #: [m], of the block; None: given by its radius
@@ -145,6 +159,13 @@ class _Conversational(Machine):
             self._define(text)
         elif text.startswith("CYCL CALL"):
             self._call_cycle(text[9:])
+        elif match := TCPM.match(text):
+            self.program.count("FUNCTION TCPM")
+            self.follow_tip(match[1] is None)
+        elif SHIFT.match(text):
+            self._shift(text)
+        elif word == "PLANE" and text.split()[1:2] and text.split()[1] in {*PLANES, "RESET"}:
+            self._plane(text)
         elif SILENT.match(text) or (RESETS.match(text) and not re.search(r"[1-9]", RESETS.sub("", text, count=1))):
             self._note(text)
         elif text.startswith("M"):
@@ -154,6 +175,42 @@ class _Conversational(Machine):
             reason = "" if known else f"{short(text)!r} is not read"
             self.program.refuse(short(text), reason, ADVICE.get(known, OTHERS), lost=True)
         return index
+
+    def _shift(self, text: str) -> None:
+        """A shift of the datum: of the axes that it names, from the datum of the workpiece; without any to zero."""
+        words, functions = self._words(SHIFT.sub("", text))
+        if words.keys() - {"X", "Y", "Z", "IX", "IY", "IZ"} or functions or self.tilt is not None:
+            raise _Refused("a shift of the datum takes X, Y and Z, before PLANE")
+        place = [*self.datum] if words else [0.0] * 3
+        for k, axis in enumerate("XYZ"):
+            if axis in words:
+                place[k] = words[axis] * self.unit
+            place[k] += words.get(f"I{axis}", 0.0) * self.unit
+        if "DATUM SHIFT" not in text:  # the head of the cycle
+            self.datum = place
+            self.set_shift((1 + 0j, complex(*place[:2]), place[2]) if any(place) else None)
+
+    def _plane(self, text: str) -> None:
+        """PLANE SPATIAL turns about the fixed x, y, z, PLANE EULER about z, the new x and the new z; RESET ends both.
+
+        The axes turn with MOVE and TURN; with STAY in a block that names A, B or C. (Heidenhain, TNC 620 User's Manual
+        Conversational Programming, 10/2017, "Tilting the working plane")
+        """
+        kind = text.split()[1]
+        names, axes = PLANES.get(kind, ((), ""))
+        angles = {name: self._value(value) for name, value in re.findall(r"(SP[ABC]|EUL[A-Z]+) ?([-+]?[0-9.Q]+)", text)}
+        if angles.keys() != set(names):
+            raise _Refused(f"PLANE {kind} needs {', '.join(names)}")
+        if self.shift is not None and self.shift[0] != 1:
+            raise _Refused("PLANE in coordinates that are turned")
+        turn = Rotation.from_euler(axes, [angles[name] for name in names], degrees=True) if axes else None
+        flat = turn is None or turn.magnitude() == 0.0
+        self.set_tilt(None if flat else Pose(np.zeros(3), turn.as_matrix()))
+        self.pole = self.heading = None
+        for number in (120, 121, 122):  # the angles of the machine's axes, which name the plane and no number here
+            self.variables.set(number, 0.0)
+        if re.search(r" (?:MOVE|TURN)\b", text):
+            self.turn_to_plane()
 
     def _note(self, text: str) -> None:
         """A statement that moves nothing; TOOL DEF states the radius of its tool."""
@@ -222,11 +279,17 @@ class _Conversational(Machine):
         if turned := [number for number in functions if number in SPINDLE]:
             self.turning = SPINDLE[int(turned[-1])]
             self.program.spindle_speed = self.turning * self.speed
-        if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 140}]:
-            word = word_of("M", other[0])
-            advice = "post a 3-axis program" if other[0] == 128 else "leave it out where it moves no axis"
-            self.program.refuse(word, advice=advice, lost=True)
+        if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 128, 140}]:
+            self.program.refuse(word_of("M", other[0]), advice="leave it out where it moves no axis", lost=True)
             return
+        if 128 in functions or 129 in functions:
+            self.follow_tip(128 in functions)
+        if not self.kinematics.letters and words.keys() & {"A", "B", "C"}:
+            computed = re.search(r"[ABC] ?\+?Q12[012]", text)
+            self.program.turn(self.along_plane if computed else TOOL_DOWN)
+        elif self.kinematics.letters and re.search(r"[ABC] ?\+?Q12[012]", text):
+            self.turn_to_plane()
+            words = {name: value for name, value in words.items() if name not in "ABC"}
         if 140 in functions:  # back along the tool axis
             words.pop("MB", None)
             self.home(["Z"])
@@ -237,7 +300,10 @@ class _Conversational(Machine):
                 self.program.silent[word_of("M", number)] += 1
         if 91 in functions or 92 in functions:
             self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None])
-        elif not words.keys() <= {"A", "B", "C"}:
+            self._swing(words, rapid)
+        elif words.keys() <= {"A", "B", "C", "IA", "IB", "IC"}:
+            self._swing(words, rapid)
+        else:
             self._go(kind, words, rapid)
         for axis in "ABC":
             if words.get(axis, 1.0) == 0.0:
@@ -248,6 +314,21 @@ class _Conversational(Machine):
             self._drill_here()
         if 2 in functions or 30 in functions:
             self.ended = True
+
+    def _swing(self, words: dict[str, float], rapid: bool) -> None:
+        """A block of rotary axes alone."""
+        self.set_mode(0 if rapid else 1)
+        self._take(words)
+        self.end_turn()
+        self.absolute = {}
+
+    def _take(self, words: dict[str, float]) -> None:
+        """Take the words of the rotary axes, absolute or not."""
+        self.absolute |= {axis: f"I{axis}" not in words for axis in "ABC"}
+        angles = {
+            axis: words.pop(name) for axis in self.kinematics.letters for name in (axis, f"I{axis}") if name in words
+        }
+        self.take_angles(angles)
 
     def _go(self, kind: str, words: dict[str, float], rapid: bool) -> None:
         start = complex(*self.position[:2])
@@ -260,10 +341,12 @@ class _Conversational(Machine):
                     self.absolute[axis] = name == axis
         if kind in ("LP", "CP"):
             self._polar_end(words, axes, start)
+        self._take(words)
         mode = self.moving[kind](kind, words, axes, start)
         self.heading = None if mode in (2, 3) else self.heading
         self.move(axes, 0 if rapid and mode == 1 else mode)
         self.absolute = {}
+        self.end_turn()
         self._turn_heading(mode, start)
 
     def _turn_heading(self, mode: int, start: complex) -> None:

@@ -11,11 +11,16 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+
+from kr270_milling.base.frames import Pose
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points, nurbs_points
 from kr270_milling.path.cam.contour import Stroke, planned
 from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.kinematics import NO_ROTARY_AXES
 from kr270_milling.path.toolpath import REACH, TOP
+from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, tool_along
 
 __all__ = ["INCH", "MM", "Machine"]
 
@@ -33,6 +38,7 @@ NURBS = (5.2, 6.2)  #: rational B-splines: LinuxCNC with uniform knots, Fanuc wi
 CHORD = 2e-6  #: [m], arcs to chords
 CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
+STEP = 1.5  #: [deg] of both axes: in between the shortest turn is within 0.01 deg of theirs
 NO_FEED = "a cutting move without a feed"
 START = "start with G0 X Y Z"
 
@@ -42,6 +48,8 @@ class Machine:
 
     Lengths inside are in [m], NaN where the program has not said where an axis is.
     """
+
+    by_planes = False  #: the tool is along z of the coordinates in each cut
 
     def __init__(self, program: ProgramBuilder, feed: float):
         self.program = program
@@ -68,6 +76,15 @@ class Machine:
         self.ended = False
         #: from coordinates of the program to those of the path: factor of x + i y, x + i y [m], z [m]; None: the same
         self.shift: tuple[complex, complex, float] | None = None
+        #: from coordinates of the program to those before the shift, where a plane is tilted: its z is the tool axis
+        self.tilt: Pose | None = None
+        self.along_plane: tuple[float, ...] = TOOL_DOWN  #: orientation of a tool along z of the plane
+        self.kinematics = NO_ROTARY_AXES
+        self.angles = [0.0, 0.0]  #: of its rotary axes [deg], NaN where a plane has turned them
+        self.follows_tip = False  #: coordinates are those of the tip, whatever the angles are (G43.4, TRAORI, M128)
+        #: from the linear axes to the tip on the workpiece, while the control does not follow the tip; None: the same
+        self.swung: Pose | None = None
+        self.turned_from: list[float] | None = None  #: angles before this block, which turns the tool
         self.side = 0  #: 1: the tool is to the left of the contour, -1: to the right
         self.radius = 0.0  #: [m], by which it is; NaN: that of the tool
         self.beside = 0j  #: [m], of the tool from ``position``
@@ -75,21 +92,33 @@ class Machine:
         self.contour: list[Stroke | None] | Iterator[list[Stroke] | str | None] | None = None
 
     def on_path(self, point) -> tuple[float, ...]:
-        """Return the place of a point on the path; an axis without a value keeps none."""
-        if self.shift is None:
-            return tuple(point)
-        turn, xy, height = self.shift
-        x, y, z = point
-        if turn != 1:
-            turned = complex(x, y) * turn
-            x, y = turned.real, turned.imag
-        return x + xy.real, y + xy.imag, z + height
+        """Return the place of a point on the path; an axis without a value keeps none, of a tilted tool no axis."""
+        if self.skew and not all(map(math.isfinite, point)):
+            return (math.nan,) * 3
+        if self.tilt is not None:
+            point = self.tilt.apply(np.array(point)).tolist()
+        if self.shift is not None:
+            turn, xy, height = self.shift
+            x, y, z = point
+            if turn != 1:
+                turned = complex(x, y) * turn
+                x, y = turned.real, turned.imag
+            point = x + xy.real, y + xy.imag, z + height
+        if self.swung is not None:
+            point = self.swung.apply(np.array(point)).tolist()
+        return tuple(point)
+
+    @property
+    def skew(self) -> bool:
+        """Return whether the axes of the program are not those of the path."""
+        return self.tilt is not None or self.swung is not None
 
     def set_shift(self, shift: tuple[complex, complex, float] | None) -> None:
         """Give the moves that follow other coordinates; the tool stays where it is."""
         self.ends_contour("other coordinates")
+        swung, self.swung = self.swung, None  # which comes after the shift
         place = self.on_path(self.position)
-        self.shift = shift
+        self.shift, self.swung = shift, swung
         if shift is not None:
             turn, xy, height = shift
             x, y, z = place[0] - xy.real, place[1] - xy.imag, place[2] - height
@@ -99,8 +128,139 @@ class Machine:
             place = x, y, z
         self.position = list(place)
 
+    def set_tilt(self, tilt: Pose | None) -> None:
+        """Give the moves that follow the coordinates of a plane, None: those of the workpiece; the tool stays."""
+        self.ends_contour("other coordinates")
+        follows = self.follows_tip
+        self.follow_tip(True)
+        before, away = self.tilt or Pose(np.zeros(3), np.eye(3)), self.position[2] == TOP
+        place = (tilt.inverse() @ before if tilt else before).apply(np.array(self.position))
+        self.position = place.tolist() if all(map(math.isfinite, self.position)) else [math.nan] * 3
+        if away:
+            self.position[2] = TOP
+        self.tilt, self.cycle, self.along_plane = tilt, None, TOOL_DOWN
+        self.follow_tip(follows)
+        try:
+            if tilt is not None:
+                self.along_plane = tool_along(np.round(tilt.rotation[:, 2], 12))
+        except ValueError as fault:
+            self.program.refuse("", str(fault), lost=True)
+
+    def turn_to_plane(self) -> None:
+        """Turn the tool along z of the plane, in place."""
+        self.program.turn(self.along_plane)
+        self.angles = [0.0, 0.0] if self.tilt is None else [math.nan, math.nan]
+
     def go(self, end) -> None:
-        self.program.rapid(end if self.shift is None else self.on_path(end))
+        if self.turned_from is not None:
+            self.turned_from = None
+            self.program.quaternion = self._orientation(self.angles)
+            self.swung = self._swung(self.angles)
+        self.program.rapid(end if self.shift is None and not self.skew else self.on_path(end))
+
+    # --- rotary axes ---
+
+    def take_angles(self, axes: dict, home: bool = False) -> None:
+        """Take the words of the rotary axes out of a block: the tool turns along the move of this block.
+
+        home: the axes go to zero, whatever way their values state.
+        """
+        new = [*self.angles]
+        for k, letter in enumerate(self.kinematics.letters):
+            if letter in axes:
+                absolute = self.absolute.get(letter, not self.incremental)
+                value = axes.pop(letter) + (0.0 if absolute else new[k])
+                new[k] = 0.0 if home else value
+                self.turned_from = self.angles
+        self.angles = new
+        if self.turned_from is not None and self.side:
+            self.program.refuse("G41", "the tool turns while G41 or G42 is active", "write G40 before it", lost=True)
+
+    def end_turn(self) -> None:
+        """Turn in place where the block of ``take_angles`` has no move."""
+        if self.turned_from is None:
+            return
+        known = all(map(math.isfinite, self.position))
+        if self.mode in (None, 0) or not known:
+            self.go(tuple(self.position))
+        else:
+            self._feed_to(tuple(self.position), [tuple(self.position)], 0.0)
+        self.turned_from = None
+
+    def follow_tip(self, on: bool) -> None:
+        """Count coordinates from now on at the tip, or at the linear axes; the tool stays where it is."""
+        place, away = self.on_path(self.position), self.position[2] == TOP
+        self.follows_tip = on
+        before, self.swung = self.swung, self._swung(self.angles)
+        if before is None and self.swung is None:
+            return
+        if not all(map(math.isfinite, place)):
+            self.position = [math.nan, math.nan, TOP if away else math.nan]
+            return
+        self.position = (self.swung.inverse().apply(np.array(place)) if self.swung else np.array(place)).tolist()
+        shift, self.shift = self.shift, None
+        self.set_shift(shift)
+
+    def _swung(self, angles: list[float]) -> Pose | None:
+        off = self.follows_tip or self.tilt is not None or not any(angles) or not all(map(math.isfinite, angles))
+        return None if off else self.kinematics.tip(angles)
+
+    def _orientation(self, angles: list[float]) -> tuple[float, ...]:
+        """Return the orientation of the tool at angles [deg]; that of the plane where the tool is along it."""
+        if not all(map(math.isfinite, angles)):
+            return self.program.quaternion
+        axis = self.kinematics.tool_axis(angles)
+        rounding = 1e-3  # of angles with two decimals of a degree
+        if self.tilt is not None and math.dist(axis, self.tilt.rotation[:, 2]) < rounding:
+            return self.along_plane
+        try:
+            return tool_along([round(v, 12) for v in axis])
+        except ValueError as fault:
+            self.program.refuse("".join(self.kinematics.letters), str(fault), derived=True)
+            return self.program.quaternion
+
+    def _feed_turning(self, start, ends: list, length: float) -> None:
+        """Feed while the tool turns: by equal shares of angle and length, in steps of STEP.
+
+        Under G93 the block takes the stated time. Else the feed is that of the tip, which a control has that follows
+        the tip, or that of the linear axes, and of a turn alone deg a minute (LinuxCNC).
+        """
+        before, self.turned_from = self.turned_from or self.angles, None
+        change = [b - a for a, b in zip(before, self.angles, strict=True)]
+        most, degrees = max(map(abs, change)), math.hypot(*change)
+        if not degrees <= 255 or most > 180:
+            reason = "a rotary axis turns by more than 180 deg, or from an angle that is not known, in one feed move"
+            self.program.refuse("".join(self.kinematics.letters), reason, "turn it in a rapid move", lost=True)
+            return
+        # a turn about one axis alone is a shortest turn; the linear axes follow each turn on a curve
+        bend = math.sqrt(abs(change[0] * change[1])) if self.follows_tip else most
+        lengths = [math.dist(a, b) for a, b in zip([start, *ends], ends, strict=False)]
+        total, done, last = sum(lengths), 0.0, start
+        places: list[tuple[float, ...]] = []
+        turned = []
+        self.swung = self._swung(before)
+        first = self.on_path(start)
+        for end, part in zip(ends, lengths, strict=True):
+            share = part / total if total else 1.0 / len(ends)
+            count = max(1, math.ceil(share * bend / STEP - 1e-9))
+            for k in range(1, count + 1):
+                angles = [a + (done + share * k / count) * d for a, d in zip(before, change, strict=True)]
+                self.swung = self._swung(angles)
+                places.append(self.on_path([a + (b - a) * k / count for a, b in zip(last, end, strict=True)]))
+                turned.append(self._orientation(angles))
+            done, last = done + share, end
+        way = sum(math.dist(a, b) for a, b in zip([first, *places], places, strict=False))
+        holder = LEVER * math.radians(degrees)
+        feed = self._feed_rate(length or way or holder)
+        if feed and not self.follows_tip:
+            alone = way or holder if self.feed_mode == 93 else degrees * self.unit
+            feed *= (way or holder) / (length or alone)
+        if self.feed_mode == 93:
+            self.feed, self.no_feed = None, "G93 needs F in each line with a cutting move"
+        if feed:
+            self.program.cut(first, places, feed, 0.0, turned)
+        else:
+            self.program.refuse("F", self.no_feed if feed is None else "zero feed on a cutting move", derived=True)
 
     # --- what moves no tool through material ---
 
@@ -146,6 +306,7 @@ class Machine:
             self.position[2] = TOP
             self.go(self.tip)
             self.beside = 0j
+            self.program.away |= self.skew
         for axis in axes:
             if axis != "Z":
                 self.position[AXES[axis]] = math.nan
@@ -373,11 +534,23 @@ class Machine:
         return end[2] == start[2] or math.isnan(end[2]) or end[2] > 0
 
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
+        if self.turned_from is not None:
+            self._feed_turning(start, ends, length)
+            return
+        known = self.kinematics.letters and all(map(math.isfinite, self.angles))
+        free = known and self.tilt is None and self.cycle is None
+        if self.by_planes and not free and self.program.quaternion != self.along_plane:
+            reason = "the tool is not along z of the coordinates of this cut"
+            advice = "turn it before: G53.1, PLANE with MOVE or TURN, CYCLE800 with DIR, A0 B0 C0 after their end"
+            self.program.refuse(f"G{self.mode:g}", reason, advice, derived=True)
+            self.program.lost = True
+            return
+        curvature = 0.0 if self.skew else curvature
         feed = self._feed_rate(length if math.isfinite(length) else 0.0)
         if self.feed_mode == 93:
             self.feed, self.no_feed = None, "G93 needs F in each line with a cutting move"
         if feed:
-            if self.shift is not None:
+            if self.shift is not None or self.skew:
                 start, ends = self.on_path(start), [self.on_path(end) for end in ends]
             self.program.cut(start, ends, feed, curvature)
         elif length and feed == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -66,23 +67,35 @@ class ProgramBuilder(PathBuilder):
         if not self.active or any(map(math.isnan, end)):
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
+            turned, self.quaternion = self.quaternion, self._last_quaternion
             self.move((*self.last[:2], TOP), 0.0, True, self.line)
+            self.quaternion = turned
             self.move((*end[:2], TOP), 0.0, True, self.line)
         self.away = False
         self.move(end, 0.0, True, self.line)
 
-    def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0) -> None:
-        """Feed through points, from a start that is known."""
+    def turn(self, quaternion: tuple[float, ...]) -> None:
+        """Turn the tool: in place or, of a tool that was taken away, on its way to the next move."""
+        if quaternion == self.quaternion:
+            return
+        self.quaternion = quaternion
+        if self.active and self.last is not None and not self.away and self.last[2] != TOP:
+            self.move(self.last, 0.0, True, self.line)
+
+    def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0, turned: Sequence = ()) -> None:
+        """Feed through points, from a start that is known; turned: orientations at the points, empty: as before."""
         self.named = False
         self._before_change = len(self.comments)
         self._cuts[self.tool] += 1
         self._last_cut[self.tool] = self.line
         self._frames.setdefault(self._key, self.line)
         if not self.active:
+            self.quaternion = turned[-1] if turned else self.quaternion
             return
         if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
-        for end in ends:
+        for k, end in enumerate(ends):
+            self.quaternion = turned[k] if turned else self.quaternion
             self.move(end, feed, False, self.line, curvature)
 
     def cuts_from(self, place: list[float]) -> bool:

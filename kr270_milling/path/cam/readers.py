@@ -15,9 +15,11 @@ from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_ab
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import UNITS
 from kr270_milling.base.table import read_table
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import ProgramError, SourceProgram
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
+from kr270_milling.path.trajectory import tool_along
 
 __all__ = [
     "READERS",
@@ -35,15 +37,20 @@ __all__ = [
 LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_per_s")
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
 COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}
+COLUMNS |= {name: (name, 1.0) for name in "ijk"}
+HEADERS = ["x_mm,y_mm,z_mm,feed_mm_per_min", "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min",
+           "x_mm,y_mm,z_mm,i,j,k,feed_mm_per_min"]  # fmt: skip
 
 
 def read_points(path) -> Toolpath:
-    """Read a CSV of points; a, b, c are KUKA angles of tcp in the workpiece frame; the feed leads to its point."""
+    """Read a CSV of points; the feed leads to its point.
+
+    a, b, c are KUKA angles of tcp in the workpiece frame; i, j, k are the tool axis from tip to holder, ``tool_along``.
+    """
     table = read_table(path, COLUMNS, whole=True)
     names, scales = zip(*(COLUMNS[name] for name in table.names), strict=True)
-    if sorted(names) not in (sorted({"x", "y", "z", "feed"}), sorted(UNITS_OF)):
-        headers = "x_mm,y_mm,z_mm,feed_mm_per_min or x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min"
-        raise InputError(path, f"the header must be {headers}", 1)
+    if sorted(names) not in [sorted(COLUMNS[name][0] for name in header.split(",")) for header in HEADERS]:
+        raise InputError(path, f"the header must be {' or '.join(HEADERS)}", 1)
     builder = PathBuilder(path)
     for number, row in zip(table.lines, (table.numbers(table.names) * scales).tolist(), strict=True):
         values = dict(zip(names, row, strict=True))
@@ -55,6 +62,11 @@ def read_points(path) -> Toolpath:
         if "a" in values:
             rotation = rotation_from_abc([values["a"], values["b"], values["c"]])
             builder.quaternion = tuple(quaternion_from_rotation(rotation).tolist())
+        elif "i" in values:
+            try:
+                builder.quaternion = tool_along([values["i"], values["j"], values["k"]])
+            except ValueError as fault:
+                raise InputError(path, str(fault), number) from None
         builder.move(point, values["feed"], len(builder) == 0, number)
     _, length, _, time = next(name for name in table.names if name.startswith("feed")).split("_")
     unit = f"{length} a {'second' if time == 's' else 'minute'}"
@@ -85,13 +97,13 @@ class PathReader:
             raise InputError(path, "is not UTF-8 text") from None
 
 
-GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed", "offsets"))
+GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed", "offsets", "machine"))
 APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
 #: the reader of each kind of file, by the end of the name; ``cell.sections`` adds recordings, which are above this room
 READERS: dict[str, PathReader] = {
     **dict.fromkeys((".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt"), GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
-    ".h": PathReader("kr270_milling.path.cam.heidenhain", "read_heidenhain", ("tool", "feed")),
+    ".h": PathReader("kr270_milling.path.cam.heidenhain", "read_heidenhain", ("tool", "feed", "machine")),
     ".src": PathReader("kr270_milling.path.cam.krl.reader", "read_krl_program", ("tool", "feed")),
     ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
 }
@@ -138,39 +150,48 @@ def find_tool_path(name: str, beside: Path = Path()) -> Path:
 
 
 def read_path_file(
-    path, tool: str = "", topic: str = "", feed: float = 0.0, offsets: Sequence[float] = ()
+    path,
+    tool: str = "",
+    topic: str = "",
+    feed: float = 0.0,
+    offsets: Sequence[float] = (),
+    machine: Kinematics = NO_ROTARY_AXES,
 ) -> Toolpath | TimedPath:
     """Read a program, a CSV of points or a recording; raise InputError with the line number, or RecordingError.
 
     tool: "T1", of a program with several; topic: of a recording with several paths; feed [m/s]: for a file without
-    feed, 0 for none; offsets [m]: x, y, z of the work offsets G54, G55 ... of G-code in the workpiece frame.
+    feed, 0 for none; offsets [m]: x, y, z of the work offsets G54, G55 ... of G-code in the workpiece frame; machine:
+    for A, B, C of G-code and Heidenhain.
     """
     reader = reader_of(path)
     if len(offsets) and "offsets" not in reader.options:
         raise InputError(path, f"a {Path(path).suffix} file has no work offsets G54 to G59.3")
     if tool and "tool" not in reader.options:
         raise InputError(path, f"a {Path(path).suffix} file has no tools, so {tool} cannot be chosen")
-    options = {"tool": tool, "topic": topic, "feed": feed, "offsets": offsets}
+    options = {"tool": tool, "topic": topic, "feed": feed, "offsets": offsets, "machine": machine}
     return reader.read(path, **{name: options[name] for name in reader.options})
 
 
-def read_toolpath(path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = ()) -> Toolpath:
+def read_toolpath(
+    path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = (), machine: Kinematics = NO_ROTARY_AXES
+) -> Toolpath:
     """Read the tool path of a CAM program or of a CSV of points, as ``read_path_file``."""
-    toolpath = None if reader_of(path).recorded else read_path_file(path, tool, feed=feed, offsets=offsets)
+    recorded = reader_of(path).recorded
+    toolpath = None if recorded else read_path_file(path, tool, feed=feed, offsets=offsets, machine=machine)
     if not isinstance(toolpath, Toolpath):
         raise InputError(path, "is a recording, not a program")
     return toolpath
 
 
-def read_toolpaths(path, tool: str = "") -> list[Toolpath]:
+def read_toolpaths(path, tool: str = "", machine: Kinematics = NO_ROTARY_AXES) -> list[Toolpath]:
     """Read the tool paths of all tools that a CAM program cuts with, in its order, or of one.
 
     Raises as ``read_toolpath``.
     """
     try:
-        return [read_toolpath(path, tool)]
+        return [read_toolpath(path, tool, machine=machine)]
     except ProgramError as error:
         names = [known.name for known in error.program.tools if known.cuts]
         if tool or len(names) < 2 or not all(names):
             raise
-    return [read_toolpath(path, name) for name in names]
+    return [read_toolpath(path, name, machine=machine) for name in names]

@@ -81,6 +81,10 @@ def _is_method(kind) -> bool:
     return isinstance(kind, type) and hasattr(kind, "revise")
 
 
+def _is_object_with_revise(method) -> bool:
+    return not isinstance(method, type) and all(hasattr(method, n) for n in ("name", "smooth", "repeats", "revise"))
+
+
 @functools.cache
 def _plugged() -> dict[str, Method]:
     """Return the methods of other packages; raises ConfigError."""
@@ -98,8 +102,11 @@ def methods() -> dict[str, Method]:
 
 
 def method_of(method: str | Method) -> Method:
-    """Return a method by its name; a method object stays. Raises ParameterError for an unknown name."""
+    """Return a method by its name; a method object stays. Raises ParameterError for an unknown name or no method."""
     if not isinstance(method, str):
+        if not _is_object_with_revise(method):
+            wanted = "a name, or an object with name, smooth, repeats and the function revise"
+            raise ParameterError("method", method, wanted)
         return method
     known = methods()
     if method not in known:

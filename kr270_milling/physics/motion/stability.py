@@ -126,7 +126,7 @@ def _inverse_depths(
     gain = (modes.shape[:, :2] @ radial.T)[:, :, None] * (modes.shape @ force.T)[:, None]
     gain *= np.sqrt(step[:, None] * step)  # symmetric weights: the same eigenvalues, a smaller norm
     kernel = gain * np.exp(pole[:, None, None] * within) / (2j * damped[:, None, None])
-    kernel, decay = kernel.reshape(len(w), -1), np.exp(pole * delay)
+    decay = np.exp(pole * delay)
     # G has a kink at t = 0, where the rate of g jumps by 1: the rule is wrong by the square of the step / 12
     kink = np.where(within < 1e-6 * delay, gain.sum(0) * step / 12.0, 0.0)
 
@@ -134,19 +134,21 @@ def _inverse_depths(
     span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
     degree = math.ceil(3.6 * count / NODES) + 6  # for each wave, pi at least; 4.5 give limits that differ by 3e-5
     basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
+    shifts, shift = np.unique(turns, return_inverse=True)
+    parts = np.concatenate([kernel, kernel.conj(), kink[None]])
+    parts = parts[:, None] * (shift.reshape(count, count) == np.arange(shifts.size)[:, None, None])
+    parts = (basis.T @ parts @ basis).reshape(-1, basis.shape[1] ** 2)
+    decay = np.concatenate([decay, decay.conj(), [0.0]])
 
     def at(frequency: np.ndarray, least: float) -> np.ndarray:
-        values = np.zeros((frequency.size, basis.shape[1]), complex)
-        # numbers in the matrices of several frequencies at once
-        for part in np.array_split(np.arange(frequency.size), 1 + frequency.size * count**2 // 1_000_000):
-            mu = np.exp(1j * frequency[part] * delay)[:, None]
-            both = (1.0 / (1.0 - decay / mu)) @ kernel + (1.0 / (1.0 - decay.conj() / mu)) @ kernel.conj()
-            loop = (both.reshape(-1, count, count) + kink) * mu[..., None] ** turns
-            loop = (1.0 - 1.0 / mu)[..., None] * (basis.T @ loop @ basis)
-            # no eigenvalue is larger than the root of the norm of the square
-            # eigenvalues below 70 % of the least 1/a do not matter
-            large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (0.7 * least) ** 2
-            values[part[large]] = np.linalg.eigvals(loop[large])
+        mu = np.exp(1j * frequency * delay)[:, None]
+        factors = ((1.0 - 1.0 / mu) / (1.0 - decay / mu))[:, :, None] * mu[..., None] ** shifts
+        loop = (factors.reshape(frequency.size, -1) @ parts).reshape(-1, *basis.shape[1:] * 2)
+        # no eigenvalue is larger than the root of the norm of the square
+        # eigenvalues below 70 % of the least 1/a do not matter
+        large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (0.7 * least) ** 2
+        values = np.zeros(loop.shape[:2], complex)
+        values[large] = np.linalg.eigvals(loop[large])
         return values
 
     return at

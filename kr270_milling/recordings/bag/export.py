@@ -11,22 +11,17 @@ import math
 import operator
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError, RecordingError
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import FIXED
-from kr270_milling.recordings.messages.cdr import unpack_stamped
+from kr270_milling.recordings.messages.cdr import FIXED, TRAJECTORY, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import plain
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
-
-__all__ = ["Exported", "export", "rows"]
 
 MAX_FILES = 100  # most files of a topic; a new file begins when the columns change
 ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
@@ -41,25 +36,17 @@ POINT = [
 ]
 
 
-@dataclass
-class Exported:
-    """The written files, and the reason for each topic that was not written."""
-
-    files: list[Path] = field(default_factory=list)
-    refused: dict[str, str] = field(default_factory=dict)  #: topic -> sentence
-
-
 def export(
     recording: Recording,
     directory,
     topics: Collection[str] | None = None,
     progress: Callable | None = None,
     kind: str = "csv",
-) -> Exported:
+) -> tuple[list[Path], dict[str, str]]:
     """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
 
-    The result names each topic that cannot be read; the other topics are written. Raises RecordingError for an unknown
-    topic and a full disk, MillingError without pyarrow.
+    Returns the written files, and a sentence for each topic that cannot be read; the other topics are written. Raises
+    RecordingError for an unknown topic and a full disk, MillingError without pyarrow.
     """
     if kind == "parquet":
         require_extra("Parquet", "studies", "pyarrow")
@@ -67,12 +54,17 @@ def export(
     missing = sorted(set(topics or ()) - set(known))
     if missing:
         raise RecordingError(recording.path, f"has no topic {', '.join(missing)}")
-    result, exported = Exported(), 0
+    files: list[Path] = []
+    refused: dict[str, str] = {}
+    exported = 0
     try:
         Path(directory).mkdir(parents=True, exist_ok=True)
         for topic, about in known.items():
             if about.count and (topics is None or topic in topics):
-                _export_topic(recording, topic, Path(directory), kind, result)
+                try:
+                    files += _export_topic(recording, topic, Path(directory), kind, files)
+                except RecordingError as error:
+                    refused[topic] = str(error)
             exported += about.count
             if progress:
                 progress(exported, recording.count)
@@ -80,24 +72,21 @@ def export(
         raise RecordingError(directory, f"the tables cannot be written: {error.strerror or error}") from error
     except InputError as error:
         raise RecordingError(directory, error.reason) from error
-    return result
+    return files, refused
 
 
-def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, result: Exported) -> None:
+def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, taken: list[Path]) -> list[Path]:
     """Write the files of a topic: a new file each time the columns change. They appear when all are complete."""
     files: list[Path] = []
-    try:
-        with staged(directory) as (draft, _):
-            for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
-                if len(files) == MAX_FILES:
-                    raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-                files.append(_free_path(directory, topic, kind, [*result.files, *files]))
-                with open(draft / files[-1].name, "xb") as stream:
-                    WRITERS[kind](stream, columns, (cells for _, cells in alike))
-    except RecordingError as error:
-        result.refused[topic] = str(error)
-    else:
-        result.files += files
+    write = _write_csv if kind == "csv" else _write_parquet
+    with staged(directory) as (draft, _):
+        for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
+            if len(files) == MAX_FILES:
+                raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
+            files.append(_free_path(directory, topic, kind, [*taken, *files]))
+            with open(draft / files[-1].name, "xb") as stream:
+                write(stream, columns, (cells for _, cells in alike))
+    return files
 
 
 def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> Path:
@@ -131,9 +120,6 @@ def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
             group = pyarrow.table(dict(zip(columns, map(list, zip(*table, strict=True)), strict=True)), schema=schema)
             writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, group.schema))
             writer.write_table(group)
-
-
-WRITERS: dict[str, Callable] = {"csv": _write_csv, "parquet": _write_parquet}
 
 
 def _tables(rows: Iterable[list]) -> Iterator[list[list]]:

@@ -27,8 +27,6 @@ from mcap.summary import Summary
 
 from kr270_milling.recordings.bag.files import open_to_read
 
-__all__ = ["Attached", "Damage", "McapFile", "OnDamage", "RawMessage"]
-
 MAGIC = b"\x89MCAP0\r\n"
 LIMIT = 256 * 1024 * 1024  # [bytes] of a record, and of an unpacked chunk
 LATEST = 2**63  # [ns], in the year 2262; arrays of times are signed

@@ -8,46 +8,109 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
-import math
+import struct
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from mcap.records import Channel, Schema
 
 from kr270_milling.base.errors import InputError, RecordingError, nearest
-from kr270_milling.recordings.bag.files import find_recording, is_rosbag
-from kr270_milling.recordings.bag.mcap_file import Damage, McapFile, OnDamage, RawMessage
-from kr270_milling.recordings.bag.rosbag_file import RosbagFile
+from kr270_milling.base.units import SECOND
+from kr270_milling.recordings.bag.files import all_latched, find_recording, is_rosbag, read_qos, yaml_text
+from kr270_milling.recordings.bag.mcap_file import LATEST, Attached, Damage, McapFile, OnDamage, RawMessage
 from kr270_milling.recordings.messages.definitions import (
-    DEFINITION_ERRORS,
-    TYPE_NAME,
-    jazzy_store,
-    members,
-    read_message,
+    RecordedTopic,
+    definition,
+    make_decoder,
 )
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["RawMessage", "RecordedTopic", "Recording", "make_decoder", "remapping", "store_for"]
+
+class RosbagFile:
+    """The content of a recording, with the attributes of an ``McapFile``. Raises Damage."""
+
+    cut_off = False
+    profile = "ros2"
+    attachments: tuple[Attached, ...] = ()  # rosbag2 has none
+
+    def __init__(self, path: Path):
+        from rosbags.rosbag2 import Reader
+
+        self._faults = _faults()
+        try:
+            self._reader = Reader(path)
+            self._reader.open()
+        except self._faults as error:
+            raise Damage(f"cannot be read: {error}", 0) from error
+        self._connections = list(self._reader.connections)
+        files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+        self.size = sum(file.stat().st_size for file in files)
+        self.library = f"rosbag2 {self._reader.ros_distro or ''}".strip()
+        self.counts = Counter({c.id: c.msgcount for c in self._connections})
+        self.schemas = {c.id: Schema(c.id, *_definition_of(c)) for c in self._connections}
+        self.channels = {c.id: Channel(c.id, c.topic, "cdr", _qos_metadata(c), c.id) for c in self._connections}
+        custom = self._reader.storage.metadata.custom or {}
+        self.metadata = {"custom_data": {str(key): str(value) for key, value in custom.items()}} if custom else {}
+        count = self._reader.message_count
+        self.first = self._reader.start_time if count else None
+        self.last = self._reader.end_time - 1 if count else None
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def attachment(self, about: Attached) -> bytes:
+        raise Damage(f"has no attachment {about.name!r}", 0)
+
+    def messages(self, names: Mapping[int, str], on_damage: OnDamage | None = None) -> Iterator[RawMessage]:
+        """Yield the messages on some channels in the order of their times in each file. Raises Damage."""
+        chosen = [c for c in self._connections if c.id in names]
+        try:
+            for c, time, data in self._reader.messages(chosen) if chosen else ():
+                if not 0 <= time < LATEST:
+                    raise ValueError(f"a time of {time} ns is not between 1970 and 2262")
+                yield RawMessage(names[c.id], time, time, bytes(data), c.id)
+        except self._faults as error:
+            damage = Damage(f"cannot be read to its end: {error}", 0)
+            if on_damage is None:
+                raise damage from error
+            on_damage(damage, 0)
+
+
+def _faults() -> tuple[type[BaseException], ...]:
+    """Return the errors of rosbags and of the libraries that rosbags uses, for a damaged recording."""
+    import apsw
+    from rosbags.rosbag2 import ReaderError, reader
+
+    # code that meets a field of another type in a damaged file, SQLite, the decompressors
+    code = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, struct.error)
+    system = (OSError, RuntimeError, EOFError, MemoryError)
+    return (*code, *system, ReaderError, apsw.Error, reader.zstd.ZstdError)
+
+
+def _definition_of(connection) -> tuple[bytes, str, str]:
+    """Return data, encoding and name of a type; a database of an old version has no definitions."""
+    text, kind = connection.msgdef.data, connection.msgdef.format.name
+    if kind == "NONE":
+        try:
+            text, kind = definition(connection.msgtype), "MSG"
+        except RecordingError:
+            text = ""
+    encoding = {"MSG": "ros2msg", "IDL": "ros2idl"}.get(kind, "")
+    return text.encode(), encoding, connection.msgtype
+
+
+def _qos_metadata(connection) -> dict[str, str]:
+    """Return the metadata of a channel as rosbag2 writes them into an MCAP file."""
+    from rosbags.rosbag2.metadata import dump_qos_v9
+
+    profiles = yaml_text(dump_qos_v9(connection.ext.offered_qos_profiles)).strip()
+    return {"offered_qos_profiles": profiles, "topic_type_hash": connection.digest}
+
 
 OWN = tuple(topic.name for topic in TOPICS if not topic.name.startswith("/"))
-
-
-#: [bytes] of a message with lists of messages or texts: Python's objects take about twenty times as much
-MOST_OBJECTS = 4 * 1024 * 1024
-
-
-@dataclasses.dataclass(frozen=True)
-class RecordedTopic:
-    """A topic of a recording; ``schema`` is the message definition."""
-
-    type: str
-    count: int
-    encoding: str
-    schema: str
-    schema_encoding: str
-    metadata: dict[str, str]
 
 
 class Recording:
@@ -179,69 +242,6 @@ class Recording:
         self.close()
 
 
-@functools.lru_cache(maxsize=64)
-def store_for(type_name: str, text: str):
-    """A type store that knows a type as the text of a recording defines it.
-
-    Raises ValueError for an unusable text, and the errors in DEFINITION_ERRORS.
-    """
-    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
-
-    if not TYPE_NAME.fullmatch(type_name) or len(text) > 256 * 1024:  # characters of a definition
-        raise ValueError(f"{type_name[:80]!r} is not defined by {len(text)} characters")
-    try:
-        types = get_types_from_msg(text, type_name)
-        if all(jazzy_store().fielddefs.get(name) == fields for name, fields in types.items()):
-            return jazzy_store()
-        for name, is_message, kind, length in (member for fields in types.values() for member in members(fields)):
-            # rosbags generates a line of code for each item of an array of fixed length of texts or messages
-            most = 1000 if is_message or kind == "string" else 2**31
-            if length not in (None, math.inf) and not 1 <= length <= most:
-                raise ValueError(f"{name} is an array of {length} items")
-        store = get_typestore(Stores.EMPTY)
-        store.register(types)
-    except TypesysError as error:
-        raise ValueError(str(error)[:200]) from None
-    return store
-
-
-def make_decoder(path, name: str, topic: RecordedTopic) -> Callable[[bytes], object]:
-    """A function from the bytes of a message to an object with the fields as attributes.
-
-    path, name: of the file and the topic, for messages. Both functions raise RecordingError.
-    """
-    if topic.encoding != "cdr" or topic.schema_encoding != "ros2msg":
-        what = f"{topic.encoding or 'an unnamed encoding'} with a {topic.schema_encoding or 'missing'} schema"
-        raise RecordingError(path, f"{name} holds {what}, but only cdr with ros2msg can be decoded")
-    try:
-        store = store_for(topic.type, topic.schema)
-        store.get_msgdef(topic.type)
-    except DEFINITION_ERRORS as error:
-        raise RecordingError(path, f"the definition of {topic.type} cannot be used") from error
-    limited = _has_lists(store, topic.type)
-
-    def decode(data: bytes):
-        if limited and len(data) > MOST_OBJECTS:
-            reason = f"a message on {name} has {len(data)} bytes, more than {MOST_OBJECTS} to be decoded"
-            raise RecordingError(path, reason)
-        try:
-            return read_message(store, topic.type, data)
-        except (ValueError, MemoryError, RecursionError) as error:
-            raise RecordingError(path, f"a message on {name} is not a {topic.type}") from error
-
-    return decode
-
-
-def _has_lists(store, type_name: str, outer: frozenset = frozenset()) -> bool:
-    """Return whether a message may hold a list of messages or texts, itself or in a message within it."""
-    for _, is_message, kind, length in members(store.fielddefs[type_name]):
-        if length == math.inf and (is_message or kind == "string"):
-            return True
-        if is_message and kind not in outer and _has_lists(store, kind, outer | {type_name}):
-            return True
-    return False
-
-
 def remapping(rules: Iterable[str]) -> dict[str, str]:
     """Return our name -> recorded name of rules such as ``wrench:=force/measured``; raise InputError.
 
@@ -276,3 +276,36 @@ def own_name(topic: str, remap: Mapping[str, str], namespaces: Collection[str]) 
 def namespaces_of(topics: Iterable[str]) -> set[str]:
     """Return the namespaces that may be those of robots: of every topic with one of our names."""
     return {space for space, _, name in (topic.rpartition("/") for topic in topics) if name in OWN}
+
+
+def is_latched(about: RecordedTopic) -> bool:
+    """Return whether every publisher of a recorded topic repeats its last message for late subscribers."""
+    return all_latched(read_qos(about.metadata.get("offered_qos_profiles", "")))
+
+
+def span(recording: Recording, start_offset: float, duration: float | None) -> tuple[int, int]:
+    """Return first and last log time [ns] of a playback; offset and duration (None: to the end) in s."""
+    first = next((message.log_time for message in recording.messages()), 0)
+    start, last = first + round(start_offset * SECOND), recording.last_log_time or 0
+    return start, last if duration is None else min(last, start + round(duration * SECOND))
+
+
+def playback(recording: Recording, topics: Collection[str], start: int, end: int) -> Iterator[RawMessage]:
+    """Yield the messages of some topics with log times from ``start`` to ``end``, in the order of the file.
+
+    The last message before on each latched topic comes first, as for a late subscriber. The times never decrease, also
+    where messages of another recorder are not in the order of their log times. Raises RecordingError.
+    """
+    known, latest = recording.topics(), 0
+    before: dict[str, RawMessage] = {}  # the last message before the start, of latched topics
+    for message in recording.messages(topics):
+        latest = max(latest, message.log_time)
+        if latest > end:
+            break
+        if latest >= start:
+            yield from before.values()
+            before.clear()
+            yield message._replace(log_time=latest)
+        elif is_latched(known[message.topic]):
+            before[message.topic] = message
+    yield from before.values()

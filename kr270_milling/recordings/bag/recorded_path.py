@@ -7,8 +7,6 @@ and in headings of planners, they do not describe a tool, and the tool is vertic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from kr270_milling.base.errors import RecordingError
@@ -17,22 +15,9 @@ from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.cdr import Cursor
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY, TrajectoryRecord, read_trajectory
-
-__all__ = ["PATH", "PathRecord", "read_path", "read_recorded"]
+from kr270_milling.recordings.messages.cdr import TRAJECTORY, Cursor, TrajectoryRecord, read_trajectory
 
 PATH = "nav_msgs/msg/Path"
-
-
-@dataclass(frozen=True, eq=False)
-class PathRecord:
-    """A nav_msgs/Path with n poses."""
-
-    frames: tuple[str, ...]  #: frame of the message, then those of its poses, each once
-    time: np.ndarray  #: [ns], (n,) int64, the stamps
-    position: np.ndarray  #: [m], (n, 3)
-    quaternion: np.ndarray  #: x y z w, (n, 4)
 
 
 def read_recorded(path, topic: str = "", feed: float = 0.0) -> Toolpath | TimedPath:
@@ -45,7 +30,7 @@ def read_recorded(path, topic: str = "", feed: float = 0.0) -> Toolpath | TimedP
         try:
             data = _message(recording, topic)
             if kind == PATH:
-                return _toolpath(read_path(data), feed)
+                return _toolpath(data, feed)
             return _timed(read_trajectory(data))
         except (ValueError, TrajectoryError) as error:
             reason = getattr(error, "reason", error)
@@ -80,8 +65,12 @@ def _message(recording: Recording, topic: str) -> bytes:
     return first
 
 
-def read_path(data: bytes) -> PathRecord:
-    """Read one serialised nav_msgs/Path; raises ValueError for other bytes."""
+def read_path(data: bytes) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
+    """Read one serialised nav_msgs/Path with n poses; raises ValueError for other bytes.
+
+    Returns the frame of the message and those of its poses, each once; stamps [ns], (n,) int64; positions [m], (n, 3);
+    quaternions x y z w, (n, 4).
+    """
     cursor = Cursor(data)
     cursor.number("i"), cursor.number("I")
     frames = {cursor.string(): None}
@@ -96,19 +85,20 @@ def read_path(data: bytes) -> PathRecord:
         cursor.align(8)
         numbers[k] = np.frombuffer(data, cursor.order + "f8", 7, cursor.skip(56))
     cursor.finish()
-    return PathRecord(tuple(frames), time, numbers[:, :3], numbers[:, 3:])
+    return tuple(frames), time, numbers[:, :3], numbers[:, 3:]
 
 
-def _toolpath(path: PathRecord, feed_rate: float) -> Toolpath:
-    _expect_frame(path.frames[0], *filter(None, path.frames[1:]))  # an empty frame is the frame of the message
-    chosen = _moving(path.position)
-    feed = np.append(0.0, _feeds(path, chosen[1:], feed_rate))
-    return _blocks(chosen, path.position, _orientations(path.quaternion), feed, np.zeros(len(chosen)))
+def _toolpath(data: bytes, feed_rate: float) -> Toolpath:
+    frames, time, position, quaternion = read_path(data)
+    _expect_frame(frames[0], *filter(None, frames[1:]))  # an empty frame is the frame of the message
+    chosen = _moving(position)
+    feed = np.append(0.0, _feeds(time, position, chosen[1:], feed_rate))
+    return _blocks(chosen, position, _orientations(quaternion), feed, np.zeros(len(chosen)))
 
 
-def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
+def _feeds(time: np.ndarray, position: np.ndarray, moves: np.ndarray, feed_rate: float) -> np.ndarray:
     """Feed [m/s], (n - 1,), from each pose to the next."""
-    step = np.diff(path.time)
+    step = np.diff(time)
     if not step.any():
         if not feed_rate > 0.0:
             raise ValueError("its poses all have one stamp, so they give no feed; set path.feed_rate_m_per_min")
@@ -117,7 +107,7 @@ def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
     if bad.any():
         k = int(np.argmax(bad))
         raise ValueError(f"pose {k + 2} needs a later stamp than the pose before")
-    length = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
+    length = np.linalg.norm(np.diff(position, axis=0), axis=1)
     feed = length / np.maximum(step, 1) * 1e9
     if not feed.max() <= REACH:
         k = int(np.argmax(feed))

@@ -15,10 +15,6 @@ from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
-__all__ = ["Recovered", "findings", "recover"]
-
-MOST = 20  # sentences
-
 
 @dataclass
 class Recovered:
@@ -152,7 +148,7 @@ def findings(recording: Recording, progress: Callable[[int, int], None] | None =
         different = any(counts[channel] != count for channel, count in stated.channel_message_counts.items())
         if different or stated.message_count != counts.total():
             sentences.append("the counts of messages at the end are not those of the messages")
-    return sentences[:MOST]
+    return sentences[:20]
 
 
 def _attachment_damage(recording: Recording, name: str) -> str:

@@ -16,12 +16,10 @@ from mcap.writer import CompressionType, Writer
 from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.version import __version__
-from kr270_milling.recordings.bag import bagmeta
-from kr270_milling.recordings.bag.gaps import SHARED, GapCounter, PassStarts
+from kr270_milling.recordings.bag import files
+from kr270_milling.recordings.bag.info import SHARED, GapCounter, PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import definition, starts_with_stamp, type_hash
-
-__all__ = ["BagWriter", "MessageRefused", "WrittenChannel"]
 
 CHUNK_PERIOD = 0.2  # [s]; a SIGKILL loses the messages of this time
 
@@ -51,13 +49,6 @@ class WrittenChannel:
         return dict(count=self.count, **(self.gaps.as_dict() if self.stamped else {}), **refused)
 
 
-def plain_name(path, name: str) -> str:
-    """Return ``name`` if it is the name of a file without a directory. Raises RecordingError."""
-    if not name or name in (".", "..") or "/" in name or "\0" in name or len(name.encode()) > 200:
-        raise RecordingError(path, f"{name[:80]!r} is not a file name")
-    return name
-
-
 class Output:
     """``directory/name.mcap`` for mcap's Writer.
 
@@ -66,7 +57,7 @@ class Output:
     """
 
     def __init__(self, directory: Path, name: str, chunk_size: int):
-        self.path = directory / f"{plain_name(directory, name)}.mcap"
+        self.path = directory / f"{name}.mcap"
         self.error: RecordingError | None = None
         self.count = self.saved = 0  #: messages given to mcap's Writer, and messages in the file
         self._file = self._create()
@@ -198,7 +189,7 @@ class BagWriter:
             if known != type_name:
                 raise RecordingError(self.path, f"{topic} is recorded as {known} and cannot be {type_name} as well")
             return self.topics[topic]
-        about = {"offered_qos_profiles": bagmeta.qos_text(qos), "topic_type_hash": type_hash(type_name)}
+        about = {"offered_qos_profiles": files.qos_text(qos), "topic_type_hash": type_hash(type_name)}
         return self.add_channel(topic, (type_name, "ros2msg", definition(type_name).encode()), "cdr", about)
 
     def add_channel(self, topic: str, schema: tuple[str, str, bytes], encoding: str, about: dict) -> int:
@@ -208,9 +199,9 @@ class BagWriter:
             self._schemas[schema] = self.output.mcap.register_schema(*schema) if schema[0] else 0
         number = self.output.mcap.register_channel(topic, encoding, self._schemas[schema], about)
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
-        profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
+        profiles = files.read_qos(about.get("offered_qos_profiles", ""))
         digest = about.get("topic_type_hash", "")
-        gaps = GapCounter(self._starts.of(topic), bagmeta.all_latched(profiles))
+        gaps = GapCounter(self._starts.of(topic), files.all_latched(profiles))
         self.channels[number] = WrittenChannel(number, topic, schema[0], encoding, profiles, digest, stamped, gaps)
         self.topics.setdefault(topic, number)
         return number
@@ -265,14 +256,14 @@ class BagWriter:
             return
         for channel in self.channels.values():
             channel.gaps.finish()
-        about = bagmeta.bag_information(self.path.name, self.channels.values(), self.start or 0, self.end, self._custom)
+        about = files.bag_information(self.path.name, self.channels.values(), self.start or 0, self.end, self._custom)
         self.flush()
         self.add_metadata("kr270_milling.counts", {k: json.dumps(v) for k, v in self.report().items()})
-        self.add_metadata("rosbag2", {"serialized_metadata": bagmeta.yaml_text(about)})
+        self.add_metadata("rosbag2", {"serialized_metadata": files.yaml_text(about)})
         self.output.mcap.finish()
         self.output.close()
         neighbour = self.path.with_name("metadata.yaml")
-        text = bagmeta.yaml_text({"rosbag2_bagfile_information": about})
+        text = files.yaml_text({"rosbag2_bagfile_information": about})
         try:
             write_files({neighbour: (text.encode(),)})
         except InputError as error:

@@ -28,20 +28,8 @@ from kr270_milling.base.samples import (
 )
 from kr270_milling.base.units import SECOND
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.recordings.messages.cdr import LITTLE, pack_stamped, unpack_stamped
+from kr270_milling.recordings.messages.cdr import LITTLE, TRAJECTORY, pack_stamped, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import deserialise, store_of
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
-
-__all__ = [
-    "deserialise",
-    "from_bytes",
-    "named",
-    "serialise",
-    "time_fields",
-    "to_bytes",
-    "trajectory_from_bytes",
-    "type_of",
-]
 
 
 def serialise(type_name: str, fields: Mapping) -> bytes:
@@ -165,14 +153,6 @@ def named(axes: str, values) -> dict:
     return dict(zip(axes, map(float, values), strict=True))
 
 
-def _joints(record: JointSample) -> dict:
-    return {"header": _header(record.stamp, ""), "name": list(record.names), "position": record.position}
-
-
-def _read_joints(msg) -> JointSample:
-    return JointSample(_ns(msg.header.stamp), tuple(msg.name), msg.position)
-
-
 def _program(record: JointProgram) -> dict:
     points = []
     for i, ns in enumerate(record.time.tolist()):
@@ -270,7 +250,11 @@ KINDS = {
     PoseSample: _stamped("geometry_msgs/msg/PoseStamped", PoseSample, 3, 4),
     WrenchSample: _stamped("geometry_msgs/msg/WrenchStamped", WrenchSample, 6),
     TwistSample: _stamped("geometry_msgs/msg/TwistStamped", TwistSample, 6),
-    JointSample: _stored("sensor_msgs/msg/JointState", _joints, _read_joints),
+    JointSample: _stored(
+        "sensor_msgs/msg/JointState",
+        lambda r: {"header": _header(r.stamp, ""), "name": list(r.names), "position": r.position},
+        lambda msg: JointSample(_ns(msg.header.stamp), tuple(msg.name), msg.position),
+    ),
     ClockSample: _stored(
         "rosgraph_msgs/msg/Clock", lambda r: {"clock": time_fields(r.stamp)}, lambda msg: ClockSample(_ns(msg.clock))
     ),

@@ -18,8 +18,6 @@ from kr270_milling.base.samples import (
 )
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["COMPENSATOR", "CUT", "RECORDER", "ROBOT", "TOPICS", "Topic", "published_by", "topic_table"]
-
 ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "trajectory_compensator", "recorder"
 
 

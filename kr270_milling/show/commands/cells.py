@@ -14,11 +14,13 @@ from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.record import build, read_tree
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.draft import draft_text, straight_text, tools_text
 from kr270_milling.cell.keys import keys_of, schema
 from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.path.cam.readers import read_toolpaths
+from kr270_milling.path.kinematics import Kinematics
 from kr270_milling.physics.robot.analysis import analyse, read_arm
 from kr270_milling.show.commands.console import Answer
 
@@ -26,11 +28,11 @@ from kr270_milling.show.commands.console import Answer
 def run_init(args) -> Answer:
 
     robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
-    find_file(robot)
+    machine = build(Kinematics, read_tree(find_file(robot)).get("machine", {}), robot, "machine.")
     if args.gcode is None:
         text, program, warnings = straight_text(robot), None, []
     else:
-        paths = read_toolpaths(args.gcode, args.tool)
+        paths = read_toolpaths(args.gcode, args.tool, machine)
         program, file, folder = paths[0].program, Path(args.gcode).resolve(), Path(args.out or ".").resolve().parent
         if args.out and file.is_relative_to(folder):  # the cell names a program below its folder by the relative path
             file = file.relative_to(folder)

@@ -46,11 +46,12 @@ from kr270_milling.show.commands.console import (
     command_line,
     joints_text,
     now,
+    steps,
+    title_of,
 )
-from kr270_milling.show.commands.progress import steps, title_of
 from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
-from kr270_milling.show.report.tools_page import tools_page
+from kr270_milling.show.report.study_page import tools_page
 from kr270_milling.studies.identification.measured_part import learn, learned_keys, read_part
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"

@@ -23,15 +23,17 @@ from kr270_milling.physics.cutting.materials import find_material, materials
 from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.recordings.bag.reader import Recording, remapping
-from kr270_milling.show.commands.console import Answer
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.console import Answer, progress
 from kr270_milling.show.commands.reports import STAMPS
-from kr270_milling.show.report.identification.comparison import comparison_outcome
-from kr270_milling.show.report.identification.compliance import compliance_outcome
+from kr270_milling.show.report.identification.comparison import comparison_outcome, wall_outcome
+from kr270_milling.show.report.identification.compliance import (
+    compliance_outcome,
+    plan_as_dict,
+    plan_tables,
+    write_plan,
+)
 from kr270_milling.show.report.identification.forces import force_outcome, material_outcome
 from kr270_milling.show.report.identification.modes import mode_outcome
-from kr270_milling.show.report.identification.plan import plan_as_dict, plan_tables, write_plan
-from kr270_milling.show.report.identification.wall import wall_outcome
 from kr270_milling.studies.identification import comparison, modes
 from kr270_milling.studies.identification import forces as laws
 from kr270_milling.studies.identification import plan as load_tests

@@ -9,15 +9,13 @@ import argparse
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from kr270_milling.base.arguments import Parser, bounded, grid, numbers, stretch, words
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.arguments import PLAY, Parser, bounded, grid, numbers, stretch, words
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.version import __version__
-from kr270_milling.live.nodes.play_arguments import PLAY
 
 if TYPE_CHECKING:
     from kr270_milling.show.commands.console import Answer
 
-__all__ = ["COMMANDS", "make_parser", "run"]
 
 MOTIONS = ("LIN", "SPLINE")
 POSTURE = numbers(6, most=720.0)
@@ -78,13 +76,13 @@ def run(args: argparse.Namespace) -> Answer:
         case "sweep", _:
             from kr270_milling.show.commands.studies import run_sweep as command
         case "demo", _:
-            from kr270_milling.show.commands.demo import run_demo as command
+            from kr270_milling.show.commands.run import run_demo as command
         case "keys", _:
             from kr270_milling.show.commands.cells import run_keys as command
         case "stiffness", _:
             from kr270_milling.show.commands.cells import run_stiffness as command
         case "stability", _:
-            from kr270_milling.show.commands.stability import run_stability as command
+            from kr270_milling.show.commands.studies import run_stability as command
         case "compare", _:
             from kr270_milling.show.commands.identify import run_compare as command
         case "rsi", _:

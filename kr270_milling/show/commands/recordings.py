@@ -8,15 +8,14 @@ from pathlib import Path
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import InputError, one_line
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.units import seconds
 from kr270_milling.recordings.bag import info as bag_info
 from kr270_milling.recordings.bag.export import export as export_files
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.bag.recover import recover as recover_file
-from kr270_milling.show.commands.console import Answer
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.console import Answer, progress
 
 
 def run_info(args) -> Answer:
@@ -44,8 +43,8 @@ def run_export(args) -> Answer:
         for directory, kind in ((args.csv, "csv"), (args.parquet, "parquet")):
             if directory:
                 written = export_files(recording, directory, args.topics, report, kind)
-                files += written.files
-                refused |= written.refused
+                files += written[0]
+                refused |= written[1]
         first, last = recording.first_log_time or 0, recording.last_log_time or 0
     about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
     for sentence in () if args.json else refused.values():

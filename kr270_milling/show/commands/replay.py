@@ -5,13 +5,12 @@ from __future__ import annotations
 from kr270_milling.base.arguments import UsageError
 from kr270_milling.base.column import as_dict, table_of
 from kr270_milling.base.errors import one_line
-from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.exchange.replay.revisions import compensate_recording
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.recordings.bag.reader import remapping
-from kr270_milling.show.commands.console import Answer, output_directory
-from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.console import Answer, output_directory, progress
 
 PUBLISHED: dict = {
     True: "identical to what the node published",

@@ -16,8 +16,7 @@ from kr270_milling.exchange.replay.recorded import RecordedFacts, passes_from_re
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.recordings.bag.files import find_recording
 from kr270_milling.recordings.bag.reader import remapping
-from kr270_milling.show.commands.console import Answer, command_line, now, output_directory, say_replaced
-from kr270_milling.show.commands.progress import steps
+from kr270_milling.show.commands.console import Answer, command_line, now, output_directory, say_replaced, steps
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.series import write_series
 

@@ -9,15 +9,14 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from kr270_milling.base.arguments import STOPS
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import fresh_directory
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.base.process import STOPS
 from kr270_milling.cell.cell_file import cell_text, read_cell
 from kr270_milling.cell.models import arm_of
 from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
-from kr270_milling.live.rsi.recording import RsiRecording
-from kr270_milling.live.rsi.session import RsiSession, open_socket, real_time
+from kr270_milling.live.rsi.session import RsiRecording, RsiSession, open_socket, real_time
 from kr270_milling.live.rsi.telegram import Elements, read_elements
 from kr270_milling.show.commands.console import Answer, command_line, shown_path
 

@@ -1,29 +1,31 @@
-"""The commands on all cores: ``map`` (where to clamp the part, how to turn the tool) and ``sweep`` (any keys)."""
+"""Studies: ``stability`` (lobes), ``map`` (where to clamp the part, how to turn the tool) and ``sweep`` (any keys)."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import columns_of, table_of
+from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of
+from kr270_milling.decide.stability import FeatureLimit, feature_limits, modes_of
 from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.cdr import TRAJECTORY
 from kr270_milling.recordings.messages.codec import to_bytes
-from kr270_milling.recordings.messages.trajectory import TRAJECTORY
-from kr270_milling.show.commands.console import Answer, output_directory, shown_path
-from kr270_milling.show.commands.progress import progress, steps
-from kr270_milling.show.report.placements import gain_text, write_map
-from kr270_milling.show.report.sweep import sweep_tables, write_sweep
+from kr270_milling.show.commands.console import Answer, output_directory, progress, shown_path, steps
+from kr270_milling.show.report.study_page import gain_text, sweep_tables, write_lobes, write_map, write_sweep
 from kr270_milling.studies.maps import along as turning
 from kr270_milling.studies.maps.engine import Study, content, run_chunks
+from kr270_milling.studies.maps.lobes import engagement_text, lobes
 from kr270_milling.studies.maps.placements import (
     PlacementRow,
     Placements,
@@ -38,10 +40,60 @@ from kr270_milling.studies.maps.placements import (
 )
 from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
+SHOWN = 24  #: rows of the printed table
+OTHERS = (
+    "the path itself: check and --along take the engagement, feed direction and posture of each feature, so that their "
+    "limits differ from the lobes"
+)
+
+
+def _rigid(cell) -> str:
+    """Return the words about a limit without ``tool.modes``."""
+    return "" if cell.tool.modes.frequency.size else ", with tool and spindle taken as rigid (no tool.modes)"
+
+
+def run_stability(args) -> Answer:
+
+    cell = read_cell(find_file(args.cell), args.set)
+    about = {"cell": args.cell, "arm": not args.no_arm}
+    if args.along:
+        rows = list(map(as_dict, feature_limits(cell, not args.no_arm)))
+        rpm = cell.tool.spindle_speed * 30.0 / math.pi
+        title = f"Limit depth along the path, as in check, at {rpm:.0f} rpm{_rigid(cell)}"
+        *engagement, stable = columns_of(FeatureLimit)
+        columns = *engagement, *columns_of(Lobe)[1:], stable
+        return Answer(about | {"features": rows}, [table_of(title, columns, rows)])
+    nominal = cell.tool.spindle_speed * 30.0 / math.pi
+    low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, 60)
+    with progress("stability") as report:
+        speeds = (np.linspace(low, high, count) * np.pi / 30.0).tolist()
+        results = lobes(path_of(cell), cell.cutting, modes_of(cell, not args.no_arm), speeds, report)
+    rows = list(map(as_dict, results))
+    (_, speed, speed_text), (_, depth, depth_text), _ = shown = columns_of(Lobe)
+    best = max(rows, key=lambda row: row[depth])
+    summary = f"deepest stable cut: {depth_text(best[depth])} mm at {speed_text(best[speed])} rpm{_rigid(cell)}"
+    files = _write_lobes(args, cell, rows, summary) if args.out else []
+    about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
+    cut = engagement_text(cell.path)
+    title = f"Stability lobes of {cut} (path.radial_immersion, path.mode) at the start of the path"
+    table = table_of(title, shown, rows[:: max(1, -(-len(rows) // SHOWN))])
+    return Answer(about, [table, summary, OTHERS, *files])
+
+
+def _write_lobes(args, cell, rows: list[dict], summary: str) -> list[str]:
+    """Write table and page; return their paths."""
+    with staged(args.out) as (draft, final):
+        table = draft / "lobes.csv"
+        text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
+        table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
+        page = write_lobes(
+            draft, cell, Path(args.cell).name, rows, summary, arm=not args.no_arm, self_contained=args.self_contained
+        )
+        return [str(final(table)), str(final(page))]
+
+
 STUDIES = ("pyarrow", "dask", "distributed")  #: Dask with --scheduler only
 READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
-BEST = 5  #: placements that are written as cells
-TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
 
 
@@ -72,7 +124,7 @@ def run_map(args) -> Answer:
         share = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
         with whole("map") as report:
             seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
-    summary = Summary(axes[0], axes[1], BEST)
+    summary = Summary(axes[0], axes[1], 5)  # placements that are written as cells
     for table in study.tables(placements.chunks):
         summary.add(table)
     cells = write_cells(args.out, source, args.set, placements, summary.best, cell.posture_key)
@@ -111,7 +163,7 @@ def _along(args) -> Answer:
     turns = turning.Turns(
         arm_of(cell), places_at(path_of(cell), simulated, chosen), step, np.degrees(1e-6 * args.smooth)
     )
-    grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
+    grid = np.radians(np.linspace(*(args.tool_turn or (-180.0, 180.0, 73))))
     path, same, own = (
         turning.best_turns(turns, grid),
         turning.constant_turn(turns, grid),

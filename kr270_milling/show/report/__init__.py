@@ -18,14 +18,13 @@ from kr270_milling.decide.check import Checked
 from kr270_milling.decide.decision import Decision
 from kr270_milling.decide.part import PartAssessment, assess_all
 from kr270_milling.decide.tolerance import judge
+from kr270_milling.show.report import page
 from kr270_milling.show.report import tables as texts
-from kr270_milling.show.report.assumptions import assumptions
 from kr270_milling.show.report.decision_block import asked, finding_rows, judged, tiles
-from kr270_milling.show.report.linked import linked, part_surface
-from kr270_milling.show.report.page import page
-from kr270_milling.show.report.robot_model import robot_model
+from kr270_milling.show.report.linked import linked, part_surface, robot_model
 from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.straight_cut import charts_of
+from kr270_milling.show.report.tables import assumptions
 
 __all__ = ["report_text", "write_report", "write_report_page", "write_series"]
 

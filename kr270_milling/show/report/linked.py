@@ -11,15 +11,16 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_closing
 
+from kr270_milling.cell.arm import PlacedArm, commanded_joints
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.part import PartAssessment
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.settings import CompensationSettings
+from kr270_milling.physics.cutting import Stock
+from kr270_milling.physics.robot.urdf import COLOURS, urdf
+from kr270_milling.physics.robot.urdf_links import links_of
 from kr270_milling.show.report.charts import envelope_index, stations
-
-__all__ = ["linked", "part_surface"]
-
-LONGEST = 160  #: characters of a source line
-MOST_LINES = 4000  #: lines of the source; a longer source is cut to the lines with a station
 
 
 def linked(
@@ -79,7 +80,7 @@ def _series(scored: ScoredPass, part: PartAssessment) -> np.ndarray:
 
 
 def _source(file: str, used: np.ndarray, program: str | None) -> list[dict]:
-    """Return the lines of the tool path file or its text: all of a short file, else the used lines."""
+    """Return the lines of the tool path file or its text: all of up to 4000 lines, else those with a station."""
     if not used.any():
         return []
     if program is None:
@@ -88,8 +89,8 @@ def _source(file: str, used: np.ndarray, program: str | None) -> list[dict]:
         except OSError:  # it was attached to a recording
             return []
     lines = program.splitlines()
-    wanted = range(1, len(lines) + 1) if len(lines) <= MOST_LINES else np.unique(used[used > 0]).tolist()
-    return [{"number": n, "text": lines[n - 1][:LONGEST]} for n in wanted if n <= len(lines)]
+    wanted = range(1, len(lines) + 1) if len(lines) <= 4000 else np.unique(used[used > 0]).tolist()
+    return [{"number": n, "text": lines[n - 1][:160]} for n in wanted if n <= len(lines)]
 
 
 def part_surface(parts: Sequence[PartAssessment]) -> dict:
@@ -128,3 +129,24 @@ def _largest(blocks: np.ndarray) -> np.ndarray:
     size = np.where(np.isnan(blocks), -1.0, np.abs(blocks))
     best = np.argmax(size, axis=-1)
     return np.take_along_axis(blocks, best[..., None], axis=-1)[..., 0]
+
+
+def robot_model(placed: PlacedArm, settings: CompensationSettings, stock: Stock, shown: ScoredPass) -> dict:
+    """Return links, parents first, and the commanded postures [rad] at p times of a pass; base_link, lengths in m."""
+    run = shown.reference
+    time_ns = np.unique(np.linspace(0, run.duration_ns, 240).round().astype(np.int64))  # postures
+    thinned = Trajectory(time_ns, run.sample(time_ns), run.sample_orientation(time_ns), None, run.frame)
+    joints, low, high = commanded_joints(placed, settings, thinned), stock.min, stock.max
+    corners = np.array([[(low, high)[(c >> k) & 1][k] for k in range(3)] for c in range(8)])
+    colours = {name: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for name, rgb in COLOURS.items()}
+    return {
+        "name": placed.arm.name,
+        "links": links_of(urdf(placed.arm, placed.mount, placed.tool.radius)),
+        "colours": colours,
+        "pass_name": shown.name,
+        "time": thinned.time,
+        "joints": joints,
+        "stock_corners": placed.place.apply(corners),
+        "workpiece_rotation": placed.place.rotation,
+        "workpiece_xyz": placed.place.position,
+    }

@@ -16,8 +16,6 @@ from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["deviation_of", "file_names", "series_lines", "series_rows", "write_series"]
-
 #: the unit is in the name: s, mm, um, deg, N; times have nine decimals. pose_correction: of the predicted tool pose
 COLUMNS = (
     "time_s",

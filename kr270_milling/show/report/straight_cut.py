@@ -24,9 +24,6 @@ from kr270_milling.show.report.charts import (
 )
 from kr270_milling.show.report.series import deviation_of
 
-__all__ = ["charts_of", "force_law", "machined_profile", "micro_step_forces"]
-
-SAMPLES = 1000  #: samples of a reference trajectory
 ZERO = ((0.0, ""),)  #: a level
 
 
@@ -206,7 +203,7 @@ def _spectra(cell: Cell, scored: ScoredPass, force: np.ndarray, step: float, lat
 def _references(path: CellPath, passes: Sequence[ScoredPass]) -> Chart:
     """Shift of the reference across the feed and its rate, Fig. 14; linear ones jump at the knots."""
     target = path.target
-    stamps = np.unique(np.linspace(0, target.duration_ns, SAMPLES).round().astype(np.int64))
+    stamps = np.unique(np.linspace(0, target.duration_ns, 1000).round().astype(np.int64))
     shift, rate = [], []
     for number, scored in enumerate(passes, 1):
         run = scored.reference

@@ -1,36 +1,67 @@
-"""The tables of the page as texts, with one minus sign and without directories of a machine."""
+"""The tables of the page as texts, with one minus sign and without directories of a machine; its assumptions.
+
+The sentences of the assumptions are in ``page/assumptions.txt``: what the paper does not give or misprints, what was
+taken instead, and why. Only what affects the run is listed; values are those of the cell.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import jinja2
 import numpy as np
 
 from kr270_milling.base.column import Column, TextTable, columns, fixed
+from kr270_milling.base.errors import MillingError
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
+from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.robot import Arm
+from kr270_milling.physics.robot.mass import MODELS
 
-__all__ = [
-    "PAPER",
-    "TABLE_2",
-    "details",
-    "feature_table",
-    "fixed_text",
-    "input_rows",
-    "line_scores",
-    "micro",
-    "part_scores",
-    "shown",
-    "typeset",
-    "typographic",
-    "warning",
-]
+
+def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
+    """First natural frequencies [Hz] at the start of the path with each mass model that has an answer there."""
+    start = arm_of(cell).joints(path_of(cell).target)[:1]
+    frequencies = {}
+    for name in MODELS:
+        with contextlib.suppress(MillingError):
+            dynamics = cell.dynamics.replace(mass_model=name)
+            (model,) = modal_models(cell.arm, cell.mount, dynamics, cell.workpiece.pose, start)
+            frequencies[name] = model.frequency / (2 * np.pi)
+    return frequencies
+
+
+def assumptions(cell: Cell, paper: bool) -> list[tuple[str, ...]]:
+    """Return point, value and reason of each assumption of this cell.
+
+    paper: also those about the paper's text and Table 2.
+    """
+    passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
+    rows: list[tuple[str, ...]] = list(cell.cutting.active.assumptions(path_of(cell).feed_rate / passing))
+    modes = model_frequencies(cell).items()
+    text = (Path(__file__).parent / "page" / "assumptions.txt").read_text(encoding="utf-8")
+    jinja2.Template(text, undefined=jinja2.StrictUndefined).render(
+        row=lambda *texts: rows.append(tuple(map(str, texts))),
+        cell=cell,
+        paper=paper,
+        passing=passing,
+        helix=np.degrees(cell.tool.helix),
+        micro_step=np.degrees(cell.exchange.micro_step),
+        modes="; ".join(f"{name}: {', '.join(f'{f:.2f}' for f in hz[:3])} Hz" for name, hz in modes),
+        way=path_of(cell).length,
+        engaged=path_of(cell).full_engagement,
+    )
+    return rows
+
 
 UM = 1e6
 #: source of the columns `paper`

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError, RecordingError
-from kr270_milling.base.extras import require_extra
+from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.table import read_table
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import FIXED, series
-from kr270_milling.recordings.passes import own_topics
+from kr270_milling.recordings.messages.cdr import FIXED
+from kr270_milling.recordings.passes import own_topics, series
 
 __all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resampled"]
 

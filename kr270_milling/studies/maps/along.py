@@ -29,8 +29,6 @@ from kr270_milling.physics.robot import inverse_near
 from kr270_milling.studies.maps.placements import MARGIN, PathPlaces, about_z
 from kr270_milling.studies.maps.postures import postures
 
-__all__ = ["Turns", "TurnPath", "constant_turn", "best_turns", "turned"]
-
 
 @dataclass(frozen=True, eq=False)
 class TurnPath:

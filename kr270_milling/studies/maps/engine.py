@@ -33,8 +33,6 @@ from pathlib import Path
 from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.base.record import read_tree
 
-__all__ = ["StudyRows", "Study", "content", "run_chunks"]
-
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
 ANSWER = 10.0  #: [s] for a scheduler to answer
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"

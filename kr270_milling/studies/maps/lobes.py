@@ -15,8 +15,6 @@ from kr270_milling.physics.cutting import Cutting
 from kr270_milling.physics.motion.stability import Lobe, Modes, has_uniform_pitch, stability_limit
 from kr270_milling.studies.identification.cuts import engagement_angles
 
-__all__ = ["engagement_text", "lobes"]
-
 
 def lobes(
     path: CellPath,

@@ -34,11 +34,6 @@ from kr270_milling.physics.robot.mass import mode_frequencies
 from kr270_milling.studies.maps.engine import StudyRows
 from kr270_milling.studies.maps.postures import along_path, postures, whole_turns
 
-__all__ = [
-    "MAPPED", "MARGIN", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "grid_axes", "places_at",
-    "path_places", "present_row", "moved_cell", "place_of", "write_placement", "write_cells",
-]  # fmt: skip
-
 MOST = 10_000_000  #: placements of a map
 BLOCK = 1000  #: placements at a time, some 20 MB of postures
 MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places

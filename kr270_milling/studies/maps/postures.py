@@ -13,8 +13,6 @@ from kr270_milling.physics.robot.arm import Arm, Mount, moment_slope
 from kr270_milling.physics.robot.inverse import branches_at, lengths_of, wrapped
 from kr270_milling.physics.robot.kinematics import jacobian_column
 
-__all__ = ["along_path", "postures", "whole_turns"]
-
 _slope = njit(cache=True, nogil=True)(moment_slope)
 
 

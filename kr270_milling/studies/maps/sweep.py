@@ -16,8 +16,6 @@ from kr270_milling.cell.keys import keys_of
 from kr270_milling.physics.motion.periods import Exchange
 from kr270_milling.studies.maps.engine import StudyRows
 
-__all__ = ["Axis", "Sweep", "SweepSummary", "parse_axis"]
-
 MOST_ROWS = 10_000_000
 SPEED, PERIOD = "tool.spindle_speed_rpm", "exchange.period_ms"
 SCORES = (

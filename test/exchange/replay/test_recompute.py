@@ -21,9 +21,9 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.cli import main
 from kr270_milling.exchange.cut import CutProtocol
-from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.exchange.replay.revisions import compensate_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 

@@ -21,9 +21,8 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.exchange.compensator import CompensatorProtocol
-from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
-from kr270_milling.exchange.replay.recorded import pass_from_recording, passes_from_recording
+from kr270_milling.exchange.replay.recorded import attached_cell, pass_from_recording, passes_from_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording

@@ -26,15 +26,15 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
-from kr270_milling.live.graph import plan
-from kr270_milling.live.graph.driver import Driver
-from kr270_milling.live.graph.graph import QUIET, Graph, RunValues
+from kr270_milling.live.graph.graph import QUIET, Driver, Graph, RunValues
 from kr270_milling.live.graph.processes import Child, RunError, stop
 from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, NOT_COMPLETE, Silence
 from kr270_milling.live.ros.readiness import Report
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.codec import deserialise, to_bytes
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.definitions import deserialise
+from kr270_milling.show.commands import run as commands
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
 MANY = ["path.length_mm=12", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
@@ -131,7 +131,7 @@ def test_run_gives_the_plain_loop_bit_for_bit_while_a_stranger_publishes_what_ca
 
 @pytest.mark.parametrize(("lost", "code"), [(0, 0), (1705, 1)])
 def test_a_run_whose_recording_lacks_messages_states_them_and_ends_with_1(capsys, monkeypatch, short_cell, lost, code):
-    row = plan.RunRow(RunValues(Path("o"), 1.0, (0.0,), True), simulate(short_cell), lost)
+    row = commands.RunRow(RunValues(Path("o"), 1.0, (0.0,), True), simulate(short_cell), lost)
     ran = {"graph_up_s": 1.0, "out": Path("o"), "passes": [row]}
     monkeypatch.setattr("kr270_milling.show.commands.run.run_passes", lambda *_, **__: ran)
     assert main(run_words("o")) == code
@@ -231,8 +231,8 @@ def run(monkeypatch, short_cell):
             return ran[str(recording)], SimpleNamespace(lost_to_end=0)
 
         graph.cell, graph.driver, graph.run_pass = cell, SimpleNamespace(namespace="/"), run_pass
-        monkeypatch.setattr(plan, "pass_from_recording", recorded)
-        return graph, plan.run_plan(graph, methods, passes), list(ran)
+        monkeypatch.setattr(commands, "pass_from_recording", recorded)
+        return graph, commands.run_plan(graph, methods, passes), list(ran)
 
     return run
 

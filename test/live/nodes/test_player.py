@@ -14,7 +14,7 @@ from samples import pass_recording as made
 from samples.pass_recording import options
 
 from kr270_milling.cli import main
-from kr270_milling.recordings.bag.playback import PlayClock
+from kr270_milling.live.nodes.player import PlayClock
 from kr270_milling.recordings.bag.writer import BagWriter
 
 pytestmark = made.needs_messages
@@ -47,9 +47,9 @@ def test_a_time_that_no_recording_has_is_refused_in_one_sentence(name, capsys):
 def test_the_clock_of_a_playback_runs_at_its_rate_and_stops_while_paused():
     clock = PlayClock(5, 2.0, 100.0)
     assert (clock.position(99.0), clock.position(100.0), clock.position(101.5)) == (5, 5, 5 + 3 * 10**9)
-    clock.pause(101.0)
+    clock.set_paused(True, 101.0)
     assert clock.position(200.0) == 5 + 2 * 10**9
-    clock.resume(200.0)
+    clock.set_paused(False, 200.0)
     assert clock.position(200.5) == 5 + 3 * 10**9
 
 

@@ -17,7 +17,7 @@ from samples.pass_recording import STEPS
 
 pytest.importorskip("rclpy")
 
-from kr270_milling.base.process import STOPS
+from kr270_milling.base.arguments import STOPS
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.live.graph.processes import Child
 from kr270_milling.live.nodes.start import NODES, start

@@ -19,8 +19,8 @@ from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.live.nodes.recorder import Recorder
 from kr270_milling.live.ros import topics
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.passes import series
 
 WARN, ERROR = 1, 2
 NAME = "/recorder"

@@ -27,12 +27,11 @@ from kr270_milling.cli import main
 from kr270_milling.decide.programs.files import write_rsi_table
 from kr270_milling.live.rsi import session as rsi_session
 from kr270_milling.live.rsi.corrector import CorrectionLimits, CorrectionTable, Corrector, read_corrections
-from kr270_milling.live.rsi.recording import RsiRecording
-from kr270_milling.live.rsi.session import RsiSession, open_socket
+from kr270_milling.live.rsi.session import RsiRecording, RsiSession, open_socket
 from kr270_milling.live.rsi.telegram import Elements, read_elements, read_telegram, write_answer
 from kr270_milling.physics.robot import pose
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.passes import series
 
 CYCLE = 0.004
 FEED = 4.0 / 60  # [m/s]

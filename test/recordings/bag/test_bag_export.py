@@ -30,11 +30,11 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag import export as module
-from kr270_milling.recordings.bag.export import WRITERS, export
+from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.passes import series
 
 
 def rows(file) -> list[dict]:
@@ -45,7 +45,7 @@ def rows(file) -> list[dict]:
 def exported(recording, directory, *topics: str, kind: str = "csv") -> list:
     """The files of the chosen topics, or of all."""
     with Recording(recording) as opened:
-        return export(opened, directory, topics or None, kind=kind).files
+        return export(opened, directory, topics or None, kind=kind)[0]
 
 
 def summary(recording) -> dict:
@@ -121,10 +121,10 @@ def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_
             writer.add_message(broken, 3, raw(make(TEXT, "x")) if step < 2 else b"\0\1\0\0\xff\xff\xff\xff", 3)
         writer.finish()
     with Recording(tmp_path / "a.mcap") as recording:
-        actual = export(recording, tmp_path / "csv")
-    assert [file.name for file in actual.files] == ["text.csv"] and len(rows(actual.files[0])) == 3
-    assert "only cdr with ros2msg" in actual.refused["/thing"]
-    assert "a message on /broken is not a std_msgs/msg/String" in actual.refused["/broken"]
+        files, refused = export(recording, tmp_path / "csv")
+    assert [file.name for file in files] == ["text.csv"] and len(rows(files[0])) == 3
+    assert "only cdr with ros2msg" in refused["/thing"]
+    assert "a message on /broken is not a std_msgs/msg/String" in refused["/broken"]
     assert [file.name for file in (tmp_path / "csv").iterdir()] == ["text.csv"]
     assert main(["export", str(tmp_path / "a.mcap"), "--csv", str(tmp_path / "again")]) == 1
     printed = capsys.readouterr()
@@ -248,6 +248,6 @@ def test_messages_are_played_in_the_order_of_the_file(tmp_path):
 def test_no_text_of_a_table_is_a_formula_for_a_spreadsheet():
     stream, texts = io.BytesIO(), ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1"]
     stream.close = lambda: None
-    WRITERS["csv"](stream, ["a", "b", "c"], [[text, "x=1", -1.5] for text in texts])
+    module._write_csv(stream, ["a", "b", "c"], [[text, "x=1", -1.5] for text in texts])
     _, *actual = csv.reader(io.StringIO(stream.getvalue().decode()))
     assert actual == [["'" + text, "x=1", "-1.5"] for text in texts]

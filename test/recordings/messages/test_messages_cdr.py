@@ -21,13 +21,21 @@ from samples.recording_samples import JOINTS, PATH, POSE, STORE, TWIST, WRENCH, 
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows
-from kr270_milling.recordings.bag.reader import RecordedTopic, Recording, make_decoder, store_for
-from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages import definitions
-from kr270_milling.recordings.messages.cdr import stamp_of
-from kr270_milling.recordings.messages.definitions import definition, plain, starts_with_stamp, store_of, type_hash
-from kr270_milling.recordings.messages.trajectory import read_trajectory
+from kr270_milling.recordings.messages.cdr import read_trajectory, stamp_of
+from kr270_milling.recordings.messages.definitions import (
+    RecordedTopic,
+    definition,
+    make_decoder,
+    plain,
+    starts_with_stamp,
+    store_for,
+    store_of,
+    type_hash,
+)
+from kr270_milling.recordings.passes import series
 
 
 def test_every_stamped_topic_of_the_table_gives_its_stamp_and_other_bytes_give_none():

@@ -35,11 +35,10 @@ from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.physics.robot.analysis import analyse, read_arm
+from kr270_milling.show.commands import console as module
 from kr270_milling.show.commands import options
-from kr270_milling.show.commands import progress as module
-from kr270_milling.show.commands.console import Answer, print_table, shown_path
+from kr270_milling.show.commands.console import Answer, Progress, print_table, progress, shown_path
 from kr270_milling.show.commands.options import COMMANDS, make_parser
-from kr270_milling.show.commands.progress import Progress, progress
 
 ROOT = Path(__file__).resolve().parents[3]
 HELP = """

@@ -26,13 +26,12 @@ from kr270_milling.decide.findings import Finding, Place
 from kr270_milling.decide.part import assess_all
 from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.show.report import write_report
-from kr270_milling.show.report.assumptions import assumptions, model_frequencies
 from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, thinned_spectrum
 from kr270_milling.show.report.linked import linked, part_surface
-from kr270_milling.show.report.page.page import plotly_script
+from kr270_milling.show.report.page import plotly_script
 from kr270_milling.show.report.series import COLUMNS, deviation_of, file_names, write_series
 from kr270_milling.show.report.straight_cut import machined_profile, micro_step_forces
-from kr270_milling.show.report.tables import fixed_text
+from kr270_milling.show.report.tables import assumptions, fixed_text, model_frequencies
 
 WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")
 VOID = {"meta", "br", "img", "link", "hr", "input"}

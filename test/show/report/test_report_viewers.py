@@ -24,7 +24,7 @@ from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.physics.robot.urdf_links import links_of
 from kr270_milling.recordings.messages.topics import TOPICS
-from kr270_milling.show.report.robot_model import robot_model
+from kr270_milling.show.report.linked import robot_model
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,21 @@
 
 Words that move nothing are counted; those that cannot be run are listed all at once. Without UNITS/ the unit is mm.
 A CIRCLE precedes the GOTO of its end. A comment, PPRINT or TOOL PATH names the feature that follows. A tool axis
-i, j, k points from the tip to the spindle; the tool turns about no more than it must.
+i, j, k points from the tip to the spindle (``tool_along``). Circles and holes may be in any plane.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
-from scipy.spatial.transform import Rotation
+import numpy as np
 
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.apt.words import (
     ADVICE,
@@ -37,7 +39,7 @@ from kr270_milling.path.cam.machine import INCH, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
-from kr270_milling.path.trajectory import TOOL_DOWN
+from kr270_milling.path.trajectory import TOOL_DOWN, tool_along
 
 __all__ = ["read_apt"]
 
@@ -81,6 +83,7 @@ class _AptReader(Machine):
         self.retracted = 0  #: line of a RETRCT/ that the tool has not come back from
         self.actions: dict[str, Callable[[list[str]], None]]
         self.actions = {"GOTO": self._goto, "FROM": self._from, "GODLTA": self._delta, "CIRCLE": self._circle,
+                        "TLAXIS": self._axis,
                         "RAPID": self._rapid, "FEDRAT": self._feed, "FEED": self._feed, "SPINDL": self._spindle,
                         "UNITS": self._units, "FINI": self._end_program, "END": self._end_program,
                         "GOHOME": self._home, "LOADTL": self._load, "LOAD": self._load, "TOOLNO": self._load,
@@ -271,8 +274,36 @@ class _AptReader(Machine):
         if len(numbers) not in (3, 6):
             raise StatementError(f"GOTO/ needs x, y, z or x, y, z, i, j, k, not {len(numbers)} numbers")
         if len(numbers) == 6:
-            self.program.quaternion = _tool_axis(numbers[3:])
+            self._turn(numbers[3:])
         self._block(numbers[:3])
+
+    def _axis(self, values: list[str]) -> None:
+        """TLAXIS/i, j, k: of the GOTO that follow without an axis."""
+        numbers = [_number(value) for value in values]
+        if len(numbers) != 3:
+            raise StatementError("TLAXIS/ needs i, j, k")
+        self._turn(numbers)
+
+    def _turn(self, axis: list[float]) -> None:
+        try:
+            quaternion = tool_along(axis)
+        except ValueError as fault:
+            raise StatementError(str(fault)) from None
+        if self.circle is not None and quaternion != self.program.quaternion:
+            raise StatementError("a CIRCLE/ along which the tool axis changes; let the CAM output GOTO moves")
+        if self.holes:
+            self.program.turn(quaternion)
+        self.program.quaternion = quaternion
+
+    @contextlib.contextmanager
+    def _plane(self, axis: Sequence[float]) -> Iterator[Callable[[Sequence[float]], list[float]]]:
+        """Run what follows in a plane whose z is ``axis``; yields the map of places and directions into the plane."""
+        cycle, turn = self.cycle, rotation_from_quaternion(np.array(tool_along(axis))) @ np.diag([1.0, -1.0, -1.0])
+        self.set_tilt(Pose(np.zeros(3), turn))
+        self.cycle = cycle
+        yield lambda place: (turn.T @ np.array(place)).tolist()
+        self.set_tilt(None)
+        self.cycle = cycle
 
     def _block(self, end: list[float]) -> None:
         if self.retracted:
@@ -284,13 +315,19 @@ class _AptReader(Machine):
             return
         axes = dict(zip("XYZ", end, strict=True))
         mode = 0 if self.rapid or not self.started else 1
-        if self.circle is not None and mode:
-            (x, y, _, _, _, k, *more), _ = self.circle
-            mode = 2 if (k < 0) == (len(more) == 1) else 3
-            axes |= {"I": x, "J": y}
-        self.rapid = False
-        self.circle = None
-        self.move(axes, mode)
+        circle, self.rapid, self.circle = self.circle, False, None
+        if circle is None or not mode:
+            self.move(axes, mode)
+            return
+        (*centre, i, j, k), more = circle[0][:6], circle[0][6:]
+        mode = 2 if (k < 0) == (len(more) == 1) else 3
+        if abs(abs(k) - 1) < 1e-6:
+            self.move(axes | {"I": centre[0], "J": centre[1]}, mode)
+            return
+        with self._plane([-i, -j, -k] if k < 0 else [i, j, k]) as inside:
+            x, y, z = inside(end)
+            centre = inside(centre)
+            self.move({"X": x, "Y": y, "Z": z, "I": centre[0], "J": centre[1]}, mode)
 
     def _cycle(self, values: list[str]) -> None:
         """CYCLE/DRILL and others in the words of Creo (fixed and couplet), NX, CATIA: each GOTO that follows is a hole.
@@ -348,9 +385,17 @@ class _AptReader(Machine):
 
     def _drilled(self, point: list[float]) -> None:
         """Drill a hole at the point of a GOTO."""
+        if self.program.quaternion == TOOL_DOWN:
+            self._drilled_along_z(point)
+            return
+        axis = -rotation_from_quaternion(np.array(self.program.quaternion))[:, 2]
+        with self._plane(axis.tolist()) as inside:
+            self._drilled_along_z(inside(point))
+
+    def _drilled_along_z(self, point: list[float]) -> None:
         cycle, holes, (x, y, z) = self.cycle, self.holes, (value * self.unit for value in point)
-        if cycle is None or self.program.quaternion != TOOL_DOWN:
-            raise StatementError("CYCLE/ along an axis that is not z")
+        if cycle is None:
+            raise StatementError("CYCLE/ is not active")
         cycle.retract, cycle.bottom = z + holes["clear"], z - holes["depth"]
         back = holes.get("back", 0.0)
         before = cycle.initial
@@ -371,8 +416,8 @@ class _AptReader(Machine):
         numbers = [_number(v) for v in values]
         if len(numbers) not in (7, 11):
             raise StatementError("CIRCLE/ needs x, y, z, i, j, k, r, and in NX four numbers more")
-        if abs(abs(numbers[5]) - 1) > 1e-6:
-            raise StatementError("CIRCLE/ about an axis that is not z; let the CAM output GOTO moves")
+        if not abs(math.hypot(*numbers[3:6]) - 1) < 1e-3:
+            raise StatementError(f"the axis of CIRCLE/ has the length {math.hypot(*numbers[3:6]):g} instead of 1")
         if not self.started:
             raise StatementError("CIRCLE/ before a first GOTO/")
         self.circle = numbers, self.program.line
@@ -498,15 +543,3 @@ def _number(text: str) -> float:
     if not math.isfinite(value):
         raise StatementError(f"{short(text)!r} is not a finite number")
     return value
-
-
-def _tool_axis(axis: list[float]) -> tuple[float, float, float, float]:
-    """Quaternion of tcp whose -z is ``axis``."""
-    length = math.hypot(*axis)
-    if not abs(length - 1) < 1e-3:
-        raise StatementError(f"the tool axis has the length {length:g} instead of 1")
-    i, j, k = (v / length for v in axis)
-    if k < -0.999:
-        raise StatementError("the tool comes from below; the tool must be parallel to z; post a 3-axis path")
-    turn = Rotation.from_quat([-j, i, 0.0, 1 + k])  # the shortest from z to the axis
-    return tuple((turn * Rotation.from_quat(TOOL_DOWN)).as_quat(canonical=True).tolist())

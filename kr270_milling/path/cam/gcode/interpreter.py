@@ -11,9 +11,14 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.base.frames import Pose
 from kr270_milling.path.cam.gcode.offsets import NAMES, Offsets
 from kr270_milling.path.cam.gcode.words import (
     ADVICE,
+    AXES5,
     BELONGS,
     CLAIMS,
     DATUM,
@@ -31,11 +36,14 @@ from kr270_milling.path.cam.gcode.words import (
 )
 from kr270_milling.path.cam.machine import AXES, MM, OF_ARCS, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.trajectory import TOOL_DOWN
 
 __all__ = ["Interpreter"]
 
 FURTHER = frozenset("ABCUVW")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
+DATA = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  #: groups of ``_datum``
+LETTERS = {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD", "G68.2": "XYZIJKP"}
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 
 
@@ -43,6 +51,7 @@ class Interpreter(Machine):
     """Runs blocks of words; what cannot be run goes to the refusals, what moves nothing is counted."""
 
     watched = False  #: each move of a block is to be noted
+    by_planes = True
 
     def __init__(self, program: ProgramBuilder, feed: float, changes: bool, offsets: Sequence[float] = ()):
         """offsets: x, y, z of G54, G55 ... in the workpiece frame [m], empty where the cell states none."""
@@ -66,7 +75,8 @@ class Interpreter(Machine):
         """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
         return (
             self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
-            and self.shift is None and not self.side and not self.polar and self.contour is None
+            and self.shift is None and not self.skew and self.program.quaternion == TOOL_DOWN
+            and not self.side and not self.polar and self.contour is None
             and bool(self.feed) and not self.watched
         )  # fmt: skip
 
@@ -89,6 +99,8 @@ class Interpreter(Machine):
         if "call" in groups or "L" in axes:
             self._call(groups, axes)
         self.pattern = []
+        if not self.kinematics.letters and self.tilt is None and any(axes.get(letter) == 0.0 for letter in "ABC"):
+            self.program.turn(TOOL_DOWN)
         if not groups.keys() <= MOVES:
             self._set(groups, axes)
         if "F" in axes:
@@ -101,10 +113,13 @@ class Interpreter(Machine):
             self.no_feed = (
                 f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
             )
+        if self.kinematics.letters:
+            self.take_angles(axes, home=groups.get("home") in (28, 30))
         if axes or groups or self.pattern:
             self.move(axes, groups.get("motion"), groups.get("cycle"))
             for letter, value in axes.items():
                 self._left(letter, value)
+        self.end_turn()
         if "end" in groups:
             self.ended, self.end_word = True, groups["end"]
         fate = "used" if program.refusals == refusals else "refused"
@@ -241,9 +256,18 @@ class Interpreter(Machine):
             self._silent(word, groups, axes)
         if "home" in groups:
             self._home(groups, axes)
-        for group, word in (("preset", "G92"), ("shift", "G52"), ("data", "G10"), ("turn", "G68")):
+        for group, word in DATA.items():
             if group in groups:
                 self._datum(word, groups, axes)
+        if "tip" in groups:
+            word = word_of("M" if groups["tip"] in (128, 129) else "G", groups["tip"])
+            self._read_over(word, axes, "H")
+            self.follow_tip(groups["tip"] != 129)
+        if "orient" in groups:
+            self._read_over(word_of("G", groups["orient"]), axes, "P")
+            if self.tilt is None:
+                self.program.refuse(word_of("G", groups["orient"]), "G53.1 without G68.2", AXES5, lost=True)
+            self.turn_to_plane()
         if "refused" in groups:
             axes.clear()
         if groups.get("spindle") == 19:
@@ -315,6 +339,11 @@ class Interpreter(Machine):
     def _change(self, **values) -> None:
         """Change what places the coordinates; the tool stays where it is."""
         offsets = self.offsets
+        if self.tilt is not None:
+            if any(getattr(offsets, name) != value for name, value in values.items()):
+                reason = "other coordinates while a plane is tilted"
+                self.program.refuse("G68.2", reason, "end the plane before them", lost=True)
+            return
         if self._began and offsets.base is None:
             offsets.base = offsets.affine
         for name, value in values.items():
@@ -366,11 +395,13 @@ class Interpreter(Machine):
             elif word == "G64":
                 self.program.rounding = max(self.program.rounding, axes.get("P", 0.0) * self.unit)
             elif word == "G69":
+                self.set_tilt(None)
                 self._change(turn=1 + 0j, centre=0j)
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
             if word == "G43":
                 self.program.length_offsets.add(self.program.tool)
-            if word in ("G43", "G49"):  # without H it is that of the tool
+            if word in ("G43", "G49"):
+                self.follow_tip(False)  # without H it is that of the tool
                 length = number.strip() or f"H{self.program.tool[1:]}"
                 self.program.set_frame("tool lengths", "H0" if word == "G49" else length)
             self._read_over(word + number, axes, letters)
@@ -403,12 +434,13 @@ class Interpreter(Machine):
         elif word == "G10":
             reason = self._data(lengths, axes)
         else:
-            reason = {"G92": self._preset, "G52": self._local, "G68": self._turned}[word](lengths, axes)
+            makers = {"G92": self._preset, "G52": self._local, "G68": self._turned, "G68.2": self._tilted}
+            reason = makers[word](lengths, axes)
         if reason:
             self.program.refuse(word, reason, DATUM, lost=True)
             axes.clear()
             return
-        self._read_over(word, axes, {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD"}[word])
+        self._read_over(word, axes, LETTERS[word])
 
     def _preset(self, lengths: dict, _) -> str:
         """G92: the tool is at these coordinates."""
@@ -451,6 +483,55 @@ class Interpreter(Machine):
         if not self._began and not self.offsets.given:
             self.offsets.base = self.offsets.affine
         self._change(turn=cmath.rect(1.0, math.radians(axes["R"])), centre=complex(x, y))
+        return ""
+
+    def _tilted(self, lengths: dict, axes: dict) -> str:
+        """G68.2: origin X, Y, Z; I, J, K turn about z, the new x and the new z (Fanuc B-63942EN, 5.44)."""
+        if axes.get("P") or "R" in axes or "Q" in axes:
+            return "G68.2 takes an origin X, Y, Z and Euler angles I, J, K"
+        if self.tilt is not None or self.offsets.turn != 1:
+            return "G68.2 after another G68.2 or G68 without G69"
+        origin = [lengths.get(axis, 0.0) * self.unit for axis in AXES]
+        turn = Rotation.from_euler("ZXZ", [axes.get(letter, 0.0) for letter in "IJK"], degrees=True)
+        self.set_tilt(Pose(np.array(origin), turn.as_matrix()))
+        return ""
+
+    def swivel(self, arguments: list[str]) -> str:
+        """CYCLE800(FR, TC, ST, MODE, X0, Y0, Z0, A, B, C, X1, Y1, Z1, DIR ...); return why it cannot be run.
+
+        The axes of the rotations are the pairs of bits of MODE, the first in the lowest: 1 x, 2 y, 3 z; each one about
+        the axes that the one before has turned. X1, Y1, Z1 are in these axes (Siemens, 840D sl Programming Manual
+        Cycles, "Swivel plane"). Without arguments, or with the data record "0", the plane ends.
+        """
+        data = arguments[1].strip('"') if len(arguments) > 1 else ""
+        try:
+            values = [float(text or 0.0) for text in [*arguments[:1], *arguments[2:]] + ["0"] * 13]
+        except ValueError:
+            return "CYCLE800 takes numbers"
+        retract, state, mode, *rest = values
+        places, direction = np.array(rest[:9]).reshape(3, 3), rest[9] if len(arguments) > 13 and arguments[13] else 1.0
+        order = [int(mode) >> shift & 3 for shift in (0, 2, 4)]
+        if self.shift is not None and self.shift[0] != 1:
+            return "CYCLE800 in coordinates that are turned"
+        if not np.isfinite(values).all() or mode != int(mode):
+            return "CYCLE800 takes numbers"
+        if places[1].any() and (not 0 <= mode < 64 or sorted(order) != [1, 2, 3]):
+            return f"CYCLE800 with MODE {mode:g}; axis by axis is read, such as 57 for X, Y, Z"
+        if retract:
+            self.home(["Z"])
+        if data == "0" or not any(arguments):
+            self.set_tilt(None)
+            return ""
+        turn = np.eye(3)
+        if places[1].any():
+            turn = Rotation.from_euler("".join("XYZ"[k - 1] for k in order), places[1], degrees=True).as_matrix()
+        plane = Pose(self.unit * (places[0] + turn @ places[2]), turn)
+        if state % 10 == 1 and self.tilt is not None:
+            plane = self.tilt @ plane
+        upright = not plane.position.any() and np.array_equal(plane.rotation, np.eye(3))
+        self.set_tilt(None if upright else plane)
+        if direction:
+            self.turn_to_plane()
         return ""
 
     def _system_at(self, lengths: dict, system: list[float]) -> list[float]:

@@ -20,6 +20,7 @@ from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.machine import CORNERS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.toolpath import Toolpath
 
 __all__ = ["COMMENT", "PIECE", "SKIP", "GcodeReader", "changes_by_m6", "gcode_path", "read_gcode"]
@@ -75,22 +76,27 @@ OFFSET = re.compile(r"G[ \t]*0*4[12](?![0-9])")  #: the tool is beside the conto
 HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
-def read_gcode(path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = ()) -> Toolpath:
+def read_gcode(
+    path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = (), machine: Kinematics = NO_ROTARY_AXES
+) -> Toolpath:
     """Read the path of one tool; raises ProgramError with all words that cannot be run.
 
     tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none; offsets
-    [m]: x, y, z of G54, G55 ... in the workpiece frame, where the cell states them.
+    [m]: x, y, z of G54, G55 ... in the workpiece frame, where the cell states them; machine: for A, B and C.
     """
-    return gcode_path(path, read_lines(path), tool, feed, offsets)
+    return gcode_path(path, read_lines(path), tool, feed, offsets, machine)
 
 
-def gcode_path(path, lines: list[str], tool: str, feed: float, offsets: Sequence[float] = ()) -> Toolpath:
+def gcode_path(
+    path, lines: list[str], tool: str, feed: float, offsets: Sequence[float] = (), machine: Kinematics = NO_ROTARY_AXES
+) -> Toolpath:
     """Return the path of the lines of a program, as ``read_gcode``; path: their file."""
     number = re.fullmatch(r"\s*[Tt]?0*([0-9]+)\s*", tool)
     program = ProgramBuilder(path, f"T{number.group(1)}" if number else tool.strip())
-    machine = Interpreter(program, feed, changes_by_m6(lines), offsets)
-    GcodeReader(program, machine).read(lines)
-    return program.finish(machine.unit)
+    interpreter = Interpreter(program, feed, changes_by_m6(lines), offsets)
+    interpreter.kinematics = machine
+    GcodeReader(program, interpreter).read(lines)
+    return program.finish(interpreter.unit)
 
 
 def changes_by_m6(lines: list[str]) -> bool:
@@ -353,14 +359,21 @@ class GcodeReader:
         silent = []
         for name, rest in names:
             reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")
-            idle = name == "CYCLE800" and not re.search(r"[1-9]", rest.split(",,")[-1])
-            if name in SILENT or reset or idle:
+            if name in SILENT or reset or name in ("TRAORI", "TRAFOOF"):
                 silent.append(name)
+            elif name == "CYCLE800" and not further:
+                reason = self.machine.swivel([text.strip() for text in rest.strip("() ").split(",")])
+                if reason:
+                    self.program.refuse(name, reason, lost=True)
+                else:
+                    silent.append(name)
             else:
                 self.program.refuse(name, advice=ADVICE.get(name, UNKNOWN), lost=True)
         known = len(silent) == len(names)
         for name in silent if known else ():
             self.program.count(name)
+            if name in ("TRAORI", "TRAFOOF"):
+                self.machine.follow_tip(name == "TRAORI")
         return known
 
     def _comments(self, code: str, comments: list[str]) -> None:

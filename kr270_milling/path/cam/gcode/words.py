@@ -10,6 +10,7 @@ from kr270_milling.path.cam.machine import INCH, MM
 
 __all__ = [
     "ADVICE",
+    "AXES5",
     "BELONGS",
     "CLAIMS",
     "DATUM",
@@ -82,6 +83,9 @@ G_GROUPS: dict[float, str] = {
     10: "data",
     52: "shift",
     68: "turn",
+    68.2: "tilt",
+    **dict.fromkeys((53.1, 53.6), "orient"),
+    **dict.fromkeys((43.4, 234), "tip"),
     92: "preset",
     **dict.fromkeys((40, 41, 41.1, 42, 42.1), "compensation"),
 }
@@ -91,6 +95,7 @@ M_GROUPS: dict[float, str] = {
     **dict.fromkeys((97, 98), "call"),
     **dict.fromkeys((3, 4, 5, 13, 14, 19), "spindle"),
     **dict.fromkeys((6, 61), "tool"),
+    **dict.fromkeys((128, 129), "tip"),
 }
 #: G words that own these letters on some controls and not on others -> letters, what they mean there; with G0 to G3 in
 #: the line they are a move
@@ -107,7 +112,7 @@ MACROS = "post without macros and sub-programs, every move in one program"
 DATUM = "let the CAM output coordinates of one work offset, without shift, rotation, mirror or scale"
 CURVES = "let the CAM output lines and arcs"
 PROBING = "leave probing out of this program"
-AXES5 = "post a 3-axis program: the tool must be parallel to z of the workpiece"
+AXES5 = "state the machine of the program as machine.kinematics in the cell, or post tilted planes or a 3-axis program"
 POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
 UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"
 
@@ -138,8 +143,8 @@ ADVICE = {
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
     **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
-    **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
-    **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
+    **_each("G43.5 G68.3 G68.4 G254 G255 G43.1 G107 G12.1 G7.1", AXES5),
+    **_each("TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
     **_each(
         "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
         "leave threads out of this program; they are bound to the spindle's angle",
@@ -170,7 +175,7 @@ SILENT = frozenset(
         """DIAMOF FFWON FFWOF SOFT BRISK DRIVE COMPOF COMPON COMPCAD COMPCURV COMPSURF CFTCP CFC CFIN
         TRAFOOF STOPRE UPATH SPATH KONT KONTC KONTT NORM CUT2D WORKPIECE CYCLE832 MSG GROUP_BEGIN GROUP_END GROUP_ADDEND
         DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC PROC SETMS SPOS ADIS ADISPOS FNORM ORIWKS
-        ORIMKS ORIAXES DISPLOF SAVE ACC SPCON SPCOF FRESH CTOL OTOL STOLF LIMS VELOLIM JERKLIM ACCLIM""",
+        ORIMKS ORIVECT ORIAXES DISPLOF SAVE ACC SPCON SPCOF FRESH CTOL OTOL STOLF LIMS VELOLIM JERKLIM ACCLIM""",
         "",
     )
 )

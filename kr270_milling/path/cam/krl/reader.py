@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import cmath
 import contextlib
+import itertools
 import math
 import re
 from collections.abc import Iterator
@@ -530,11 +531,14 @@ class _KrlReader(Machine):
             self._run(body)
         finally:
             segments, self.spline, self.feed = self.spline, None, own_feed
+        turns = [True, *(a.quaternion != b.quaternion for a, b in itertools.pairwise(segments))]
+        # a point again is no segment; a tool that turns in place rests there
+        segments = [part for part, turned in zip(segments, turns, strict=False) if part.length > 0 or turned]
         k, line = 0, self.program.line
         while k < len(segments):
             last = k + 1
-            if segments[k].kind == "PL" and all(map(math.isfinite, segments[k].start)):
-                while last < len(segments) and segments[last].kind == "PL":
+            if segments[k].kind == "PL" and segments[k].length > 0 and all(map(math.isfinite, segments[k].start)):
+                while last < len(segments) and segments[last].kind == "PL" and segments[last].length > 0:
                     last += 1
                 self._curve_through(segments, k, last)
             else:
@@ -543,9 +547,7 @@ class _KrlReader(Machine):
         self.program.line = line
 
     def _curve_through(self, segments: list[_Segment], first: int, last: int) -> None:
-        own = [segment for segment in segments[first:last] if segment.length > 0]
-        if not own:
-            return
+        own = segments[first:last]
         knots = np.array([own[0].start, *(segment.points[-1] for segment in own)])
         chord = np.append(0.0, np.cumsum([segment.length for segment in own]))
         ends = []

@@ -9,12 +9,10 @@ import numpy as np
 from kr270_milling.base.column import TextTable, as_dict
 from kr270_milling.physics.cutting import LAWS
 from kr270_milling.physics.cutting.materials import Material, spread
-from kr270_milling.show.report.identification.outcome import Outcome
+from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import COLOURS, points
 from kr270_milling.studies.identification.doubts import force_doubts
 from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
-
-__all__ = ["force_outcome", "material_outcome"]
 
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 

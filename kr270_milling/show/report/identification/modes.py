@@ -7,13 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from kr270_milling.base.column import as_dict, columns_of, table_of
-from kr270_milling.show.report.identification.outcome import Outcome
+from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.modes import Mode
 from kr270_milling.studies.identification.signals import Signals
-
-__all__ = ["mode_outcome"]
 
 
 def mode_outcome(
@@ -55,16 +53,13 @@ def mode_outcome(
         )
     if shapes is None:
         sentences.append("the shapes are not scaled: use a hammer (--hammer) or the compliance of a cell (--cell)")
-    shown = ("mode", "mode", 0), *columns_of(Mode), ("shape x y z rx ry rz", "shape", _shape)
+    shape = ("shape x y z rx ry rz", "shape", lambda values: " ".join(f"{v:.2f}" for v in values))
+    shown = ("mode", "mode", 0), *columns_of(Mode), shape
     table = table_of(title, shown, [{"mode": i, **entry} for i, entry in enumerate(entries, 1)])
     use = "name this file in `includes`, or copy the keys that you need"
     sections = _sections(modes, shapes)
     refused = not result["usable"]
     return Outcome("modes", title, result, [table], sentences, lambda: _figures(signals), sections, use, refused)
-
-
-def _shape(values: list[float]) -> str:
-    return " ".join(f"{v:.2f}" for v in values)
 
 
 def _sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
