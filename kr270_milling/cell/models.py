@@ -8,13 +8,14 @@ import os
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.paths import CellPath, ProgramPath, StraightCut, check_postures
 from kr270_milling.cell.sections import PathSection
 from kr270_milling.cell.stage import Removal, cleared, removal_along
 from kr270_milling.path.timing import Timing
+from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Cut, CutModel, EngagementCut, Stock, Tool
 from kr270_milling.physics.cutting.grid import RESOLVED_NODES
@@ -31,6 +32,7 @@ __all__ = [
     "low_frequency_of",
     "modal_model_of",
     "path_of",
+    "program_path",
     "removal_of",
 ]
 
@@ -46,7 +48,31 @@ def arm_of(cell: Cell) -> PlacedArm:
 def path_of(cell: Cell) -> CellPath:
     """Return the programmed path of a cell; its file is read and timed when the path is first used."""
     by_teeth = not cell.cutting.by_engagement
-    return _path(cell.path.loaded(), cell.stock, cell.tool, cell.timing, cell.exchange, arm_of(cell), by_teeth)
+    return _path(_finished(cell), cell.stock, cell.tool, cell.timing, cell.exchange, arm_of(cell), by_teeth)
+
+
+def program_path(cell: Cell) -> Toolpath:
+    """Return the tool path of the program, without finishing passes; raises InputError without one or with times."""
+    content = cell.path.loaded().read() if cell.path.file else None
+    if not isinstance(content, Toolpath):
+        raise InputError("path.file", "must be a program without times")
+    return content
+
+
+def _finished(cell: Cell) -> PathSection:
+    """The section ``path`` with its content, which contains the finishing passes."""
+    path, passes = cell.path.loaded(), cell.compensation.finish
+    if not passes or (path.file and path.content is None):
+        return path
+    if not isinstance(path.content, Toolpath):
+        allowed = "0 for a straight cut and for a path with times, which have no program to repeat"
+        raise ParameterError("compensation.finish", passes, allowed)
+    return path.replace(content=_repeated(path.content, passes, float(cell.stock.max[2]) + cell.krl.safe_height))
+
+
+@functools.lru_cache(maxsize=4)
+def _repeated(path: Toolpath, passes: int, height: float) -> Toolpath:
+    return path.repeated(passes, height)
 
 
 # each core runs a simulated robot; their paths share the 60 MB of an hour, unless a joint slows the path

@@ -273,6 +273,11 @@ class Limits(Record):
     below_stock: float = parameter(
         0.0, unit="mm", low=0.0, high=1e3, text="how far the tool may go below the stock, into a sacrificial plate"
     )
+    # assumed: radius of a sharp edge for aluminium, 5 to 10 um; it ploughs where chips are thinner
+    least_chip: float = parameter(10e-6, unit="um", low=0.0, high=1e3, text="compensation.feed: least feed per tooth")
+    cutting_force: float = parameter(
+        0.0, unit="n", low=0.0, high=1e5, text="compensation.feed: largest mean force of a period; 0: not limited"
+    )
     # assumed: a milling spindle of the size that a heavy arm carries
     spindle_torque: float = parameter(10.0, unit="n_m", above=0.0, high=1e4, text="most that the spindle gives")
     spindle_power: float = parameter(10e3, unit="kw", above=0.0, high=1e3, text="most that the spindle gives")

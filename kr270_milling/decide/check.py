@@ -22,7 +22,8 @@ from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed,
 from kr270_milling.decide.inputs import input_violations
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
-from kr270_milling.decide.programs.points import ProgramBlocks, point_numbers, program_blocks
+from kr270_milling.decide.programs.files import knot_feeds
+from kr270_milling.decide.programs.points import ProgramBlocks, fixed_knots, point_numbers, program_blocks
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import Trajectory
@@ -154,7 +155,8 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
-        blocks = about["blocks"] = program_blocks(robot_program, path.target, run)
+        fixed = fixed_knots(path.target.standing, knot_feeds(path))
+        blocks = about["blocks"] = program_blocks(robot_program, path.target, run, fixed)
         if robot_program.motion == "LIN" and not robot_program.blend_distance:
             results.append(violation("no blending", blocks.points, int(path.target.standing.sum())))
         ran, cut = _cut(cell, run, ran, progress)
@@ -222,6 +224,7 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: 
     results = correction_size(target, run, settings.tick_ns, settings.max_correction)
     results += correction_per_tick(target, run, settings.tick_ns, settings.max_change_per_tick)
     if robot_program.motion == "LIN":
-        points = point_numbers(robot_program, target, run)
+        fixed = fixed_knots(target.standing, knot_feeds(path_of(cell)))
+        points = point_numbers(robot_program, target, run, fixed)
         results += corner_blending(target, run, robot_program.blend_distance, cell.limits.blending_share, points)
     return results

@@ -16,12 +16,14 @@ from kr270_milling.cell.plant import DIVERGED, Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import ENOUGH, Decision, decided
 from kr270_milling.decide.findings import Finding, violation
+from kr270_milling.decide.levers import QUICK, scheduled
 from kr270_milling.decide.limits import Limit, limits
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
 from kr270_milling.decide.tolerance import judge, um_text
 from kr270_milling.decide.verdict import (
+    CHOOSING_SEED,
     NO_METHOD,
     SAME,
     Verdict,
@@ -57,6 +59,8 @@ class Compensated:
     checked: Checked  #: findings of the revised path
     decision: Decision
     motions: tuple[str, ...]  #: motions of the robot programs
+    cell: Cell  #: with the feeds of ``compensation.feed``
+    feeds: dict | None = None  #: of ``scheduled``
 
 
 def compensate(
@@ -68,6 +72,7 @@ def compensate(
     robots: int = 0,
     seed: int = 1,
     former: Trajectory | None = None,
+    feeds: dict | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
 ) -> Compensated:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
@@ -75,10 +80,15 @@ def compensate(
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
     programs, LIN or SPLINE; robots: number of simulated robots of the verdict, drawn from ``seed``; 0: no verdict.
     former: the reference of the last measured part, which stays where a new one promises the robots no gain.
+    feeds: summary of the feeds that the path of the cell has already, of ``scheduled``.
     progress(name, passes at most, text): a context that yields a function for the progress of a step. Other methods
     are compared where none was compared before, unless the pass is long: that keeps its series, 180 MB an hour.
     """
     method, robots = (method or cell.compensation.method, robots) if path_of(cell).mills else (NO_METHOD, 0)
+    if feeds is None and cell.compensation.scheduled and path_of(cell).mills:
+        with progress("feeds") as report:
+            planning = NO_METHOD if method == NO_METHOD else QUICK  # the others take several times as long
+            cell, feeds = scheduled(cell, planning, (*motions, cell.krl.motion)[0], report)
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
     comparison = None
@@ -134,7 +144,7 @@ def compensate(
             rows = limits(cell, program, max(1, robots // DRAWN_OF))
     backlash = backlash_statement(cell.arm.backlash, cell.uncertainty.backlash, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)
-    return Compensated(programmed, plan, revised, by, parts, checked, decision, motions)
+    return Compensated(programmed, plan, revised, by, parts, checked, decision, motions, cell, feeds)
 
 
 def _no_gain(cell: Cell, former: Trajectory, planned: Trajectory) -> str:
@@ -164,7 +174,6 @@ def _verdict(
 
 
 FORMER = "former"  #: name of a program that stays
-CHOOSING_SEED = 1_000_003  #: of the robots that compare two programs, which neither a verdict nor ``robust`` draws
 DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
 
 

@@ -113,7 +113,7 @@ class Decision:
         """One line: the method that is written, and the one that a comparison recommends."""
         if self.comparison:
             return f"recommended method: {self.comparison.sentence}"
-        if self.method == NO_METHOD:
+        if self.method == NO_METHOD and math.isnan(self.compensated.error):
             return f"method: {NO_METHOD}, the tool only drills"
         chosen = f"method: {self.method}, as set"
         return f"{chosen}; recommended method: {self.recommended_method}" if self.recommended_method else chosen

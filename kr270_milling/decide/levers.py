@@ -1,35 +1,59 @@
-"""Softer ramps of the path: a lever beside the correction, because an arm swings after each stop and corner.
+"""Levers beside the correction: softer ramps, the feed of each stretch, a finishing pass, a turn of the tool.
 
-The swing of the slowest mode follows from the acceleration of the path. A ramp that lasts longer than a period of this
-mode leaves little. Scaling the acceleration by s and the jerk by s^2 makes all ramps 1/s times as long; the feed stays.
+An arm swings after each stop and corner. The swing of the slowest mode follows from the acceleration of the path. A
+ramp that lasts longer than a period of this mode leaves little. Scaling the acceleration by s and the jerk by s^2 makes
+all ramps 1/s times as long; the feed stays.
 """
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.column import column
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.column import column, computed
+from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.cell.jobs import PLANNED, compensated, compensator, simulate
 from kr270_milling.cell.models import path_of
+from kr270_milling.cell.plant import coarser
 from kr270_milling.decide.decision import ENOUGH
+from kr270_milling.decide.part.assessment import assess_result
+from kr270_milling.decide.part.stations import stations_of
+from kr270_milling.decide.part.surface import ideal_part
 from kr270_milling.decide.programs.written import written_trajectory
-from kr270_milling.decide.verdict import drawn_errors
-from kr270_milling.path.timing import Timing
+from kr270_milling.decide.tolerance import Judgement, judge_part
+from kr270_milling.decide.verdict import CHOOSING_SEED, NO_METHOD, drawn_errors
+from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.milling_pass import PassResult
 
-__all__ = ["Lever", "levers", "softened"]
+__all__ = ["QUICK", "Lever", "levers", "scheduled", "softened"]
 
-RATIOS = (1.0, 1.1, 1.25, 1.5)  #: cycle times that are tried, of the programmed one; ramps take no more than the last
+RATIOS = (
+    1.0,
+    1.1,
+    1.25,
+    1.5,
+)  #: cycle times of softer ramps, of the programmed one; also feeds stay below the last
+NEEDS = "needs part.tolerance_um, and a program without times in path.file"
 SOFTEST = 0.02  #: share of the programmed acceleration
+QUICK = "inverse"  #: method that plans while feeds are chosen; ``robust`` takes eight times as long
+STRETCH = 0.25  #: [s] of a stretch at the programmed feed: ramps of 2 m/s2 and 20 m/s3 to 4 m/min take 0.12 s
+CORNER = 0.1  #: [rad], turn of the path that ends a stretch
+ROUNDS = 4  #: feeds that are tried; each plans the correction again
+SLOWEST = 0.25  #: share of the programmed feed, above that of the least chip
+UNMOVED = 0.9  #: share of a deviation that would remain at no feed, above which the feed stays
+FAILED = 1e6  #: error of a robot that fails, as a share of the tolerance
+AIM = 0.95  #: load at which the feeds aim: the linear rule misses by some percent
 
 
 @dataclass(frozen=True)
 class Lever:
-    """A path and its correction, run by the simulated robots of a verdict."""
+    """A cell with some of the levers, run by the simulated robots of a verdict."""
 
     name: str = column("lever", short="lever")
     within: int = column("within_tolerance", short="within")
@@ -37,20 +61,27 @@ class Lever:
     median: float = column("median_um", 1e6, unit="um", short="median")
     high: float = column("q95_um", 1e6, unit="um", short="95 %")
     duration: float = column("duration_s", unit="s", short="time")
-    timing: Timing = column("")
+    cell: Cell = column("")
+    feeds: dict | None = column("", default=None)  #: of ``scheduled``
 
     @property
     def enough(self) -> bool:
         return self.within >= ENOUGH * self.robots
 
     @property
-    def keys(self) -> tuple[str, ...]:
+    def rank(self) -> tuple[int, float, float]:
+        """Greater for a better row: robots within the tolerance, then their median error, then the time."""
+        return self.within, -self.median, -self.duration
+
+    @computed("set")
+    def keys(self) -> list[str]:
         """The values of the cell file, as behind ``--set``."""
-        timing = self.timing
-        return (
+        timing, settings = self.cell.timing, self.cell.compensation
+        return [
             f"timing.acceleration_m_per_s2={timing.acceleration:.3g}",
             f"timing.jerk_m_per_s3={timing.jerk:.3g}",
-        )
+            *(f"compensation.{name}={getattr(settings, name)}" for name in ("feed", "finish", "turn")),
+        ]
 
 
 def softened(cell: Cell, ratio: float) -> Cell:
@@ -69,39 +100,245 @@ def _with_share(cell: Cell, share: float) -> Cell:
     return cell.replace(timing=cell.timing.replace(acceleration=acceleration, jerk=jerk))
 
 
-def levers(
-    cell: Cell, robots: int, seed: int, motion: str, progress: Callable[[int, int], None] | None = None
-) -> list[tuple[Lever, Cell]]:
-    """Try softer and softer ramps, without and with the correction, until enough robots meet the tolerance.
+def scheduled(
+    cell: Cell,
+    method: str,
+    motion: str,
+    count: Callable[[int, int], None] | None = None,
+    longest: float = math.inf,
+) -> tuple[Cell, dict]:
+    """Return the cell with a feed for each stretch of its path, and a summary.
 
-    Returns two rows for each time of the path, each with its cell; the last row is the cheapest that is enough, or
-    else the softest one. Raises InputError for a straight cut and for a cell without a tolerance.
+    The feed of a stretch is as high as the programmed one, times ``compensation.feed_most``, where 90 % of the robots
+    stay within the tolerance there; else lower. r(f), the load of a stretch as a share of its limit (``_loads``), is
+    taken as linear in the feed f, through its last two values; the first slope is r / f. Where a feed of 0 would leave
+    90 % of the load, it does not respond to the feed: the edges plough, or the servo lags. The programmed feed stays.
+
+    method: that plans the correction in these rounds; motion: of the programs; count(done, total): in robots;
+    longest [ns]: duration of the path, default ``RATIOS[-1]`` times the programmed one.
+    """
+    path, settings = cell.path.loaded().read(), cell.compensation
+    if not isinstance(path, Toolpath) or not any(cell.tolerances.of()):
+        raise InputError("compensation.feed", NEEDS)
+    ends = _stretches(path)
+    middle = ends - 0.5 * np.diff(ends, prepend=0.0)
+    feed, fixed = path.feed[path.block_at(middle)], (path.rapid | path.drilling)[path.block_at(middle)]
+    pitch = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    chip = np.maximum(feed * pitch, 1e-12)  # [m], feed per tooth
+    least = np.minimum(1.0, np.maximum(SLOWEST, cell.limits.least_chip / chip))
+    most = np.full(len(ends), settings.feed_most)
+    if cell.tool.max_feed_per_tooth:
+        most = np.minimum(most, np.maximum(cell.tool.max_feed_per_tooth / chip, least))
+    least[fixed] = most[fixed] = 1.0
+    share, before = np.minimum(1.0, most), None
+    slope = silent = np.zeros(len(ends))
+    programmed = path_of(cell).target.duration_ns
+    rounds: list[tuple] = []
+
+    def report(turn: int, done: int) -> None:
+        if count:
+            count(turn * PLANNED + done, ROUNDS * PLANNED)
+
+    for turn in range(ROUNDS):
+        tried = cell.replace(path=cell.path.loaded().replace(content=path.with_feeds(ends, share)))
+        loads, shares = _loads(tried, method, motion, ends, functools.partial(report, turn))
+        enough = bool(np.sum(shares <= 1.0) >= ENOUGH * PLANNED)
+        seconds = path_of(tried).target.duration_ns
+        within = int(np.sum(shares <= 1.0))
+        high = float(np.quantile(np.nan_to_num(shares, nan=FAILED), ENOUGH))
+        rounds.append((not enough, seconds if enough else -within, high, tried, share, seconds))
+        if before is None:
+            slope = loads / share
+        else:
+            moved = share - before[1]
+            own = np.abs(moved) > 0.02
+            slope = np.where(own, (loads - before[0]) / np.where(own, moved, 1.0), slope)
+        still = slope * share < (1.0 - UNMOVED) * loads
+        silent = (still & (loads > 1.0)).any(axis=0)
+        wanted = share + (AIM - loads) / np.maximum(slope, 1e-9)
+        wanted = np.where(still, np.where(loads > AIM, 1.0, np.inf), wanted)
+        before, share = (loads, share), np.clip(wanted.min(axis=0), least, most)
+        share = _within_time(cell, path, ends, share, min(longest, RATIOS[-1] * programmed))
+        if np.abs(share - before[1]).max() < 0.01:
+            break
+    *_, best, share, seconds = min(rounds, key=lambda row: row[:3])
+    lines = sorted(set(path.line[path.block_at(middle[silent & (share >= 1.0) & ~fixed])].tolist()))
+    percent = 100.0 * share[~fixed]
+    summary = {
+        "stretches": len(percent),
+        "slower": int(np.sum(percent < 99.5)),
+        "feed_percent": [float(percent.min()), float(percent.max())],
+        "duration_s": [programmed * 1e-9, seconds * 1e-9],
+        "lines_without_response": lines,
+    }
+    return best, summary
+
+
+def _within_time(cell: Cell, path: Toolpath, ends: np.ndarray, share: np.ndarray, limit: float) -> np.ndarray:
+    """Return shares with which the path takes at most a time [ns]: the given ones, or part of the way to them."""
+
+    def late(part: float) -> bool:
+        content = path.with_feeds(ends, 1.0 + part * (share - 1.0))
+        return path_of(cell.replace(path=cell.path.loaded().replace(content=content))).target.duration_ns > limit
+
+    low, high = 0.0, 1.0
+    if not late(high):
+        return share
+    for _ in range(6):
+        low, high = (low, 0.5 * (low + high)) if late(0.5 * (low + high)) else (0.5 * (low + high), high)
+    return 1.0 + low * (share - 1.0)
+
+
+def _stretches(path: Toolpath) -> np.ndarray:
+    """Ends of the stretches [m]: pieces of ``STRETCH`` of a cut, which ends at a corner or with its feed or feature."""
+    k = np.arange(1, len(path))
+    start, end = path.tangent(k, np.zeros(k.size)), path.tangent(k, path.plane_length[k])
+    corner = np.sum(start[1:] * end[:-1], axis=1) < np.cos(CORNER)
+    changed = [values[2:] != values[1:-1] for values in (path.feed, path.rapid, path.drilling, path.feature)]
+    last = np.append(np.flatnonzero(np.logical_or.reduce([corner, *changed])) + 1, len(path) - 1)
+    border = np.cumsum(path.block_length)[last]
+    length = np.diff(border, prepend=0.0)
+    steady = path.rapid[last] | path.drilling[last]
+    count = np.where(steady, 1, np.ceil(length / np.maximum(path.feed[last] * STRETCH, 1e-6))).astype(int)
+    return np.repeat(border - length, count) + np.repeat(length / count, count) * (
+        1 + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    )
+
+
+def _loads(
+    cell: Cell, method: str, motion: str, ends: np.ndarray, count: Callable[[int], object]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Plan a cell, run drawn robots, and return the loads of each stretch (3, s) that 90 % of the robots stay below.
+
+    Loads are shares of their limits: the errors that stay on walls and floors, the force, torque and power of the
+    spindle. Also returns the error of each robot as a share of the tolerance, (robots,).
+    """
+    nominal = coarser(cell)
+    path = path_of(nominal)
+    stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
+    along = stations_of(path, stamps)
+    ideal = ideal_part(nominal, along, path.target.sample(stamps))
+    distance, length, every = along.distance, float(ends[-1]), path.length
+    if cell.compensation.finish:
+        again = (every - length) / cell.compensation.finish
+        distance = np.where(distance > length, (distance - length) % again + length - again, distance)
+    stretch = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)
+    wall, floor = np.array([cell.tolerances.of(name) for name in along.features]).T
+    wall, floor = (np.where(values > 0.0, values, np.inf) for values in (wall, floor))
+    place = tuple(
+        np.clip(np.searchsorted(axis, target), 0, len(axis) - 1)
+        for axis, target in zip((ideal.x, ideal.y), path.target.sample(stamps)[:, :2].T, strict=True)
+    )
+    same_height = 20e-6  # [m], of the path and a floor that stays
+    stays = np.abs(ideal.height[place] - path.target.sample(stamps)[:, 2]) < same_height
+    mark = ideal.marks["period"][ideal.staying]
+    force, torque, power = cell.limits.cutting_force or np.inf, cell.limits.spindle_torque, cell.limits.spindle_power
+    loads: list[np.ndarray] = []
+
+    def watch(ran: PassResult) -> Judgement:
+        part = assess_result(nominal, "", ran, ideal, along)
+        load, cuts = np.zeros((3, len(ends))), part.cutting & ~along.drilling
+        side = np.abs(part.deviation)
+        if part.floors.curved:
+            least = np.minimum(wall, floor)[along.feature[cuts]]
+            np.maximum.at(load[0], stretch[cuts], np.hypot(side[cuts, 1], side[cuts, 2]) / least)
+        else:
+            np.maximum.at(load[0], stretch[mark], np.abs(part.walls.error) / wall[part.walls.feature])
+            bottom = cuts & stays
+            np.maximum.at(load[0], stretch[bottom], side[bottom, 2] / floor[along.feature[bottom]])
+        np.maximum.at(load[1], stretch[cuts], part.force[cuts] / force)
+        np.maximum.at(load[2], stretch[cuts], np.maximum(part.torque / torque, part.power / power)[cuts])
+        loads.append(load)
+        return judge_part(cell.tolerances, part)
+
+    program = _program(cell, method, motion)
+    rows = drawn_errors(cell, (program,), PLANNED, CHOOSING_SEED, count, watch)
+    if not loads:
+        raise ModelError("no simulated robot survives the path: check force law, compliances and depth of cut")
+    return np.quantile(np.array(loads), ENOUGH, axis=0), rows[:, 0, 1]
+
+
+def _program(cell: Cell, method: str, motion: str) -> Trajectory:
+    """Plan the correction of a cell and return its program as written."""
+    original = simulate(cell)
+    if method == NO_METHOD:
+        return written_trajectory(cell, original.reference, motion)
+    by = compensator(cell, path_of(cell).target, cell.compensation.replace(method=method).planned_method)
+    return written_trajectory(cell, compensated(cell, original, by.method, None, by).reference, motion)
+
+
+def levers(
+    cell: Cell,
+    robots: int,
+    seed: int,
+    motion: str,
+    progress: Callable[[int, int], None] | None = None,
+    turned: Callable[[Cell], Cell] | None = None,
+) -> tuple[list[Lever], Lever]:
+    """Try the levers, and return a row for each and the row to run.
+
+    That row is the one with the shortest time of those that are enough, or else the one with the most robots within
+    the tolerance. A lever that takes longer than one that is enough is not tried. Without a finishing pass the path
+    takes at most ``RATIOS[-1]`` times as long. turned: the cell with the best turn of the tool. Raises InputError for a
+    straight cut and for a cell without a tolerance.
     """
     fed = path_of(cell).fed
     if fed is None or fed.timed_by_source or not any(cell.tolerances.of()):
-        raise InputError("--reach", "needs part.tolerance_um, and a program without times in path.file")
-    rows: list[tuple[Lever, Cell]] = []
-    done = 0
+        raise InputError("--reach", NEEDS)
+    rows: list[Lever] = []
+    longest, most_tried, done = RATIOS[-1] * path_of(cell).target.duration_ns, 10, 0
 
-    def count(robot: int) -> None:
+    def count(robot: float) -> None:
         if progress:
-            progress(done + robot, len(RATIOS) * robots)
+            progress(round(done * robots + robot), most_tried * robots)
 
-    for ratio in RATIOS:
+    def tried(name: str, variant: Cell, feeds: dict | None = None) -> Lever:
+        """Plan the variant, run the robots, and append its row; the first one also has the path as programmed."""
+        nonlocal done
         count(0)
-        softer = softened(cell, ratio)
-        path, original = path_of(softer), simulate(softer)
-        by = compensator(softer, path.target)
-        planned = compensated(softer, original, by.method, None, by)
-        program = written_trajectory(softer, planned.reference, motion)
-        errors = drawn_errors(softer, (path.target, program), robots, seed, count)
-        done += robots
-        seconds = path.target.duration_ns * 1e-9
-        for name, (error, share) in zip(("as programmed", by.method), np.moveaxis(errors, 0, -1), strict=True):
-            shown = name if ratio == 1.0 else f"{name}, softer ramps"
+        program = _program(variant, variant.compensation.method, motion)
+        names, references = [name], [program]
+        if not rows:
+            names, references = ["nothing", name], [path_of(variant).target, program]
+        errors = drawn_errors(variant, references, robots, seed, count)
+        done += 1
+        seconds = path_of(variant).target.duration_ns * 1e-9
+        for shown, (error, share) in zip(names, np.moveaxis(errors, 0, -1), strict=True):
             median, high = np.quantile(np.nan_to_num(error, nan=1.0), (0.5, 0.95)).tolist()
             within = int(np.sum(share <= 1.0))
-            rows.append((Lever(shown, within, robots, median, high, seconds, softer.timing), softer))
-        if rows[-1][0].enough:
-            break
-    return rows
+            rows.append(Lever(shown, within, robots, median, high, seconds, variant, feeds))
+        return rows[-1]
+
+    def fed_by(name: str, variant: Cell) -> Lever:
+        nonlocal done
+        variant = variant.replace(compensation=variant.compensation.replace(feed="schedule"))
+        fed_cell, feeds = scheduled(variant, QUICK, motion, lambda k, n: count(robots * k / n), longest)
+        done += 1
+        return tried(name, fed_cell, feeds)
+
+    def none_enough() -> bool:
+        return not any(row.enough for row in rows)
+
+    tried("correction", cell)
+    plain = rows[-1]
+    if none_enough() and turned is not None:
+        other = turned(cell.replace(compensation=cell.compensation.replace(turn="best")))
+        if other.path.content is not cell.path.content:
+            tried("turn of the tool", other)
+    best = max(rows[1:], key=lambda row: row.rank).cell
+    for ratio in RATIOS[1:]:
+        if none_enough():
+            tried(f"softer ramps, {ratio:g} x", softened(cell, ratio))
+    fastest = min((row.duration for row in rows if row.enough), default=np.inf)
+    if fastest > plain.duration:
+        fed_by("feed", cell)
+    if none_enough():
+        fed_by("all without finish", softened(best, RATIOS[-2]))
+    if none_enough():
+        once = cell.compensation.replace(finish=min(3, cell.compensation.finish + 1))
+        tried("finishing pass", cell.replace(compensation=once))
+    if none_enough():
+        last = next(row for row in rows if row.name == "all without finish")
+        tried("all", last.cell.replace(compensation=last.cell.compensation.replace(finish=once.finish)), last.feeds)
+    enough = [row for row in rows[1:] if row.enough]
+    return rows, min(enough, key=lambda row: row.duration) if enough else max(rows[1:], key=lambda row: row.rank)

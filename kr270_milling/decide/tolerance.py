@@ -12,18 +12,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kr270_milling.base.column import CONVERGED, column, computed
+from kr270_milling.base.column import CONVERGED, as_dict, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import path_of, program_path
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
 from kr270_milling.decide.part.stations import stations_of
 from kr270_milling.decide.part.surface import ideal_part
-from kr270_milling.physics.motion.milling_pass import PassResult
+from kr270_milling.physics.motion.milling_pass import SERIES, PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "gauge_of", "judge", "judge_part", "um_text"]
+__all__ = [
+    "PATH_DEVIATION",
+    "SURFACE_ERROR",
+    "Gauge",
+    "Judgement",
+    "after_passes",
+    "gauge_of",
+    "judge",
+    "judge_part",
+    "um_text",
+]
 
 SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
 NORMAL_ERROR = "largest surface error"  #: of a part that an end leaves that is not flat
@@ -100,6 +110,28 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
     if path_of(cell).straight:
         return _judge_straight_cut(cell, ran.result, ran.scores.max_deviation)
     return judge_part(cell.tolerances, part or assess(cell, ran))
+
+
+def after_passes(cell: Cell, ran: ScoredPass) -> list[dict]:
+    """Judge the part after each pass along the same path, ``compensation.finish``; empty without such passes.
+
+    A row has number, end [s] and largest force of the pass, and the keys of the judgement of the part that it leaves.
+    """
+    timed, passes = path_of(cell).timed, cell.compensation.finish
+    if not passes or timed is None:
+        return []
+    length = program_path(cell).length
+    ends = length + np.arange(passes + 1) * (timed.toolpath.length - length) / passes
+    result, rows, first = ran.result, [], 0
+    counts = np.searchsorted(timed.distance_at(result.time_ns), ends - 1e-9) + 1
+    for number, count in enumerate(np.minimum(counts, len(result.time_ns)).tolist(), 1):
+        part = {name: getattr(result, name)[:count] for name in SERIES}
+        left = assess_result(cell, ran.name, replace(result, **part, heights=None))
+        force = float(left.force[first:].max(initial=0.0))
+        about = {"pass": number, "end_s": float(result.time[count - 1]), "max_force_n": force}
+        rows.append(about | as_dict(judge_part(cell.tolerances, left)))
+        first = count
+    return rows
 
 
 def judge_part(tolerances: Tolerances, part: PartAssessment) -> Judgement:

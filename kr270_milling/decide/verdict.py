@@ -33,9 +33,9 @@ from kr270_milling.physics.motion.dynamics import ArmModel
 from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "MethodComparison",
-           "Verdict", "alternatives", "coarser", "compare_methods", "cores", "judge_plants", "monte_carlo",
-           "drawn_errors", "run_sample"]  # fmt: skip
+__all__ = ["CHOOSING_SEED", "FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED",
+           "MethodComparison", "Verdict", "alternatives", "coarser", "compare_methods", "cores", "judge_plants",
+           "monte_carlo", "drawn_errors", "run_sample"]  # fmt: skip
 
 Row = TypeVar("Row")
 
@@ -48,6 +48,7 @@ SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of robots that may fail or become worse on the compensated trajectory
 SURE = 0.9  #: confidence with which more than this share do: 2 of 10, 3 of 20, 4 of 32 robots, and never 1 of 3 or more
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
+CHOOSING_SEED = 1_000_003  #: of the robots that compare programs, which neither a verdict nor ``robust`` draws
 NO_METHOD = "none"  #: run the path as it was programmed
 
 
@@ -316,13 +317,14 @@ def drawn_errors(
     robots: int,
     seed: int,
     count: Callable[[int], object] = lambda done: None,
+    gauge: Gauge | None = None,
 ) -> np.ndarray:
     """Errors [m] of drawn robots along references of a program, and their shares of the tolerance, (robots, k, 2).
 
-    count(done): called after each robot.
+    count(done): called after each robot; gauge: default that of the cell.
     """
     nominal, target = coarser(cell), path_of(cell).target
-    gauge = gauge_of(nominal)
+    gauge = gauge or gauge_of(nominal)
     return np.array(
         _each_robot(nominal, robots, seed, lambda _, robot: run_sample(robot, target, references, gauge), count)
     )

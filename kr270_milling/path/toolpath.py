@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from array import array
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -109,6 +111,48 @@ class Toolpath:
     def length(self) -> float:
         """Return the length of the path [m]."""
         return float(self.block_length.sum())
+
+    def repeated(self, times: int, height: float) -> Toolpath:
+        """Return the path and then the same path again, ``times`` times; in between rapid moves at a height [m]."""
+        top = max(height, float(self.position[:, 2].max()))
+        start, end = self.position[[0, -1]]
+        between = np.array([[*end[:2], top], [*start[:2], top], start])
+        between = between[np.any(between != np.vstack([end, between[:-1]]), axis=1)]
+        again = np.append(np.zeros(len(between), int), np.arange(1, len(self)))
+        back = np.tile(np.arange(len(again)) < len(between), times)
+        back = np.append(np.zeros(len(self), bool), back)
+        taken = self._rows(np.append(np.arange(len(self)), np.tile(again, times)))
+        taken["position"][back] = np.tile(between, (times, 1))
+        taken["rapid"][back] = True
+        for name in ("drilling", "feature", "curvature"):
+            taken[name][back] = 0
+        return dataclasses.replace(self, **taken)
+
+    def _rows(self, rows: np.ndarray) -> dict[str, Any]:
+        """Return the columns of some blocks."""
+        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: values[rows] for name, values in columns.items() if isinstance(values, np.ndarray)}
+
+    def with_feeds(self, ends: np.ndarray, shares: np.ndarray) -> Toolpath:
+        """Return the path with blocks that end at the stretches, and shares (s,) of the feed of each stretch.
+
+        ends: distances along the path [m], (s,), the last one is the end of the path. Rapid moves and drilling cycles
+        keep their feed.
+        """
+        own = np.cumsum(self.block_length)
+        apart = 1e-6  # [m], shorter blocks are not made
+        after = np.clip(np.searchsorted(own, ends), 1, len(own) - 1)
+        inner = ends[np.minimum(np.abs(own[after] - ends), np.abs(own[after - 1] - ends)) > apart]
+        distance = np.union1d(own, inner)
+        middle = (distance[1:] + distance[:-1]) / 2.0
+        divided = self._rows(np.append(0, self.block_at(middle)))
+        new = ~np.isin(distance, own)
+        if new.any():
+            divided["position"][new], _, divided["quaternion"][new] = self.on_path(distance[new])
+        stretch = np.clip(np.searchsorted(ends, middle), 0, len(ends) - 1)
+        changed = ~divided["rapid"] & ~divided["drilling"]
+        divided["feed"] = np.where(changed, divided["feed"] * np.append(1.0, shares[stretch]), divided["feed"])
+        return dataclasses.replace(self, **divided)
 
     def block_at(self, distance) -> np.ndarray:
         """Return the block, from 1, at each distance [m] along the path."""

@@ -35,6 +35,7 @@ __all__ = [
     "OLDER",
     "RSI_TICKS_NS",
     "as_commanded",
+    "knot_feeds",
     "notes_of",
     "program_bytes",
     "set_aside",
@@ -141,7 +142,9 @@ def write_programs(
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        written, points, ends = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, notes)
+        written, points, ends = krl.write_krl(
+            folder, program.replace(motion=motion), setup, *commanded, notes, knot_feeds(path_of(cell))
+        )
         files[f"krl_{motion.lower()}"] = written
         parts = parts if programs else ends  # of the first motion: RSI runs it
         size = program_bytes(written)
@@ -217,6 +220,7 @@ def _setup(cell: Cell) -> krl.Setup:
         centre,
         spindle,
         *law,
+        5 if cell.compensation.scheduled else 3,  # digits; of 1.2 m/min 0.05 % and 5 %
         fed.toolpath.program.external if fed else (0.0,) * 6,
     )
 
@@ -274,6 +278,15 @@ def _turning(program: Program, run: Trajectory) -> str:
     allowed = np.degrees([program.turn_speed, program.turn_acceleration])
     slower = "; more than $VEL.ORI or $ACC.ORI, the controller slows down there" if np.any(most > allowed) else ""
     return f"the tool turns at up to {most[0]:.3g} deg/s and {most[1]:.3g} deg/s2 in the plan{slower}"
+
+
+def knot_feeds(path: CellPath) -> np.ndarray | None:
+    """Return the programmed feed [m/s] of the block of each knot, (n,); NaN where the tool stops; None: no program."""
+    if path.timed is None or path.timed.timed_by_source:
+        return None
+    toolpath, block = path.timed.toolpath, path.timed.block
+    feed = np.where(toolpath.rapid, path.timing.rapid_feed, toolpath.feed)[block]
+    return np.where(path.target.standing, np.nan, feed)
 
 
 def notes_of(path: CellPath, count: int) -> list[tuple[int, str]]:

@@ -25,7 +25,7 @@ from kr270_milling.base.text import encoding_of
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import path_of, program_path
 from kr270_milling.decide.programs.krl import trajectory_hash
 from kr270_milling.decide.programs.krl_motion import WIDEST, printable_ascii
 from kr270_milling.decide.programs.points import point_numbers
@@ -80,6 +80,8 @@ def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
             "G-code states no joints, so the controller must compensate the sag: compensation.sag_compensated: true"
         )
         raise InputError("--gcode", reason)
+    if any(cell.compensation.turn == "best" for cell in cells):
+        raise InputError("--gcode", "has no words for a turn of the tool: compensation.turn must be keep")
     if not all(cell.path.source.spindle_speeds for cell in cells):
         raise InputError(file, "cuts without S and M3, so its corrected G-code would cut with the spindle off")
     if cells[0].path.offsets.size:
@@ -107,15 +109,26 @@ def write_gcode(
     method: for the name; date: ISO text; decision: its lines, for the header. A program that is not released has
     NOT_RELEASED in name and header. Raises InputError as ``check_gcode``.
     """
-    source = check_gcode([cell for cell, _ in jobs])
-    plans = [_Plan.of(cell, run, source) for cell, run in jobs if path_of(cell).mills]
+    source, every = check_gcode([cell for cell, _ in jobs]), 0
+    cell = jobs[0][0]
+    passes = cell.compensation.finish
+    if source.written_out and (passes or cell.compensation.scheduled):
+        reason = "parameters, sub-programs and shifts must be written out first, for compensation.finish and .feed"
+        raise InputError(cell.path.file, reason)
+    if passes:
+        if len(jobs) > 1:
+            raise InputError("--gcode", "writes compensation.finish for a program with one tool only")
+        start, height = program_path(cell).position[0], float(cell.stock.max[2]) + cell.krl.safe_height
+        source, every = source.repeated(passes, start, max(height, float(_timed(cell).toolpath.position[:, 2].max())))
+    plans = [_Plan.of(cell, run, source, every) for cell, run in jobs if path_of(cell).mills]
     ends = {line: points for plan in plans for line, points in plan.ends.items()}
+    feeds = {line: rates for plan in plans for line, rates in plan.feeds.items() if plan.cell.compensation.scheduled}
     hashes = [trajectory_hash(run) for _, run in jobs]
     mark = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
     file = Path(jobs[0][0].path.file)
     name = f"gcode_{method}_{date[:10].replace('-', '')}_{mark[:8]}{file.suffix}"
     path = Path(directory) / (name if released else f"NOT_RELEASED_{name}")
-    lines = source.rewritten(ends)
+    lines = source.rewritten(ends, feeds)
     notes = [
         *([] if released else ["NOT RELEASED: FOR INSPECTION ONLY"]),
         "SIMULATION RESULT: VERIFY WITH REDUCED OVERRIDE AND WITHOUT MATERIAL BEFORE MILLING",
@@ -142,26 +155,42 @@ class _Plan:
     time_ns: np.ndarray  #: [ns], (p,)
     row: np.ndarray  #: (p,), number of the row
     block: np.ndarray  #: (p,) bool: end of a block; else the start of a row, to which a rapid move leads
+    feed: np.ndarray  #: [m/s], (p,)
     ends: dict[int, np.ndarray]  #: line -> points [m]
+    feeds: dict[int, np.ndarray]  #: line -> feeds of the points [m/s]
     source_blocks: int
     written_out: bool
 
     @classmethod
-    def of(cls, cell: Cell, run: Trajectory, source: GcodeSource) -> _Plan:
+    def of(cls, cell: Cell, run: Trajectory, source: GcodeSource, every: int) -> _Plan:
+        """every: lines from one pass along the same path to the next."""
         timed = _timed(cell)
         path = timed.toolpath
         cuts = ~path.rapid & ~path.drilling
-        lines = source.lines_of(path, cell.path.file, cell.path.feed_rate)
+        lines = path.line if every else source.lines_of(path, cell.path.file, cell.path.feed_rate)
+        if every:
+            again = np.arange(len(path)) - len(program_path(cell))  # blocks after the first pass
+            count = (again[-1] + 1) // cell.compensation.finish
+            lines = lines + every * np.where(again < 0, 0, 1 + again // count)
         other = (lines[2:] != lines[1:-1]) | (cuts[2:] != cuts[1:-1])
+        if cell.compensation.scheduled:
+            other |= (path.feed[2:] != path.feed[1:-1]) & cuts[2:]
         last = np.flatnonzero(np.append(other, True)) + 1  #: block at the end of each move
         line, feed = lines[last].tolist(), cuts[last]
         times = np.append(0, _time_at(timed, np.cumsum(path.block_length)[last]))
         points = _point_times(cell, run, times[np.append(feed, False) | np.append(False, feed)])
         after = np.searchsorted(points, times, side="right")
         ends: dict[int, list] = {}
-        rows: list[tuple] = []  #: number of the row of each move, its times, and whether these are ends of blocks
+        feeds: dict[int, list] = {}
+        rows: list[tuple] = []  #: of each move the number of its row, times, whether these are ends of blocks, feed
         same_place = 0.05e-6  # [m], half of the last digit in mm
+
+        def add(number: int, places: np.ndarray, rate: float) -> None:
+            ends.setdefault(number, []).append(places)
+            feeds.setdefault(number, []).append(np.full(len(places), rate))
+
         for move in np.flatnonzero(feed).tolist():
+            rate = float(path.feed[last[move]])
             inside = points[after[move] : after[move + 1]]
             begins = move == 0 or not feed[move - 1]
             number = (rows[-1][0] if rows else 0) + begins
@@ -171,18 +200,21 @@ class _Plan:
                 before = line[move - 1] if move else int(lines[0])
                 rapid = before in source.moves and source.moves[before].kind == "rapid"
                 if moved or rapid:
-                    ends.setdefault(before if rapid else line[move], []).append(run.sample(time_ns))
-                rows.append((number, time_ns, moved and not rapid))
-            ends.setdefault(line[move], []).append(run.sample(inside))
-            rows.append((number, inside, True))
-        count = [len(time_ns) for _, time_ns, _ in rows]
+                    add(before if rapid else line[move], run.sample(time_ns), rate)
+                rows.append((number, time_ns, moved and not rapid, rate))
+            add(line[move], run.sample(inside), rate)
+            rows.append((number, inside, True, rate))
+        numbers, stamps, blocks, rates = zip(*rows, strict=True)
+        count = list(map(len, stamps))
         return cls(
             cell,
             run,
-            np.concatenate([time_ns for _, time_ns, _ in rows]),
-            np.repeat([number for number, _, _ in rows], count),
-            np.repeat([block for _, _, block in rows], count),
+            np.concatenate(stamps),
+            np.repeat(numbers, count),
+            np.repeat(blocks, count),
+            np.repeat(rates, count),
             {number: np.concatenate(parts) for number, parts in ends.items()},
+            {number: np.concatenate(parts) for number, parts in feeds.items()},
             len(set(np.array(line)[feed])),
             source.written_out,
         )
@@ -194,6 +226,15 @@ class _Plan:
         ends = np.flatnonzero(~read.rapid & ~read.drilling)
         if len(ends) != self.block.sum():
             raise InputError(file, f"read back, it has {len(ends)} feed moves where {self.block.sum()} were written")
+        settings = cell.compensation
+        same_rate = 0.01  # share: feeds are written with one decimal in mm/min
+        other = np.abs(read.feed[ends] - self.feed[self.block]) > same_rate * self.feed[self.block]
+        stopped = read.spindle_speed[ends] == 0.0
+        if (settings.scheduled or settings.finish) and (other.any() or stopped.any()):
+            block = int(np.argmax(other | stopped))
+            what = "the spindle is off" if stopped[block] else "another feed is read than was written"
+            reason = f"read back, {what}: compensation.feed and .finish need feeds per minute and S, M3 that stay on"
+            raise InputError(file, reason, int(read.line[ends[block]]))
         places = np.empty((len(self.block), 3))
         places[self.block] = read.position[ends]
         starts = np.flatnonzero(~self.block)

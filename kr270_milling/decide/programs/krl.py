@@ -40,7 +40,7 @@ from kr270_milling.decide.programs.krl_motion import (
     point_speeds,
     position_text,
 )
-from kr270_milling.decide.programs.points import point_numbers
+from kr270_milling.decide.programs.points import fixed_knots, point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["Setup", "filled", "time_statements", "trajectory_hash", "write_krl"]
@@ -65,6 +65,7 @@ class Setup:
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
     acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
     jerk: float = 0.0  #: jerk of the time law [m/s3]
+    speed_digits: int = 3  #: decimals of the speeds [m/s]
     external: tuple[float, ...] = (0.0,) * 6  #: E1 to E6, as the program of the path has them during its cuts
     date: str = ""
     source_hash: str = ""  #: SHA-256 of the recording or the tool path
@@ -106,16 +107,18 @@ def write_krl(
     original: Trajectory,
     revised: Trajectory,
     notes: Sequence[tuple[int, str]] = (),
+    feeds: np.ndarray | None = None,
 ) -> tuple[list[Path], np.ndarray, list[tuple[int, int]]]:
     """Write all modules of both programs, or none; return the paths, the knots that are points, and the parts.
 
-    A part is its first and its last knot. notes: of ``knot_notes``. Raises TrajectoryError for trajectories of
-    different knots, and for more points than the modules or the memory can hold.
+    A part is its first and its last knot. notes: of ``knot_notes``; feeds: of ``fixed_knots``; None: not known.
+    Raises TrajectoryError for trajectories of different knots, and for more points than the modules or the memory can
+    hold.
     """
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
     runs = {"ORG": original, "CMP": revised}
-    points = point_numbers(program, original, revised)
+    points = point_numbers(program, original, revised, fixed_knots(original.standing, feeds))
     comments, rests = point_comments(points, notes), original.standing[points]
     splits = rests & np.all([run.position[points, 2] >= setup.top for run in runs.values()], axis=0)
     frame_lines = 25  # of a module beside template and motions: heading, first and last lines
@@ -131,9 +134,12 @@ def write_krl(
         files: dict[Path, list[str]] = {}
         size = 0
         for kind, run in runs.items():
-            rows, speed = _rows(run)[points], point_speeds(program, run, points)
+            rows, speed = _rows(run)[points], point_speeds(program, run, points, feeds)
             moves = [
-                [motion_lines(program, rows[a:b], speed[a:b], rests[a:b], comments[a:b]) for a, b in own]
+                [
+                    motion_lines(program, rows[a:b], speed[a:b], rests[a:b], comments[a:b], setup.speed_digits)
+                    for a, b in own
+                ]
                 for own in modules
             ]
             for part in _sources(program, setup, kind, run, moves, ends):

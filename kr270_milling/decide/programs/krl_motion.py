@@ -154,7 +154,7 @@ def modules_of(
 
 
 def motion_lines(
-    program: Program, rows: np.ndarray, speed: np.ndarray, rests: np.ndarray, comments: Sequence[str]
+    program: Program, rows: np.ndarray, speed: np.ndarray, rests: np.ndarray, comments: Sequence[str], digits: int = 3
 ) -> list[str]:
     """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module.
 
@@ -163,7 +163,7 @@ def motion_lines(
     run on KR C2 and KR C4 are written so (javakuka.com).
     """
     lines: list[str] = []
-    feeds = [f"$VEL.CP={shortest(value, 3)}" for value in speed]
+    feeds = [f"$VEL.CP={shortest(value, digits)}" for value in speed]
     rests = rests.copy()
     rests[-1] = True
     spline = program.motion == "SPLINE"
@@ -186,10 +186,11 @@ def motion_lines(
     return lines
 
 
-def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.ndarray:
+def point_speeds(program: Program, run: Trajectory, points: np.ndarray, feeds: np.ndarray | None = None) -> np.ndarray:
     """Largest speed [m/s], (p,), on the way to each point, of the mean speeds between knots; 0 for the first.
 
-    The controller plans its own ramps up to that speed.
+    The controller plans its own ramps up to that speed. feeds: of ``fixed_knots``; where the feed changes on the way,
+    the lower one holds.
     """
     step = np.diff(run.time_ns)
     if program.motion == "LIN" or run.velocity is None:
@@ -198,5 +199,10 @@ def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.nd
         places = run.time_ns[:-1, None] + np.rint((1 + GAUSS[0]) / 2 * step[:, None]).astype(np.int64)
         length = run.feed(places) @ (GAUSS[1] / 2) * step * 1e-9
     fastest = np.maximum.reduceat(length / (1e-9 * step), points[:-1])
+    if feeds is not None:
+        change = feeds[1:] != feeds[:-1]
+        lower = np.where(change, np.fmin(feeds[1:], feeds[:-1]), np.inf)
+        lower[np.isnan(feeds[1:] + feeds[:-1])] = np.inf
+        fastest = np.minimum(fastest, np.minimum.reduceat(lower, points[:-1]))
     slowest = 1e-3  # [m/s], the step of the speeds that are written
     return np.concatenate([[0.0], np.maximum(fastest, slowest)])

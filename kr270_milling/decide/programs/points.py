@@ -20,9 +20,22 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.trajectory import LEVER, Trajectory, turned
 
-__all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
+__all__ = ["ProgramBlocks", "fixed_knots", "point_numbers", "program_blocks"]
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
+
+
+def fixed_knots(stops: np.ndarray, feeds: np.ndarray | None) -> np.ndarray:
+    """Return the knots that must be points, (n,) bool: the stops, and where the feed changes.
+
+    feeds: of the block of each knot [m/s], (n,), NaN at a stop. The point is the knot in the faster block, so that the
+    way to it, or from it, has the lower feed as a whole.
+    """
+    fixed = stops.copy()
+    if feeds is not None:
+        fixed[1:] |= feeds[1:] > feeds[:-1]
+        fixed[:-1] |= feeds[1:] < feeds[:-1]
+    return fixed
 
 
 def point_numbers(
@@ -111,9 +124,11 @@ class ProgramBlocks:
         )
 
 
-def program_blocks(program: Program, original: Trajectory, revised: Trajectory) -> ProgramBlocks:
-    """Return the size of the blocks of the program of ``revised``."""
-    points = point_numbers(program, original, revised)
+def program_blocks(
+    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+) -> ProgramBlocks:
+    """Return the size of the blocks of the program of ``revised``; fixed: as of ``point_numbers``."""
+    points = point_numbers(program, original, revised, fixed)
     time = original.time_ns[points]
     step = np.diff(time)
     shortest = int(np.argmin(step))

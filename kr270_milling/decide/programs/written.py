@@ -20,7 +20,7 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.plant import Plant
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl
-from kr270_milling.decide.programs.files import as_commanded, notes_of, timed_by_cell
+from kr270_milling.decide.programs.files import as_commanded, knot_feeds, notes_of, timed_by_cell
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
 
@@ -44,7 +44,8 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     program = cell.krl.replace(motion=motion, name="WRITTEN")
     path, target = path_of(cell), path_of(cell).target
     with tempfile.TemporaryDirectory() as folder:
-        _, k, _ = krl.write_krl(folder, program, setup, target, commanded, notes_of(path, len(planned)))
+        notes = notes_of(path, len(planned))
+        _, k, _ = krl.write_krl(folder, program, setup, target, commanded, notes, knot_feeds(path))
         pose, stops = read_krl(folder, "WRITTEN_CMP")
     position = planned.position[k] + pose.position - commanded.position[k]
     quaternion = planned.quaternion[k]

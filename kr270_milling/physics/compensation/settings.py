@@ -40,6 +40,20 @@ class CompensationSettings(Record):
     max_change_per_tick: float = parameter(
         0.1e-3, unit="mm", above=0.0, high=50.0, text="largest change of the correction within one tick"
     )
+    feed: str = parameter(
+        "keep",
+        choices=("keep", "schedule"),
+        text="schedule: compensate sets the feed of each stretch, so that 90 % of the robots meet the tolerance",
+    )
+    feed_most: float = parameter(1.0, low=1.0, high=5.0, text="schedule: highest feed, of the programmed one")
+    turn: str = parameter(
+        "keep",
+        choices=("keep", "best"),
+        text="best: compensate turns the tool about its axis, by one angle everywhere",
+    )
+    finish: int = parameter(
+        0, low=0, high=3, text="further passes along the same path, a finishing or spring pass, which cut what is left"
+    )
     tick: float = parameter(12e-3, unit="ms", low=1.0, high=1000.0, text="cycle in which the controller corrects")
 
     @property
@@ -48,6 +62,11 @@ class CompensationSettings(Record):
         if self.method != BEST:
             return self.method
         return "learned" if self.tracker else "inverse"
+
+    @property
+    def scheduled(self) -> bool:
+        """Return whether ``compensate`` sets the feeds."""
+        return self.feed == "schedule"
 
     @property
     def tick_ns(self) -> int:

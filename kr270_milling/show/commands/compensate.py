@@ -34,7 +34,7 @@ from kr270_milling.decide.programs.files import (
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
-from kr270_milling.decide.tolerance import um_text
+from kr270_milling.decide.tolerance import after_passes, um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.decide.verdict import SAMPLES
 from kr270_milling.path.trajectory_csv import read_csv
@@ -53,6 +53,7 @@ from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
 from kr270_milling.show.report.study_page import tools_page
 from kr270_milling.studies.identification.measured_part import learn, learned_keys, read_part
+from kr270_milling.studies.maps.along import turn_of, turned_cell
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "decision and tables are those of the KRL program"
@@ -63,6 +64,9 @@ COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: color of a level
 def run_compensate(args) -> Answer:
 
     def run(cell, whole):
+        if cell.compensation.turn == "best" and not reached:
+            with whole.under(title_of(cell))("turn of the tool"):
+                cell = turned_cell(cell)
         plant = plant_of(args, cell)
         return compensate(
             cell,
@@ -72,6 +76,7 @@ def run_compensate(args) -> Answer:
             robots=args.verdict,
             seed=args.seed,
             former=parts[-1][1] if parts else None,
+            feeds=reached[1].feeds if reached else None,
             progress=whole.under(title_of(cell)),
         )
 
@@ -81,7 +86,7 @@ def run_compensate(args) -> Answer:
     if args.gcode:
         check_gcode(cells)
     parts, learned = _measured_parts(args, cells), None
-    reached: list[Lever] = []
+    reached: tuple[list[Lever], Lever] | None = None
     if parts and args.reach:
         raise InputError("--reach", "changes the times of the path; include what was learned in the cell first")
     with staged(args.out) as (draft, final), steps() as whole:
@@ -90,12 +95,14 @@ def run_compensate(args) -> Answer:
                 learned = learn(cells[0], parts, report)
             cells = (learned.cell,)
         if args.reach:
-            reached, cells = _reach(cells, args, whole)
+            reached = _reach(cells, args, whole)
+            cells = (reached[1].cell,)
         jobs = in_turn(
             cells,
             lambda cell: run(cell, whole),
             lambda result: result.revised if result.checked.may_be_run else None,
         )
+        jobs = [(result.cell, result) for _, result in jobs]
         several = len(jobs) > 1
         decision = DecisionOnTools.of(jobs) if several else jobs[0][1].decision
         if args.json and decision.level == CAUTION:
@@ -136,21 +143,20 @@ def _measured_parts(args, cells) -> list:
     return parts
 
 
-def _reach(cells, args, whole) -> tuple[list, tuple]:
-    """Return the levers that were tried, and the cell with the cheapest that is enough."""
+def _reach(cells, args, whole) -> tuple[list, Lever]:
+    """Return the rows of the levers that were tried, and the row to run."""
     if len(cells) > 1:
         raise InputError("--reach", "takes a program with one tool, or one of its tools: --set path.tool=T1")
     motion = (args.krl or [cells[0].krl.motion])[0]
+    turned = None if args.gcode else turned_cell  # 3-axis G-code has no words for a turn
     with whole("levers") as report:
-        rows = levers(cells[0], args.verdict or SAMPLES, args.seed, motion, report)
-    return [lever for lever, _ in rows], (rows[-1][1],)
+        return levers(cells[0], args.verdict or SAMPLES, args.seed, motion, report, turned)
 
 
-def _levers_table(reached) -> TextTable:
+def _levers_table(reached, chosen: Lever) -> TextTable:
     """The levers side by side, for terminal and report."""
-    last = reached[-1]
-    state = "the last row is run" if last.enough else "none is enough; the last row is run"
-    note = f"{state}: {', '.join(last.keys)}"
+    state = "is the cheapest that is enough" if chosen.enough else "keeps most robots within; none is enough"
+    note = f"'{chosen.name}' {state}, and is run: {', '.join(chosen.keys)}"
     rows = [as_dict(lever) for lever in reached]
     columns = [(head, key, 0 if key in ("within_tolerance", "robots") else 2) for head, key, _ in columns_of(Lever)]
     return table_of("Levers: simulated robots within the tolerance", columns, rows, note)
@@ -164,6 +170,12 @@ def _values(cell, result) -> dict:
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     values["planned_max_deviation_um"] = 1e6 * result.planned.scores.max_deviation
     values["time_law"] = time_law(path_of(cell))
+    if turn := turn_of(cell):
+        values["tool_turn_deg"] = np.degrees(turn)
+    if result.feeds:
+        values["feeds"] = result.feeds
+    if passes := after_passes(cell, revised):
+        values["finish"] = passes
     values["original"] = as_dict(original.scores)
     values["passes"] = [scored.row() for scored in (original, revised)]
     values |= _correction(cell, revised, result.by)
@@ -196,7 +208,7 @@ def _write(draft, final, jobs, decision, args, source, whole, reached) -> dict:
         placed, text = _write_programs(draft, final, cell, result, decision.level, args, date)
         tools.append(values | placed)
         texts.append(text)
-        pages.append(_report_of_tool(cell, result, args, source, date, whole, reached))
+        pages.append(_report_of_tool(cell, result, args, source, date, whole, reached, values))
         if result.parts and "stl" in args.write:
             stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
             write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock)
@@ -218,7 +230,7 @@ def _write(draft, final, jobs, decision, args, source, whole, reached) -> dict:
         ]
         return {**as_dict(decision), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
     tools[0]["programs"]["manifest"] = [manifest]
-    shown = {"levers": [as_dict(lever) for lever in reached]} if reached else {}
+    shown = {"levers": [as_dict(lever) for lever in reached[0]]} if reached else {}
     return tools[0] | report | gcode | shown
 
 
@@ -268,7 +280,7 @@ def _write_programs(draft, final, cell, result, level: str, args, date: str) -> 
     return placed, text
 
 
-def _report_of_tool(cell, result, args, source, date: str, whole, reached) -> str:
+def _report_of_tool(cell, result, args, source, date: str, whole, reached, values: dict) -> str:
     """Return the report of one tool as text."""
     revised = result.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
@@ -283,7 +295,8 @@ def _report_of_tool(cell, result, args, source, date: str, whole, reached) -> st
         decision=result.decision,
         checked=result.checked,
         tables=[
-            *([_levers_table(reached)] if reached else []),
+            *([_levers_table(*reached)] if reached else []),
+            *([_passes_table(values["finish"])] if "finish" in values else []),
             _joints_table(cell, revised),
             _time_law_table(cell, result, whole),
         ],
@@ -333,10 +346,10 @@ def _shown(cell, result, decision, values: dict, args, reached):
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
     if reached:
-        table = _levers_table(reached)
+        table = _levers_table(*reached)
         yield from (table, f"levers: {table.note}")
     elif decision.level != YES and decision.verdict and not path_of(cell).straight:
-        yield "levers: compensate --reach tries softer ramps of the path, which let the arm swing less after corners"
+        yield "levers: compensate --reach tries softer ramps, other feeds, a finishing pass and a turn of the tool"
     yield from _details(cell, result, values)
     if decision.level == NO:
         yield NOT_RELEASED if args.force else NOT_WRITTEN
@@ -359,6 +372,12 @@ def _details(cell, result, values: dict):
     else:
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
+    if "tool_turn_deg" in values:
+        yield f"the tool is turned by {values['tool_turn_deg']:.4g} deg about its axis, in all points"
+    if "feeds" in values:
+        yield _feeds_text(values["feeds"])
+    if "finish" in values:
+        yield _passes_table(values["finish"])
     yield (
         f"largest deviation of the written program {um_text(1e-6 * values['max_deviation_um'])}, of the plan "
         f"{um_text(1e-6 * values['planned_max_deviation_um'])}; {values['time_law']}"
@@ -383,6 +402,27 @@ def _details(cell, result, values: dict):
         yield TextTable(title, ["", "5 %", "50 %", "95 %"], rows)
         yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
     yield f"{values['points']} reference points: {values['trajectory']}"
+
+
+def _feeds_text(feeds: dict) -> str:
+    """The feeds of the stretches as one line."""
+    least, most = feeds["feed_percent"]
+    before, after = feeds["duration_s"]
+    text = (
+        f"feeds: {feeds['slower']} of {feeds['stretches']} stretches slower, {least:.0f} to {most:.0f} % of the "
+        f"programmed feed; cycle time {before:.4g} s before, {after:.4g} s after"
+    )
+    if lines := feeds["lines_without_response"]:
+        shown = ", ".join(map(str, lines[:5])) + (f" and {len(lines) - 5} more" if len(lines) > 5 else "")
+        text += f"; the error in line {shown} does not respond to the feed, which stays as programmed there"
+    return text
+
+
+def _passes_table(rows: list[dict]) -> TextTable:
+    """The part after each pass along the same path."""
+    heads = [("pass", "pass", 0), ("wall [um]", "wall_um", 2), ("floor [um]", "floor_um", 2)]
+    heads += [("force [N]", "max_force_n", 1), ("ends at [s]", "end_s", 1)]
+    return table_of("After each pass along the path: errors that remain, largest force of the pass", heads, rows)
 
 
 def _features(features: dict, method: str) -> TextTable:

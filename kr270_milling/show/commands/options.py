@@ -158,8 +158,8 @@ def _add_compensate(parser) -> None:
     _shared(parser, "cell", "--set", "--plant", "--noise-um")
     add(
         "--method",
-        choices=("best", *_methods()),
-        help="default: the cell's compensation.method; best: compare the methods and run the best",
+        choices=("best", "none", *_methods()),
+        help="default: the cell's compensation.method; best: compare the methods and run the best; none: no correction",
     )
     add(
         "--measured",
@@ -199,7 +199,7 @@ def _add_compensate(parser) -> None:
     add(
         "--reach",
         action="store_true",
-        help="try softer ramps of the path, up to 1.5 times its time, until 90 %% of the robots meet the tolerance",
+        help="try ramps, feeds, a finishing pass and a turn of the tool until 90 %% of the robots meet the tolerance",
     )
     add(
         "--force",

@@ -52,6 +52,23 @@ N200 M30
 INCHES = re.sub(r"([XYZIJRF])(-?[\d.]+)", lambda w: f"{w[1]}{float(w[2]) / 25.4:.6f}", PART.replace("G21", "G20"))
 
 
+def test_a_finishing_pass_repeats_the_moves_of_the_program_after_a_way_back_above_the_part(tmp_path):
+    cell = small_part(tmp_path, PART, "compensation.finish=1")
+    path = path_of(cell).timed.toolpath
+    once = small_part(tmp_path, PART)
+    jobs = [[(each, swayed(path_of(each).target))] for each in (cell, once)]
+    (written, (tool,)), (_, (single,)) = (
+        write_gcode(tmp_path, job, method="inverse", date="2026-01-01") for job in jobs
+    )
+    read = read_gcode(written)
+    assert tool.error < 3e-6 and tool.blocks > 1.9 * single.blocks
+    assert read.position[~read.rapid].shape[0] >= path.position[~path.rapid].shape[0]
+    low = np.minimum(read.position[1:, 2], read.position[:-1, 2])[read.rapid[1:]]
+    sideways = np.hypot(*np.diff(read.position[:, :2], axis=0).T)[read.rapid[1:]] > 1e-6
+    assert np.all(low[sideways] > 0.0)
+    assert written.read_text().count("M30") == 1
+
+
 def rows_of(path) -> list[np.ndarray]:
     """The places of each row of feed moves, (k, 3)."""
     feed = ~path.rapid & ~path.drilling

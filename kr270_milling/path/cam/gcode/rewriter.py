@@ -6,6 +6,7 @@ G3) becomes G1 blocks; its N number, its other words and its comments stay.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -109,8 +110,23 @@ class GcodeSource:
     moves: dict[int, SourceMove]  #: line number, from 1 -> blocks
     written_out: bool = False  #: the lines are not those of the file, which has parameters, sub-programs or shifts
 
-    def rewritten(self, ends: dict[int, np.ndarray]) -> list[str]:
-        """Return the lines with other end points; ends: line -> points (k, 3) [m].
+    def repeated(self, times: int, start: np.ndarray, height: float) -> tuple[GcodeSource, int]:
+        """Return the lines with all moves ``times`` times more, and the number of lines from one to the next.
+
+        start (3,), height [m]: place to which the tool returns, and height of the rapid moves to it.
+        """
+        first, last = min(self.moves), max(self.moves)
+        unit = self.moves[last].unit
+        x, y, z = _words(start, unit).split()
+        up = _words(np.array([0.0, 0.0, height]), unit).split()[2]
+        between = [f"G90 G0 {up}", f"G0 {x} {y}", f"G0 {z}"]
+        body = [*between, *self.lines[first - 1 : last]]
+        lines = (*self.lines[:last], *body * times, *self.lines[last:])
+        moves = {n + k * len(body): move for k in range(times + 1) for n, move in self.moves.items()}
+        return dataclasses.replace(self, lines=lines, moves=moves), len(body)
+
+    def rewritten(self, ends: dict[int, np.ndarray], feeds: dict[int, np.ndarray] | None = None) -> list[str]:
+        """Return the lines with other end points; ends: line -> points (k, 3) [m], feeds: line -> feeds (k,) [m/s].
 
         A feed move without points has no length: its line keeps its other words. A rapid move or cycle without points
         is not changed.
@@ -121,7 +137,8 @@ class GcodeSource:
             if move is None or not (move.kind == "feed" or len(points)):
                 lines.append(line)
             else:
-                lines += _rewritten(line, move, [_words(point, move.unit) for point in points])
+                rates = feeds.get(number) if feeds and move.kind == "feed" else None
+                lines += _rewritten(line, move, [_words(point, move.unit) for point in points], rates)
         return lines
 
     def lines_of(self, path: Toolpath, file, feed: float) -> np.ndarray:
@@ -182,8 +199,8 @@ def _words(point: np.ndarray, unit: float) -> str:
     )
 
 
-def _rewritten(line: str, move: SourceMove, places: list[str]) -> list[str]:
-    """Return a line as the blocks that lead to ``places``."""
+def _rewritten(line: str, move: SourceMove, places: list[str], rates: np.ndarray | None = None) -> list[str]:
+    """Return a line as the blocks that lead to ``places``; rates (k,) [m/s]: feeds in place of that of the line."""
     code = line.lstrip()
     skip = ""
     if mark := SKIP.match(code):
@@ -192,6 +209,12 @@ def _rewritten(line: str, move: SourceMove, places: list[str]) -> list[str]:
     words, ending, comments, place = _sorted_words(code, move)
     feed = move.kind == "feed"
     blocks = [f"G1 {position}" if feed else position for position in places]
+    if rates is not None:
+        words = [word for word in words if not word.upper().startswith("F")]
+        digits = 1 if move.unit == MM else 3
+        texts = [f" F{60.0 * rate / move.unit:.{digits}f}" for rate in rates.tolist()]
+        before = [""] + texts[:-1]
+        blocks = [block + text * (text != last) for block, text, last in zip(blocks, texts, before, strict=True)]
     words.insert(place, blocks[0] if blocks else "G1")
     rows = [words, *([block] for block in blocks[1:])]
     rows[-1] = rows[-1] + ending
