@@ -167,7 +167,7 @@ def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.
     speed = np.minimum(np.minimum(rounding, turning), np.minimum(dense, limit))
     # turns below 1 mrad come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
     speed = np.where(half < 0.5e-3, limit, speed)
-    in_place = ~start.any(axis=1)
+    in_place = np.linalg.norm(start, axis=1) == 0.0
     speed = np.where(in_place[1:] != in_place[:-1], 0.0, speed)
     fair = 0.2  # share of the feed below which a corner is not worth rounding
     return np.where(speed >= fair * limit, speed, 0.0)

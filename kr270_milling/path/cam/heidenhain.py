@@ -204,8 +204,7 @@ class _Conversational(Machine):
         if self.shift is not None and self.shift[0] != 1:
             raise _Refused("PLANE in coordinates that are turned")
         turn = Rotation.from_euler(axes, [angles[name] for name in names], degrees=True) if axes else None
-        flat = turn is None or turn.magnitude() == 0.0
-        self.set_tilt(None if flat else Pose(np.zeros(3), turn.as_matrix()))
+        self.set_tilt(Pose(np.zeros(3), turn.as_matrix()) if turn is not None and turn.magnitude() > 0.0 else None)
         self.pole = self.heading = None
         for number in (120, 121, 122):  # the angles of the machine's axes, which name the plane and no number here
             self.variables.set(number, 0.0)
