@@ -19,7 +19,7 @@ TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="ut
 ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
-ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: 0.0, B: 0.0, C: 0.0}}"
+ON_DISPLAY = "{{X: {}, Y: {}, Z: {}, A: {}, B: {}, C: {}}}"
 DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where the program does not state it
 #: keys of a tool, below ``tool`` or below its name
 TOOL = """\
@@ -33,7 +33,11 @@ STRAIGHT_TOOL = {
     "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours",
 }  # fmt: skip
 STRAIGHT = {
-    "operations": "", "place": ON_DISPLAY.format(*PLACE), "offset": "of the workpiece",
+    "operations": "", "place": ON_DISPLAY.format(*PLACE, 0.0, 0.0, 0.0), "offset": "of the workpiece",
+    "place_note": "yours: BASE_DATA from the display of the controller [mm, deg]; here the place of the shipped test "
+    "piece, z up",
+    "mounted": ON_DISPLAY.format(300.0, 0.0, 140.0, 180.0, -90.0, 0.0),
+    "tool_note": "yours: TOOL_DATA of the spindle from the display of the controller",
     "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]",
     "name": "MILLING", "name_note": "yours: of the robot program",
     "high": "[60.0, 20.0, 0.0]", "spindle_on": "[]",
@@ -165,9 +169,18 @@ def _module_name(file: str) -> str:
 
 def _common(file: str, path: Toolpath, stock: Box) -> dict:
     """Values of a cell that do not depend on the tool; a KRL program states no speed of the spindle."""
+    program = path.program
+    frames = {}
+    if program.base_frame:
+        frames = {"place": ON_DISPLAY.format(*map(_number, program.base_frame))}
+        frames["place_note"] = "[source: the program's $BASE]; compare it with the display of the controller"
+    if program.tool_frame:
+        frames |= {"mounted": ON_DISPLAY.format(*map(_number, program.tool_frame))}
+        frames["tool_note"] = "[source: the program's $TOOL]; compare it with the display of the controller"
     return {
         "spindle_on": "[HALT]" if file.lower().endswith(".src") else "[]",
-        "place": ON_DISPLAY.format(*map(_number, _place(stock))),
+        "place": ON_DISPLAY.format(*map(_number, _place(stock)), 0.0, 0.0, 0.0),
+        **frames,
         "offset": path.program.work_offset or "the work offset",
         "low": _list(1e3 * stock.low),
         "high": _list(1e3 * stock.high),

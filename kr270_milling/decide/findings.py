@@ -154,6 +154,9 @@ KINDS = {
         "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
     "tool tip": Kind("mm", "the tip of the tool is {value:.4g} mm behind the flange",
         "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
+    "frame of the program": Kind("mm",
+        "{name} of the program is {value:.4g} mm and {degrees:.3g} deg away from {key}",
+        "Compare both with the display of the controller; the corrected program sets that of the cell.", "warning"),
     "force coefficient": Kind("N/mm2",
         "K_tc is {value:.4g} N/mm2, but published coefficients, with a margin of three, lie between {low:.4g} and "
         "{high:.4g} N/mm2",

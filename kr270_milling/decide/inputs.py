@@ -6,7 +6,9 @@ import functools
 import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.frames import TOOL0, Pose
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.findings import Finding, violation
@@ -19,13 +21,14 @@ __all__ = ["input_violations"]
 
 #: [rad] assumed: usual angles of a spindle from the axis of the flange, and how far bracket and calibration miss them
 MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)
+SAME_PLACE, SAME_ANGLE = 0.1e-3, 0.01  #: [m], [deg] assumed: rounding and calibration of one frame
 BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist is there
 MOST_OUTSIDE = 0.5  #: share of the cutting moves outside of the stock; leads and overlaps take less
 
 
 def input_violations(cell: Cell) -> list[Finding]:
     """Everything that is wrong or unlikely in the parameter file, and between the cell and its program."""
-    return _unlikely_arm(cell) + _placement(cell) + _posture(cell) + _material(cell) + _program(cell)
+    return _unlikely_arm(cell) + _placement(cell) + _posture(cell) + _material(cell) + _frames(cell) + _program(cell)
 
 
 def _unlikely_arm(cell: Cell) -> list[Finding]:
@@ -52,6 +55,27 @@ def _mounting(cell: Cell) -> list[Finding]:
         findings.append(violation("spindle direction", turn, nearest, words=words))
     if mount.xyz[0] < -BEHIND:
         findings.append(violation("tool tip", -mount.xyz[0], BEHIND))
+    return findings
+
+
+def _frames(cell: Cell) -> list[Finding]:
+    """$TOOL and $BASE of a KRL program that are not those of the cell."""
+    fed = path_of(cell).fed
+    program = fed.toolpath.program if fed else None
+    if program is None:
+        return []
+    findings = []
+    for name, key, frame, own in (
+        ("$TOOL", "mount.tool_kuka", program.tool_frame, TOOL0.inverse() @ cell.mount.pose),
+        ("$BASE", "workpiece.base_kuka", program.base_frame, cell.workpiece.pose),
+    ):
+        if frame:
+            between = Pose.from_abc(1e-3 * np.array(frame[:3]), np.radians(frame[3:])).inverse() @ own
+            away = float(np.linalg.norm(between.position))
+            degrees = float(np.degrees(Rotation.from_matrix(between.rotation).magnitude()))
+            if away > SAME_PLACE or degrees > SAME_ANGLE:
+                amounts = {"degrees": degrees}
+                findings.append(violation("frame of the program", away, 0.0, amounts=amounts, name=name, key=key))
     return findings
 
 

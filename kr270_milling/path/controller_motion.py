@@ -111,7 +111,7 @@ def places_on_program(
 def _rounding(move: np.ndarray, blend: np.ndarray, span: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return the way [m], (m, 3), from places u (m,) on their lines ``span`` (m,) to the parabolas at the points.
 
-    move (p - 1, 3): lines between the points; blend (p,) [m]. From d before a point to d behind it the parabola is
+    move (p - 1, 3): lines between the points; blend (p,) [m]. From d before to d after a point the parabola is
     P + t^2 d e_k - (1 - t)^2 d e_(k-1), t from 0 to 1, e the directions: it misses the point by d (e_k - e_(k-1)) / 4.
     """
     length = np.linalg.norm(move, axis=1)

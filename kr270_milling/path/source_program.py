@@ -81,6 +81,8 @@ class SourceProgram:
     feeds: tuple[float, ...] = ()  #: [m/s], of the cutting moves
     feed_units: tuple[str, ...] = ()  #: unit of the F words, such as "mm a minute"
     external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts, of a KRL program
+    tool_frame: tuple[float, ...] = ()  #: $TOOL of a KRL program, X, Y, Z [mm], A, B, C [deg]; empty: none by numbers
+    base_frame: tuple[float, ...] = ()  #: $BASE
     rounding: float = 0.0  #: P of G64 [m], by which the control may leave a corner; 0: the program states none
     beside: float = 0.0  #: radius in the comment on the tool, by which G41 and G42 move the path [m]; 0: they do not
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"

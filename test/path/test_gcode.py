@@ -32,6 +32,21 @@ def read(tmp_path):
     return read
 
 
+@pytest.mark.parametrize(("unit", "radius", "apart", "closes"), [
+    ("G21", 25.0, 0.028, True), ("G21", 25.0, 0.029, False), ("G21", 1000.0, 1.0, True), ("G21", 1000.0, 1.01, False),
+    ("G21", 6000.0, 2.82, True), ("G21", 6000.0, 2.84, False), ("G20", 2.5, 0.0028, True), ("G20", 2.5, 0.0029, False),
+])  # fmt: skip
+def test_an_arc_closes_by_the_rule_of_linuxcnc(read, unit, radius, apart, closes):
+    """tests/interp/bad/README.arc-radius-tolerance: 2 sqrt(2) of 0.01 mm or 0.001 in, or 0.1 %, at most 100 times."""
+    text = f"{unit} G90 G17 G0 X{radius} Y0 Z0\nG3 X0 Y{radius + apart} I{-radius} J0 F100\n"
+    if closes:
+        scale = 1e-3 if unit == "G21" else 25.4e-3
+        assert read(text).length == pytest.approx(scale * (radius + apart / 2) * math.pi / 2, rel=1e-6)
+    else:
+        with pytest.raises(InputError, match="does not close"):
+            read(text)
+
+
 def test_the_length_of_an_arc_is_radius_times_angle_also_where_rounding_keeps_it_from_closing(read):
     quarter = read(START + "G3 X10 Y10 I0 J10 F100\n")
     assert quarter.length == pytest.approx(0.010 * math.pi / 2, rel=1e-9)

@@ -12,6 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.frames import TOOL0, Pose
+from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cli import main
+from kr270_milling.decide.inputs import input_violations
 from kr270_milling.path.cam.krl.reader import _KrlReader
 from kr270_milling.path.cam.krl.values import KrlError, evaluated
 from kr270_milling.path.cam.program_builder import ProgramBuilder
@@ -172,6 +176,31 @@ def test_two_bases_a_moved_external_axis_and_a_file_without_its_end_are_refused(
     file.write_text(file.read_text().replace("END\n", ""))
     with pytest.raises(InputError, match="may be cut off"):
         read_toolpath(file)
+
+
+FRAMES = "$TOOL={X 10,Y 20,Z 300,A 0,B 0,C 180}", "$BASE={X 1200,Y -30,Z 700,A 5,B 0,C 0}"
+
+
+@pytest.mark.parametrize("turn", [0.0, 90.0], ids=["tool along z", "tool along x"])
+def test_a_cell_takes_base_and_tool_of_its_program_and_check_compares_them(tmp_path, turn):
+    """A tool along x of $TOOL points down with B 90; z of tcp is then that x: $TOOL turned by B 90."""
+    abc = "A 0,B 90,C 0" if turn else DOWN
+    file = written(tmp_path, *FRAMES, "$VEL.CP=0.05", f"LIN {{X 0,Y 0,Z 1,{abc}}}", "LIN {X 20}")
+    cell = tmp_path / "cell.yaml"
+    assert main(["init", "--gcode", str(file), "--out", str(cell)]) == 0
+    own = read_cell(cell)
+    tool = Pose.from_abc([0.01, 0.02, 0.3], np.radians([0, 0, 180])) @ Pose.from_abc(
+        [0, 0, 0], np.radians([0, turn, 0])
+    )
+    for pose, expected in (
+        (TOOL0.inverse() @ own.mount.pose, tool),
+        (own.workpiece.pose, Pose.from_abc([1.2, -0.03, 0.7], np.radians([5, 0, 0]))),
+    ):
+        np.testing.assert_allclose(pose.position, expected.position, atol=1e-9)
+        np.testing.assert_allclose(pose.rotation, expected.rotation, atol=1e-9)
+    away = read_cell(cell, ["workpiece.base_kuka={X: 1200, Y: -30, Z: 701, A: 5, B: 0, C: 0}"])
+    for read, names in ((own, []), (away, ["$BASE of the program is 1 mm and 0 deg away from workpiece.base_kuka"])):
+        assert [f.sentence for f in input_violations(read) if f.what == "frame of the program"] == names
 
 
 def test_every_statement_is_used_counted_or_refused():

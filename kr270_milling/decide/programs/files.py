@@ -134,7 +134,8 @@ def write_programs(
     named = f"{method}{suffix}"
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
     setup = dataclasses.replace(_setup(cell), date=date, source_hash=source, method=method, decision=decision)
-    notes = notes_of(path_of(cell), len(original))
+    notes, feeds = notes_of(path_of(cell), len(original)), knot_feeds(path_of(cell))
+    feeds = feeds if feeds is not None and len(feeds) == len(original) else None  # a trajectory of other knots
     files: dict[str, list[Path]] = {}
     programs: list[tuple] = []
     limits: list[str] = []

@@ -36,7 +36,7 @@ MOVING = (*PLACES, *CENTRES, "R", "CR")
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 NURBS = (5.2, 6.2)  #: rational B-splines: LinuxCNC with uniform knots, Fanuc with stated ones
 CHORD = 2e-6  #: [m], arcs to chords
-CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
+CLOSING = 10e-6  #: [m], rounding of a centre
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
 STEP = 1.5  #: [deg] of both axes: the shortest turn in between is within 0.01 deg of both
 NO_FEED = "a cutting move without a feed"
@@ -451,9 +451,15 @@ class Machine:
             centre, turns = self._centre(start, end, arc, axes)
         except ArcError:
             return None
-        if _misses(start, end, centre, _closing(start, centre)):
+        if _misses(start, end, centre, self._closing(start, centre)):
             return None
         return stroke._replace(centre=complex(*centre), sense=1 if self.mode == 3 else -1, turns=turns)
+
+    def _closing(self, start, centre) -> float:
+        """[m], by how much the ends of an arc may differ in their distance from its centre, by the rule of LinuxCNC:
+        by rounding to 0.01 mm or 0.001 in in all numbers, or by 0.1 % of the radius, but at most by 100 roundings."""
+        rounding = 2.0 * math.sqrt(2.0) * (10e-6 if self.unit == MM else 25.4e-6)
+        return max(rounding, min(100.0 * rounding, 1.001e-3 * math.dist(start[:2], centre)))
 
     def _run_stroke(self, stroke: Stroke, height: float) -> float:
         """Make a move that is planned, from a height; return that of its end."""
@@ -466,7 +472,7 @@ class Machine:
             self._feed_to(start, [end], math.dist(start, end))
         else:
             centre = stroke.centre.real, stroke.centre.imag
-            closing = _closing(start, centre)
+            closing = self._closing(start, centre)
             points, curvature, swept = arc_points(start, end, centre, stroke.sense < 0, closing, CHORD, stroke.turns)
             self._feed_to(start, points, math.hypot(swept, z - height), curvature)
         return z
@@ -616,7 +622,7 @@ class Machine:
             if self.absolute_centre and len(centres) == 1 and not self.absolute.keys() & centres:
                 raise ArcError(f"an absolute centre (G90.1) needs {first} and {second}")
             centre = tuple(stated[n] if absolute[n] else from_point[n] + stated[n] for n in (0, 1))
-            closing = _closing(from_point, centre)
+            closing = self._closing(from_point, centre)
             if _misses(from_point, to_point, centre, closing) and not _misses(from_point, to_point, stated, closing):
                 advice = "write G90.1 first or post incremental centres"
                 raise ArcError(f"the arc closes with an absolute centre only; {advice}")
@@ -630,7 +636,7 @@ class Machine:
         plane = PLANES[self.plane]
         from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
         centre, turns = self._centre(start, end, arc, axes)
-        closing = _closing(from_point, centre)
+        closing = self._closing(from_point, centre)
         points, curvature, swept = arc_points(from_point, to_point, centre, self.mode == 2, closing, CHORD, turns)
         length = math.hypot(swept, to_point[2] - from_point[2])
         x, y, z = map(plane.index, (0, 1, 2))
@@ -799,11 +805,6 @@ class Machine:
         self.go(at(place, back))
         self.position = list(at(place, back))
         return True
-
-
-def _closing(start, centre) -> float:
-    """[m], by how much the ends of an arc may differ in their distance from its centre."""
-    return max(CLOSING, min(0.5e-3, 1e-3 * math.dist(start[:2], centre)))
 
 
 def _misses(start, end, centre, closing: float) -> bool:

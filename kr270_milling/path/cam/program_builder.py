@@ -42,6 +42,7 @@ class ProgramBuilder(PathBuilder):
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts
         self.rounding = 0.0  #: largest P of G64 [m]
+        self.displayed: dict[str, tuple[float, ...]] = {}  #: $TOOL and $BASE of the cuts, X, Y, Z [mm], A, B, C [deg]
         self.beside: dict[str, float] = {}  #: tool -> radius in its comment [m], by which G41 and G42 move the path
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: tools by the words of the program, not by its comments
@@ -222,6 +223,8 @@ class ProgramBuilder(PathBuilder):
             feed_units=tuple(self.feed_units),
             external=self.external,
             rounding=self.rounding,
+            tool_frame=self.displayed.get("$TOOL", ()),
+            base_frame=self.displayed.get("$BASE", ()),
             beside=self.beside.get(chosen, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             operations=tuple(names[k] for k in cut_features(columns)),

@@ -22,7 +22,7 @@ from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_ab
 from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.arcs import ArcError, arc_points
 from kr270_milling.path.cam.comments import operation_name
-from kr270_milling.path.cam.krl.values import FRAME, KrlError, UnknownValueError, evaluated, parts
+from kr270_milling.path.cam.krl.values import FRAME, KrlError, UnknownValueError, composed, evaluated, parts
 from kr270_milling.path.cam.machine import CHORD, MM, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, Toolpath
@@ -111,6 +111,8 @@ class _KrlReader(Machine):
         self.abc: tuple[float, ...] | None = None  #: A, B, C [deg] of the tool
         self.external: dict[str, float] = {}  #: E1 to E6 where the tool is
         self.cut_external: dict[str, float] | None = None  #: those of the first cut
+        self.frames: dict[str, dict] = {}  #: $TOOL and $BASE that are given by numbers
+        self.along_x = False  #: the tool is along x of $TOOL
         self.spline: list[_Segment] | None = None  #: segments of the SPLINE block that is read
 
     # --- files to routines ---
@@ -348,8 +350,9 @@ class _KrlReader(Machine):
             if not isinstance(number, int):
                 raise KrlError(f"{short(text)!r} has no whole number")
             text = f"{name[1:]}_DATA[{number}]"
+            self.frames.pop(name, None)
         else:
-            frame = self._value(text)
+            frame = self.frames[name] = self._value(text)
             text = f"{name}={{{','.join(f'{axis} {frame[axis]:g}' for axis in FRAME if axis in frame)}}}"
         if name == "$BASE":
             self.program.set_frame("work offsets", text)
@@ -482,7 +485,8 @@ class _KrlReader(Machine):
             return
         self.abc = abc
         rotation = rotation_from_abc(np.radians(abc))
-        if rotation[2, 0] < -0.9 < rotation[2, 2]:  # x of the tool points down: z of tcp is x, y stays
+        self.along_x = bool(rotation[2, 0] < -0.9 < rotation[2, 2])
+        if self.along_x:  # x of the tool points down: z of tcp is x, y stays
             rotation = np.stack([-rotation[:, 2], rotation[:, 1], rotation[:, 0]], axis=1)
         quaternion = quaternion_from_rotation(rotation)
         if abs(quaternion @ self.program.quaternion) < 1 - 1e-12:
@@ -503,6 +507,9 @@ class _KrlReader(Machine):
             raise KrlError(f"{moved[0]} moves between cuts; an external axis keeps one place")
         self.cut_external = names
         self.program.external = tuple(names.get(name, 0.0) for name in EXTERNAL)
+        for name, frame in self.frames.items():
+            placed = composed(frame, {"B": 90.0}) if name == "$TOOL" and self.along_x else frame
+            self.program.displayed[name] = tuple(float(placed.get(axis, 0.0)) for axis in FRAME)
         self._cut_through(segment.start, segment.points, segment.length, segment.curvature, segment.feed)
 
     def _cut_through(self, start, points: list, length: float, curvature: float, feed: float | None) -> None:
