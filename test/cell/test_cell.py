@@ -14,7 +14,7 @@ from kr270_milling.base.errors import ConfigError, InputError, MillingError, Par
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.models import arm_model_of, arm_of, low_frequency_of, path_of
+from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, low_frequency_of, path_of
 from kr270_milling.cell.paths import MOST_VISITS, check_effort, check_postures, sinking
 from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.physics.robot import Mount, equilibrium, pose
@@ -256,12 +256,12 @@ def test_an_arm_that_would_fly_off_gives_no_numbers(stiffness):
 
 
 # --- Tool paths that a cell refuses because their spindle, their tool axis or their moves cannot be meant ---
-def table(directory, a=0.0, b=0.0, c=180.0):
+def table(directory, a=0.0, b=0.0, c=180.0, detail="auto"):
     """The cell with a slot as a table; A, B, C [deg] turn tcp."""
     path = directory / "slot.csv"
     rows = "".join(f"{x},0,-0.5,{a},{b},{c},3000\n" for x in range(-14, 20, 2))
     path.write_text("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + rows)
-    return read_cell("paper.yaml", f"path.file={path}", "stock.max_mm=[40,14,0]")
+    return read_cell("paper.yaml", f"path.file={path}", "stock.max_mm=[40,14,0]", f"cutting.detail={detail}")
 
 
 @pytest.mark.parametrize(("program", "rotation", "reason", "line"), [
@@ -275,9 +275,11 @@ def test_a_program_whose_spindle_or_moves_cannot_be_meant_is_refused(tmp_path, p
     assert line is None or caught.value.line == line
 
 
-def test_a_tilted_tool_is_refused_with_its_tilt_and_one_within_a_degree_or_turned_about_its_axis_is_taken(tmp_path):
-    for turned, tilt in ((dict(c=210.0), 30), (dict(b=2.0), 2), (dict(c=0.0), 180)):
+def test_a_tilted_tool_is_refused_by_the_model_that_does_not_know_its_tilt_and_taken_by_the_other(tmp_path):
+    for turned, tilt, detail in ((dict(c=210.0), 30, "teeth"), (dict(b=2.0), 2, "teeth"), (dict(c=0.0), 180, "auto")):
         with pytest.raises(InputError, match=f"tilted by {tilt} deg") as caught:
-            assert path_of(table(tmp_path, **turned)).target
+            assert path_of(table(tmp_path, detail=detail, **turned)).target
         assert caught.value.line in (2, 3)
+    cell = table(tmp_path, c=210.0)
+    assert cell.cutting.by_engagement and path_of(cell).tilts and cut_of(cell).tilts
     assert np.ptp(path_of(table(tmp_path, a=30.0, c=180.9)).target.position[:, 0]) == pytest.approx(32e-3)

@@ -175,6 +175,16 @@ def _look(p, step, t, x, y):
 
 
 @inlined
+def _behind(p, step, x, y, rim):
+    """Return whether a whole cell is below the back of the tool where the step begins: the step does not lower it."""
+    z, rate, _ = _look(p, step, 0.0, x, y)
+    if z == MISSED or rate < 0.0:
+        return False
+    x, y, ux, uy = x + step[0], y + step[1], step[12], step[13]
+    return _inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, step[14], step[15])[0] > rim
+
+
+@inlined
 def _lowest_on_way(p, step, x, y, last, rate, enough):
     """Return the share of the step at which the tool is lowest above a node, and its height there.
 
@@ -280,12 +290,8 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
             bound = p.top - tip_z - z + max(rate, 0.0)
             if z != MISSED and (bound + abs(slope) * half) * levels < known + 0.5:
                 continue
-            if follows and z != MISSED:
-                start, rate, _ = _look(p, step, 0.0, x, y - half)
-                if start != MISSED and rate >= 0.0:
-                    start, rate, _ = _look(p, step, 0.0, x, y + half)
-                    if start != MISSED and rate >= 0.0:
-                        continue
+            if follows and z != MISSED and _behind(p, step, x, y - half, rim) and _behind(p, step, x, y + half, rim):
+                continue
             if slot < 0:
                 slot = take_tile(s, i, j)
                 if slot < 0:

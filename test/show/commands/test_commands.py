@@ -116,10 +116,10 @@ def test_init_reports_tools_that_are_not_stated_in_full_and_refuses_a_tilted_one
         answer = ask("init", "--gcode", str(tmp_path / "end.nc"), "--out", str(tmp_path / f"{word}.yaml"))
         assert answer.code == 0 and ("a bull-nose mill, is not stated in full" in answer.err) == warned
     assert read_cell(tmp_path / "ball.yaml").tool.type == "ball"
-    tilted = "UNITS/MM\nMULTAX/ON\nFEDRAT/500,MMPM\nGOTO/0,0,5,0,0,1\nGOTO/9,0,0,0.6,0,0.8\nFINI\n"
+    tilted = "UNITS/MM\nMULTAX/ON\nFEDRAT/500,MMPM\nGOTO/0,0,5,0,0,1\nGOTO/9,0,0,0.9798,0,0.2\nFINI\n"
     (tmp_path / "tilted.apt").write_text(tilted)
     (tmp_path / "axes.nc").write_text(SLOT.replace("X-2 F", "X-2 A30 F"))
-    for name, message in (("tilted.apt", "tilted by 36.87 deg"), ("axes.nc", "A30: state the machine")):
+    for name, message in (("tilted.apt", "tilted by 78.46 deg"), ("axes.nc", "A30: state the machine")):
         assert message in refused("init", "--gcode", str(tmp_path / name), "--out", str(tmp_path / "no.yaml"))
     assert not (tmp_path / "no.yaml").exists()
 
