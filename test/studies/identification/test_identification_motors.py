@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from hostile import printed
-from kr270_milling.live.rsi.recording import RsiRecording
+from kr270_milling.live.rsi.session import RsiRecording
 from scipy import signal
 from scipy.stats import binom
 
