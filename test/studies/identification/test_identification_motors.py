@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 from hostile import printed
-from kr270_milling.live.rsi.recording import RsiRecording
 from scipy import signal
 from scipy.stats import binom
 
@@ -16,6 +15,7 @@ from kr270_milling.base.parameter_file import find_file, read_tree
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.plant import perturbed
 from kr270_milling.live.rsi.corrector import read_corrections
+from kr270_milling.live.rsi.session import RsiRecording
 from kr270_milling.physics.motion.backlash import flank_after
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.kinematics import forward, jacobian_at
