@@ -312,8 +312,8 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     """
     margin, timed = cell.limits.rapid_contact, path_of(cell).timed
     contacts, results = _along_path(cell, run, margin)  # its places are released here
-    deflected = ran is not None and not path_of(cell).tilts
-    if not contacts and deflected and timed is not None and timed.toolpath.rapid.any():
+    deflected = not path_of(cell).tilts
+    if ran and not contacts and deflected and timed is not None and timed.toolpath.rapid.any():
         earlier = cell.stage.earlier if cell.stage else ()
         margin += max([spring_back(cell, ran), *(removal.spring_back for removal in earlier)])
         contacts = rapid_violations(run, engagement(cell, margin, ran))

@@ -23,7 +23,7 @@ from kr270_milling.decide.programs.points import fixed_knots, point_numbers
 from kr270_milling.decide.tolerance import after_passes, judge
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.physics.robot.kinematics import pose
-from kr270_milling.studies.maps.along import turn_of, turned_cell
+from kr270_milling.studies.maps.along import own_turn, turned_cell
 
 WALL = """\
 G21 G90 S8000 M3
@@ -101,8 +101,8 @@ def test_the_first_rows_are_those_of_the_verdict_and_the_cheapest_that_is_enough
 def test_the_program_of_a_turned_tool_brings_the_arm_to_the_turned_posture(tmp_path):
     settings = "workpiece.abc_deg=[60,0,0]", "cutting.detail=engagement", "compensation.turn=best"
     cell = read_cell(find_file("test_piece.yaml"), [*assignments(tmp_path), *settings])
-    turned, turn = turned_cell(cell), turn_of(turned_cell(cell))
-    assert turn != 0.0 and turn_of(cell) == 0.0
+    turned, turn = turned_cell(cell), own_turn(turned_cell(cell))
+    assert turn != 0.0 and own_turn(cell) == 0.0
     before, after = path_of(cell).target, path_of(turned).target
     assert after.position == pytest.approx(before.position, abs=1e-12)
     relative = rotation_from_quaternion(before.quaternion[0]).T @ rotation_from_quaternion(after.quaternion[0])

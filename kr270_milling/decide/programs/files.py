@@ -134,8 +134,7 @@ def write_programs(
     named = f"{method}{suffix}"
     label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
     setup = dataclasses.replace(_setup(cell), date=date, source_hash=source, method=method, decision=decision)
-    notes, feeds = notes_of(path_of(cell), len(original)), knot_feeds(path_of(cell))
-    feeds = feeds if feeds is not None and len(feeds) == len(original) else None  # a trajectory of other knots
+    notes, feeds = notes_of(path_of(cell), len(original)), knot_feeds(path_of(cell), len(original))
     files: dict[str, list[Path]] = {}
     programs: list[tuple] = []
     limits: list[str] = []
@@ -143,14 +142,7 @@ def write_programs(
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        written, points, ends = krl.write_krl(
-            folder,
-            program.replace(motion=motion),
-            setup,
-            *commanded,
-            notes,
-            knot_feeds(path_of(cell), len(commanded[0])),
-        )
+        written, points, ends = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, notes, feeds)
         files[f"krl_{motion.lower()}"] = written
         parts = parts if programs else ends  # of the first motion: RSI runs it
         size = program_bytes(written)

@@ -147,8 +147,8 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
         piece.astype(np.int16),
         edges[:, 1] / stock.level_step,
         *(np.append(values, last) for values, last in zip((total, bend, *means), cylinder, strict=True)),
-        edges[:, 0].copy(),
-        parts,
-        bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any()),
+        rims=edges[:, 0].copy(),
+        parts=parts,
+        hollow=bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any()),
     )
     return profile, radius, float(edges[1:, 0][flat].max(initial=0.0))

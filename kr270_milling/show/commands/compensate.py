@@ -53,7 +53,7 @@ from kr270_milling.show.commands.simulate import plant_of
 from kr270_milling.show.report import report_text, write_report_page
 from kr270_milling.show.report.study_page import tools_page
 from kr270_milling.studies.identification.measured_part import learn, learned_keys, read_part
-from kr270_milling.studies.maps.along import turn_of, turned_cell
+from kr270_milling.studies.maps.along import own_turn, turned_cell
 
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 SCORED = "decision and tables are those of the KRL program"
@@ -170,7 +170,7 @@ def _values(cell, result) -> dict:
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     values["planned_max_deviation_um"] = 1e6 * result.planned.scores.max_deviation
     values["time_law"] = time_law(path_of(cell))
-    if turn := turn_of(cell):
+    if turn := own_turn(cell):
         values["tool_turn_deg"] = np.degrees(turn)
     if result.feeds:
         values["feeds"] = result.feeds

@@ -169,7 +169,7 @@ def _along(args) -> Answer:
         turning.constant_turn(turns, grid),
         turning.constant_turn(turns, np.zeros(1)),
     )
-    run, q = turning.turned(arm_of(cell), path_of(cell).target, simulated.time_ns[chosen], path)
+    run, q = turning.turned_run(arm_of(cell), path_of(cell).target, simulated.time_ns[chosen], path)
     files = _write(Path(args.out), source, args.set, cell, run, q, path)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
     result = {

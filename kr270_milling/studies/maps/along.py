@@ -125,7 +125,7 @@ def turned_cell(cell: Cell) -> Cell:
     return cell
 
 
-def turn_of(cell: Cell) -> float:
+def own_turn(cell: Cell) -> float:
     """Return the turn [rad] of the tool of a cell about its axis from that of its program; 0 without a program."""
     content = cell.path.content
     if not isinstance(content, Toolpath):
@@ -194,7 +194,9 @@ def _refined(turns: Turns, path: TurnPath, step: float, ends: tuple[float, float
     return path
 
 
-def turned(placed: PlacedArm, run: Trajectory, time_ns: np.ndarray, path: TurnPath) -> tuple[Trajectory, np.ndarray]:
+def turned_run(
+    placed: PlacedArm, run: Trajectory, time_ns: np.ndarray, path: TurnPath
+) -> tuple[Trajectory, np.ndarray]:
     """A target trajectory with the turns of a way at times [ns], (n,), and its joint angles [rad] at the knots.
 
     Between two places the turn is a monotone cubic, without overshoot. Knots come later where a joint would run too
