@@ -319,6 +319,7 @@ def _load(s, p, motion, frame, passes, wrench):
     m, side, dz, turn_1, turn_2 = motion
     shape, cell = p.profile, p.spacing * p.spacing * p.level_step
     teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
+    size = math.sqrt(m * m + side * side + dz * dz) + p.radius * math.sqrt(turn_1 * turn_1 + turn_2 * turn_2)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
     for k in range(2 * bins):
         q, ahead = (k, 1.0) if k < bins else (k - bins, -1.0)
@@ -326,11 +327,14 @@ def _load(s, p, motion, frame, passes, wrench):
         mean_c = ahead * p.cosines[q] / width
         mean_d = d * p.cosines[q] / (width * p.directions[q, 0])
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
+        own = 0
         for n in range(last + 1):
             b = n if k < bins else last - n
             volume = s.edge.lost[k, b] + left
             if volume <= 0.0:
                 continue
+            if s.edge.lost[k, b] > 0.0:
+                own = b
             middle = shape.middle[min(b, last - 1)]
             if b == last and s.edge.lost[k, b] > 0.0:
                 middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
@@ -349,10 +353,10 @@ def _load(s, p, motion, frame, passes, wrench):
                 left = volume
                 continue
             if lost:  # no piece moves into the material at this angle: nodes beside the line d.n = 0
-                b = last - 1 if k < bins else 0
+                b = own
                 room = width * shape.length[b]
-                area = volume * cell / room
-                normal = area / shape.lever[b]
+                normal = max(size, volume * cell / (room * shape.lever[b]))
+                area = normal * shape.lever[b]
             left, share = 0.0, volume * cell / (area * room)
             if crossed and share > MOST:
                 share, area = MOST, volume * cell / (MOST * room)
