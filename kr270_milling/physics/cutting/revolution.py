@@ -14,7 +14,8 @@ move d of the tip, P passes of a tooth, N teeth and the mean < > over a bin:
 F_t, F_r, F_a per length of the edge, t the direction of the tooth, b along the edge towards the tip. The lever of the
 torque is <r (d.n)> / <d.n>; with F_t = K h the torque times the speed is therefore K dV/dt for every shape.
 
-A bin that loses more than MOST of its volume lies beside the line d.n = 0, where nodes fall into a wrong bin, or below
+Where no piece of an angle moves into the material, its volume has the chip of the whole move and so little edge. A bin
+that loses more than MOST of its volume lies beside the line d.n = 0, where nodes fall into a wrong bin, or below
 a flat end that sank by a level of the map at once. Its chip is then thicker, and the volume stays.
 """
 
