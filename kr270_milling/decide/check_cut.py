@@ -167,7 +167,7 @@ def _tilted(cell: Cell, ran: ScoredPass) -> list[Finding]:
     most = 0.01  # share of the removed volume above which forces are bounds (issue: 1 %)
     share = ran.result.undercut_volume / ran.result.removed_volume
     if share > most:
-        results.append(violation("undercut", 100.0 * share, 100.0 * most))
+        results.append(violation("undercut", share, most))
     return results
 
 

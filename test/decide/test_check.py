@@ -217,6 +217,8 @@ EDGE = ("G21 G90 S8000 M3\nG0 X-14 Y-26 Z2\nG0 Z-10.5\nG0 X-11 Y-25\nG0 Z2\nG0 X
         "G0 Z5\nM30\n")  # fmt: skip
 APT = "UNITS/MM\nCUTTER/{}\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/-14,0,2\nRAPID\nGOTO/-14,0,-0.5\nFEDRAT/4000,MMPM\n" \
       "GOTO/26,0,-0.5\nRAPID\nGOTO/26,0,5\nFINI\n"  # fmt: skip
+LEANING = "UNITS/MM\nMULTAX/ON\nSPINDL/8000,RPM,CLW\nFEDRAT/4000,MMPM\nGOTO/-14,0,{1},0,{0}\nGOTO/26,0,{1},0,{0}\nFINI\n"
+SHALLOW, DEEP = LEANING.format("0.0872,0.9962", 0.4), LEANING.format("0.342,0.9397", -7.3)  # 5 and 20 deg to y
 OFF = APT.format("20,0").replace("SPINDL/8000,RPM,CLW\n", "")
 COARSE = ("stock.grid_step_um=200", "timing.rapid_feed_m_per_min=6")
 #: a narrow cut with a tool mode
@@ -268,6 +270,10 @@ CASES = (
     Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),
     Case("a program for a cutter of 1 inch", "tool diameter", "", comment("1 inch end mill")),
     warning("a ball-end mill of APT", "stability not judged", "", APT.format("20,10"), suffix=".apt"),
+    warning("a tool that leans by 5 deg", "tilted tool", "", SHALLOW, suffix=".apt", words="by 5 deg: flutes"),
+    Case("a tool that leans beside a fixture", "tilted tool", f"{FIXTURE}=[30,30,-10,60,60,5]", SHALLOW, suffix=".apt",
+         words="shank, holder and fixtures"),
+    warning("a wall above a leaning tool", "undercut", "tool.diameter_mm=10", DEEP, suffix=".apt", limit=1.0),
     # 0.3 times the least and 3 times the largest of config/materials.csv
     Case("forces a thousand times too small", "force coefficient", law(0.6), value=0.6, limit=0.3 * 243.77),
     Case("forces ten times too large", "force coefficient", law(6004.6), value=6004.6, limit=3.0 * 1319.41),
