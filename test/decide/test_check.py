@@ -217,7 +217,8 @@ EDGE = ("G21 G90 S8000 M3\nG0 X-14 Y-26 Z2\nG0 Z-10.5\nG0 X-11 Y-25\nG0 Z2\nG0 X
         "G0 Z5\nM30\n")  # fmt: skip
 APT = "UNITS/MM\nCUTTER/{}\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/-14,0,2\nRAPID\nGOTO/-14,0,-0.5\nFEDRAT/4000,MMPM\n" \
       "GOTO/26,0,-0.5\nRAPID\nGOTO/26,0,5\nFINI\n"  # fmt: skip
-LEANING = "UNITS/MM\nMULTAX/ON\nSPINDL/8000,RPM,CLW\nFEDRAT/4000,MMPM\nGOTO/-14,0,{1},0,{0}\nGOTO/26,0,{1},0,{0}\nFINI\n"
+LEANING = ("UNITS/MM\nMULTAX/ON\nSPINDL/8000,RPM,CLW\nFEDRAT/4000,MMPM\nGOTO/-14,0,{1},0,{0}\nGOTO/26,0,{1},0,{0}\n"
+           "FINI\n")  # fmt: skip
 SHALLOW, DEEP = LEANING.format("0.0872,0.9962", 0.4), LEANING.format("0.342,0.9397", -7.3)  # 5 and 20 deg to y
 OFF = APT.format("20,0").replace("SPINDL/8000,RPM,CLW\n", "")
 COARSE = ("stock.grid_step_um=200", "timing.rapid_feed_m_per_min=6")
