@@ -12,7 +12,7 @@ from samples.small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import ConfigError, ParameterError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
 from kr270_milling.cell.models import modal_model_of, path_of

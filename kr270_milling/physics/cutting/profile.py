@@ -15,8 +15,6 @@ import numpy as np
 from kr270_milling.physics.cutting.grid import Stock
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["ENTRIES", "LEVEL", "RUN", "EdgeBins", "Profile", "edge_parts", "outline", "profile_of"]
-
 ENTRIES = 4096  # of the profile from the axis to the radius
 LEVEL = 1e-6  # cos(kappa) of a flat end is 1 to this
 RUN = 16  # nodes of a row whose highest one is known

@@ -29,8 +29,6 @@ from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT, UNDERCUT
 
-__all__ = ["lower_tilted"]
-
 MISSED = math.inf  # height of a tool that does not cover a node
 SLICE = 0.05  # share of the radius: longest slice of a column
 FLAT = 1e-9  # [m] and sine of an angle below which a length and a tilt are none
