@@ -16,8 +16,6 @@ from kr270_milling.base.arguments import UsageError, end_process, exit_code
 from kr270_milling.base.errors import MillingError, one_line
 from kr270_milling.show.commands.options import make_parser, run
 
-__all__ = ["main"]
-
 
 def main(argv: list[str] | None = None) -> int:
     """Return exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C).

@@ -20,26 +20,8 @@ import typing
 import numpy as np
 
 from kr270_milling.base.errors import ConfigError, ParameterError, nearest
-from kr270_milling.base.parameter_file import find_file, merge, override, read_tree, refusal
+from kr270_milling.base.parameter_file import refusal
 from kr270_milling.base.units import UNITS
-
-__all__ = [
-    "Record",
-    "Spec",
-    "build",
-    "derived",
-    "find_file",
-    "flat",
-    "flatten",
-    "merge",
-    "override",
-    "parameter",
-    "read_tree",
-    "section",
-    "specs",
-    "stated",
-    "tree_of",
-]
 
 #: key of an earlier version -> what its user must know
 MOVED = {

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["SECOND", "UNITS", "seconds"]
-
 SECOND = 1_000_000_000  # [ns]
 #: file unit -> factor to SI
 UNITS = {

@@ -13,8 +13,8 @@ import yaml
 
 from kr270_milling.base.errors import ConfigError, InputError, ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
-from kr270_milling.base.parameter_file import merge
-from kr270_milling.base.record import build, override, read_tree, specs, tree_of
+from kr270_milling.base.parameter_file import merge, override, read_tree
+from kr270_milling.base.record import build, specs, tree_of
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import removal_of
 from kr270_milling.cell.paths import BY_TEETH, StraightCut

@@ -32,21 +32,6 @@ from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
 
-__all__ = [
-    "ScoredPass",
-    "arm_response",
-    "compensated",
-    "compensator",
-    "expected_deviations",
-    "joint_ranges",
-    "long_pass",
-    "mean_force",
-    "pass_record",
-    "record_of",
-    "scored",
-    "simulate",
-]
-
 PLANNED = 16  #: simulated robots for which ``robust`` plans
 
 

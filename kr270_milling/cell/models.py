@@ -23,20 +23,6 @@ from kr270_milling.physics.motion.arm_model import arm_model
 from kr270_milling.physics.motion.dynamics import ArmFactors, ArmModel, ModalModel, approach, discretise
 from kr270_milling.physics.motion.periods import Exchange
 
-__all__ = [
-    "arm_model_of",
-    "arm_of",
-    "cut_of",
-    "cut_text_of",
-    "flat_floors",
-    "thin_chips",
-    "low_frequency_of",
-    "modal_model_of",
-    "path_of",
-    "program_path",
-    "removal_of",
-]
-
 MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
 
 

@@ -25,19 +25,6 @@ from kr270_milling.physics.robot.kinematics import forward, jacobian_at
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_torque
 from kr270_milling.physics.robot.mass import rigid_joint_mass
 
-__all__ = [
-    "DIVERGED",
-    "Plant",
-    "coarser",
-    "cores",
-    "imperfect_arm",
-    "imperfect_course",
-    "joint_gaps",
-    "numbers_of",
-    "perturbed",
-    "robot_of",
-]
-
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 

@@ -25,8 +25,6 @@ from kr270_milling.physics.motion.imperfections import LEAST_SERVO_FREQUENCY
 
 READERS[".mcap"] = PathReader("kr270_milling.recordings.bag.recorded_path", "read_recorded", ("topic", "feed"))
 
-__all__ = ["Limits", "PathSection", "Program", "Tolerances", "Uncertainty", "Workpiece"]
-
 
 @dataclass(frozen=True, eq=False)
 class Workpiece(Record):

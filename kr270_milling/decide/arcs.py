@@ -19,8 +19,6 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map, with_profile
 
-__all__ = ["Arcs", "arcs_along"]
-
 LAG = 10  #: nodes: the crescent in front of the tool is then several nodes thick
 BLOCK = 2000  #: places of the path between two reports of progress
 EVERY = 8  #: places from one evaluation to the next

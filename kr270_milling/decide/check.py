@@ -33,7 +33,6 @@ from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError
 RAPID_MOVES = "removed by rapid moves"
 MOST_LINES = 10  #: lines of the program in the text about rapid moves
 
-__all__ = ["RAPID_MOVES", "Checked", "check"]
 
 ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
 

@@ -22,17 +22,6 @@ from kr270_milling.physics.cutting.profile import outline
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.stability import has_uniform_pitch
 
-__all__ = [
-    "Engagement",
-    "Residue",
-    "contact_violations",
-    "cut_violations",
-    "engagement",
-    "rapid_violations",
-    "residue_of",
-    "spring_back",
-]
-
 #: sine of the slope above which a way down is a plunge: no maker allows a steeper ramp without centre cutting
 PLUNGE = math.sin(math.radians(20.0))  # [Kyocera2021]: 20 deg at 25 mm, 16, 12.5, 11, 8.5, 6 deg at 28 to 50 mm
 INSERT_RAMP = math.tan(math.radians(20.0))

@@ -39,14 +39,6 @@ from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import BEST
 from kr270_milling.physics.motion.scores import Scores
 
-__all__ = [
-    "NO_METHOD",
-    "Compensated",
-    "better_program",
-    "compensate",
-    "limit_sentence",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Compensated:

@@ -12,8 +12,6 @@ from kr270_milling.decide.tolerance import Judgement, um_text
 from kr270_milling.decide.verdict import NO_METHOD, MethodComparison, Verdict
 from kr270_milling.physics.compensation.methods import LEARNED
 
-__all__ = ["CAUTION", "ENOUGH", "NO", "YES", "Decision", "decided"]
-
 YES, CAUTION, NO = "yes", "caution", "no"
 ENOUGH, HALF = 0.9, 0.5  #: shares of the robots that must meet the tolerance for ``yes`` and for ``caution``
 NEEDS_TRACKER = "learned needs a tracker on the real machine: here it learned from simulated passes"

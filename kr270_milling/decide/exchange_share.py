@@ -8,8 +8,6 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.findings import Finding, violation
 
-__all__ = ["exchange_share"]
-
 WINDOW = 0.1  #: [s], over which the corrections of the mean force count: one period corrects the next
 
 

@@ -16,19 +16,6 @@ from kr270_milling.base.column import column
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = [
-    "KINDS",
-    "SEVERITIES",
-    "Finding",
-    "Kind",
-    "Place",
-    "gathered",
-    "placed",
-    "stretches",
-    "violation",
-    "violations",
-]
-
 DEG = 180.0 / math.pi
 EXCEEDS = " exceeds {limit:.4g} {unit} ({where}): {value:.4g} {unit} at point {point}"
 SEVERITIES = ("stop", "warning", "note")  #: the worst first; "stop": must not be run

@@ -15,19 +15,6 @@ from numba import njit
 from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.cutting.profile import outline
 
-__all__ = [
-    "HeightMap",
-    "MAP_TURN",
-    "ROUNDING",
-    "chord",
-    "height_map",
-    "lower",
-    "lower_along",
-    "near_axis",
-    "on_map",
-    "with_profile",
-]
-
 #: [rad], from x of the workpiece to the first axis of the map. The tangent is the golden ratio less 1: no wall along x,
 #: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
 MAP_TURN = math.atan((math.sqrt(5.0) - 1.0) / 2.0)

@@ -17,8 +17,6 @@ from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import LinearEdgeLaw
 from kr270_milling.physics.cutting.materials import materials
 
-__all__ = ["input_violations"]
-
 #: [rad] assumed: usual angles of a spindle from the axis of the flange, and how far bracket and calibration miss them
 MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)
 SAME_PLACE, SAME_ANGLE = 0.1e-3, 0.01  #: [m], [deg] assumed: rounding and calibration of one frame

@@ -31,8 +31,6 @@ from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 
-__all__ = ["QUICK", "Lever", "levers", "scheduled", "softened"]
-
 RATIOS = (
     1.0,
     1.1,

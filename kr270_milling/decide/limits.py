@@ -28,8 +28,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult
 
-__all__ = ["Limit", "limit_line", "limits", "measurements"]
-
 SEED = 1_000_001  #: of these robots, beyond the seeds of verdicts and of ``robust``
 SHOWN = 3  #: unknowns in a line
 #: name of each unknown: its keys of ``uncertainty``, and the measurement with its instrument and minutes (assumed)

@@ -16,8 +16,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import tool_jumps
 from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
 
-__all__ = ["backlash_statement", "load_reversals"]
-
 ARCSEC = math.pi / 648000  # [rad]
 
 

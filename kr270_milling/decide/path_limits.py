@@ -20,8 +20,6 @@ from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
 from kr270_milling.physics.robot.errors import SingularityError
 from kr270_milling.physics.robot.inverse import branches
 
-__all__ = ["arm_violations", "corner_blending", "correction_per_tick", "correction_size"]
-
 MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
 

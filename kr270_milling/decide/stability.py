@@ -22,8 +22,6 @@ from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
 from kr270_milling.physics.motion.stability import DEEPEST, Lobe, Modes, has_uniform_pitch, stability_limit
 
-__all__ = ["FeatureLimit", "Stability", "chatter_violations", "feature_limits", "modes_of", "stability_statement"]
-
 ANGLE = math.radians(10.0)  #: to which angles of engagement are rounded
 FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
 DIRECTION = math.radians(30.0)  #: to which feed directions are rounded

@@ -23,18 +23,6 @@ from kr270_milling.decide.part.surface import ideal_part
 from kr270_milling.physics.motion.milling_pass import SERIES, PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = [
-    "PATH_DEVIATION",
-    "SURFACE_ERROR",
-    "Gauge",
-    "Judgement",
-    "after_passes",
-    "gauge_of",
-    "judge",
-    "judge_part",
-    "um_text",
-]
-
 SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
 NORMAL_ERROR = "largest surface error"  #: of a part that an end leaves that is not flat
 

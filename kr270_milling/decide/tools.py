@@ -19,8 +19,6 @@ from kr270_milling.decide.check_cut import spring_back
 from kr270_milling.decide.compensation import Compensated
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 
-__all__ = ["DecisionOnTools", "in_turn"]
-
 Done = TypeVar("Done")
 
 

@@ -33,10 +33,6 @@ from kr270_milling.physics.motion.dynamics import ArmModel
 from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["CHOOSING_SEED", "FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED",
-           "MethodComparison", "Verdict", "alternatives", "coarser", "compare_methods", "cores", "judge_plants",
-           "monte_carlo", "drawn_errors", "run_sample"]  # fmt: skip
-
 Row = TypeVar("Row")
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"

@@ -20,8 +20,6 @@ from scipy.linalg import solve_banded
 from kr270_milling.base.blocks import blocks
 from kr270_milling.path.trajectory import AT_REST, Trajectory, chords
 
-__all__ = ["block_ends", "controller_motion", "other_motion", "places_on_program", "spline_slopes"]
-
 
 def block_ends(target: Trajectory) -> np.ndarray:
     """(n,) True at the knots where the slope is given: the first, the stops of the target and the last."""

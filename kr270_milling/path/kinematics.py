@@ -18,8 +18,6 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["NO_ROTARY_AXES", "Kinematics"]
-
 LETTERS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
 
 

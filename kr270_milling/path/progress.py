@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["PathProgress"]
-
 
 class PathProgress:
     """Place on the straight lines between points (n, 3) [m]; points at rest have one place.

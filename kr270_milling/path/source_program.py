@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["ProgramError", "ProgramTool", "Refusal", "SourceProgram"]
-
 
 @dataclass(frozen=True)
 class Refusal:

@@ -26,19 +26,6 @@ from kr270_milling.base.record import Record, parameter
 from kr270_milling.path.toolpath import Toolpath, ToolpathError
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
-__all__ = [
-    "Ramps",
-    "TimedPath",
-    "Timing",
-    "joint_rates",
-    "limit_by_joints",
-    "peak_speeds",
-    "ramp_time",
-    "reachable",
-    "time_path",
-    "vertex_speeds",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Timing(Record):

@@ -18,8 +18,6 @@ from kr270_milling.base.frames import rotation_from_quaternion, tool_axis
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, turned
 
-__all__ = ["MOST_BLOCKS", "REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
-
 #: [m] largest coordinate of a part in a robot cell; a larger one has a wrong unit
 REACH = 100.0
 

@@ -20,19 +20,6 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
 
-__all__ = [
-    "LEVER",
-    "TOOL_DOWN",
-    "Trajectory",
-    "TrajectoryError",
-    "chords",
-    "fingerprint",
-    "offsets",
-    "slerp",
-    "tool_along",
-    "turned",
-]
-
 #: tcp in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
 #: [m/rad], assumed, length of a tool: a turn moves its holder by the angle times this length

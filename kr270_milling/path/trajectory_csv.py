@@ -15,8 +15,6 @@ from kr270_milling.base.table import read_table
 from kr270_milling.base.units import seconds
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["write_csv", "read_csv"]
-
 KNOT = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 VELOCITY = ("vx_mm_per_s", "vy_mm_per_s", "vz_mm_per_s")
 JOINTS = ("a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg")

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from unittest import mock
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.studies.maps import engine
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 

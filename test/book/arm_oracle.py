@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.physics.robot import Mount
 from kr270_milling.physics.robot.analysis import read_arm
 

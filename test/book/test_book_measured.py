@@ -18,7 +18,7 @@ from samples.cuttings import PAPER_LAW
 
 from kr270_milling import read_cell
 from kr270_milling.api import simulate
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.table import read_table
 from kr270_milling.cli import main
 from kr270_milling.physics.cutting.materials import find_material

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling import read_cell
 from kr270_milling.base.errors import ConfigError, InputError, MillingError, ParameterError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, low_frequency_of, path_of

@@ -17,7 +17,7 @@ from samples.cuttings import SET_ALUMINIUM
 from samples.small_part import assignments, small_part
 
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate

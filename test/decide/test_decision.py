@@ -12,7 +12,7 @@ from samples.small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import ConfigError, ParameterError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
 from kr270_milling.cell.models import modal_model_of, path_of
@@ -72,6 +72,8 @@ def test_a_feature_tolerance_that_cannot_be_meant_is_refused(text):
 # --- The three levels, and the method that ``best`` writes ---
 MOVING = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid")
 UM = 1e-6
+#: the corner alone: 0.5 s of milling
+SHORTER = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X4 F4000\nG1 Y6\nG0 Z2\nM5\nM30\n"
 
 
 def judgement(error: float, tolerance: float) -> Judgement:
@@ -189,7 +191,7 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
 
 
 def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_method(tmp_path):
-    cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best")
+    cell = small_part(tmp_path, SHORTER, *MOVING, "compensation.method=best")
     original = simulate(cell)
     result = compare_methods(cell, original)
     assert set(result.deviations) == {"none", "spline", "inverse", "robust"}

@@ -11,7 +11,7 @@ from hostile import answered, ask, settings
 from samples.milled_part import RIGID
 
 from kr270_milling.base.errors import ConfigError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell, read_cells
 from kr270_milling.cell.jobs import simulate

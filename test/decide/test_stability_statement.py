@@ -10,7 +10,7 @@ import pytest
 from samples.small_part import small_part
 from semi_discretisation import BENCHMARK, directional, limit
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of

@@ -11,7 +11,7 @@ from samples.small_part import GCODE, small_part
 
 from kr270_milling.base.errors import ConfigError, MessageError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate

@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import build, find_file, flatten, merge, override, read_tree
+from kr270_milling.base.parameter_file import find_file, merge, override, read_tree
+from kr270_milling.base.record import build, flatten
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.keys import keys_of

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.physics.cutting import LinearEdgeLaw, Tool
 from kr270_milling.physics.cutting.materials import find_material
 from kr270_milling.physics.robot.analysis import read_arm

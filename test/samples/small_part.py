@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.path.controller_motion import controller_motion

@@ -16,8 +16,6 @@ from kr270_milling.decide.part.stations import Stations, deviations, stations_of
 from kr270_milling.decide.part.surface import Floors, IdealPart, Walls, ideal_part, surface
 from kr270_milling.physics.motion.milling_pass import PassResult
 
-__all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all", "assess_result"]
-
 
 def _deviation(key: str, title: str, short: str):
     """Return a field in metres, shown in um, with the convergence of the grid as its least size."""

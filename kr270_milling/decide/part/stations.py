@@ -8,8 +8,6 @@ import numpy as np
 
 from kr270_milling.cell.paths import CellPath
 
-__all__ = ["Stations", "deviations", "stations_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Stations:

@@ -25,8 +25,6 @@ from kr270_milling.decide.part.stations import Stations
 from kr270_milling.decide.part.workpiece import heights_at, machined
 from kr270_milling.physics.cutting import CutModel, Stock, Tool
 
-__all__ = ["MARK", "Floors", "IdealPart", "Walls", "ideal_part", "remaining_walls", "surface", "tooth_tips"]
-
 SLOPE = 0.02  #: a steeper floor is a wall
 STEEP = 2.75  #: assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
 

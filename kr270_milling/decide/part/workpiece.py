@@ -15,8 +15,6 @@ from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.periods import Clock
 
-__all__ = ["heights_at", "machined", "write_part", "write_stl"]
-
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 

@@ -31,21 +31,6 @@ from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.physics.robot import pose, status_turn
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
-__all__ = [
-    "OLDER",
-    "RSI_TICKS_NS",
-    "as_commanded",
-    "knot_feeds",
-    "notes_of",
-    "program_bytes",
-    "set_aside",
-    "time_law",
-    "write_joint_table",
-    "write_manifest",
-    "write_programs",
-    "write_rsi_table",
-]
-
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 TABLES = ("joints", "rsi")  #: that ``write_programs`` can write beside the programs

@@ -36,8 +36,6 @@ from kr270_milling.path.timing import TimedPath, time_path
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 
-__all__ = ["WrittenGcode", "check_gcode", "write_gcode"]
-
 NO_GCODE = "corrected G-code needs path.file, a program in G-code"
 CURVED = 0.25  #: share of the tolerance that straight lines between the candidates take
 

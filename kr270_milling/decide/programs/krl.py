@@ -43,8 +43,6 @@ from kr270_milling.decide.programs.krl_motion import (
 from kr270_milling.decide.programs.points import fixed_knots, point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["Setup", "filled", "time_statements", "trajectory_hash", "write_krl"]
-
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
 EXTERNAL = (";FOLD EXTERNAL DECLARATIONS", "EXT BAS (BAS_COMMAND :IN,REAL :IN)", ";ENDFOLD")

@@ -17,24 +17,6 @@ from kr270_milling.base.frames import Pose, abc_from_rotation
 from kr270_milling.cell.sections import Program
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
-__all__ = [
-    "WIDEST",
-    "axis_text",
-    "comments",
-    "frame_row",
-    "frame_text",
-    "knot_notes",
-    "modules_of",
-    "motion_lines",
-    "number",
-    "parts_of",
-    "point_comments",
-    "point_speeds",
-    "position_text",
-    "printable_ascii",
-    "shortest",
-]
-
 WIDEST = 100  #: characters of a comment line
 
 

@@ -20,8 +20,6 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.trajectory import LEVER, Trajectory, turned
 
-__all__ = ["ProgramBlocks", "fixed_knots", "point_numbers", "program_blocks"]
-
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
 
 

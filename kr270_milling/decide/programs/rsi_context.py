@@ -17,8 +17,6 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl
 from kr270_milling.decide.programs.krl_motion import frame_row, frame_text
 
-__all__ = ["rsi_address", "write_rsi_context"]
-
 PORT = 49152  #: default port of the command ``rsi``
 
 

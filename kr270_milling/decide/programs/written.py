@@ -24,8 +24,6 @@ from kr270_milling.decide.programs.files import as_commanded, knot_feeds, notes_
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["SOFTER", "read_krl", "softer_pass", "written_pass", "written_trajectory"]
-
 SOFTER = 0.8  #: share of the acceleration of the second time law
 NOWHERE = Pose(np.zeros(3), np.eye(3))
 CALL = re.compile(r"([A-Z]\w*)\( \)")

@@ -16,8 +16,6 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError, MessageError
 
-__all__ = ["MOST_BYTES", "Elements", "RobotTelegram", "read_elements", "read_telegram", "write_answer"]
-
 MOST_BYTES = 4096  #: size of a telegram; with all internal values it has about 1200
 AXES = ("X", "Y", "Z", "A", "B", "C")
 JOINTS = tuple(f"A{k}" for k in range(1, 7))

@@ -9,8 +9,6 @@ from scipy.interpolate import BSpline
 
 from kr270_milling.path.toolpath import REACH
 
-__all__ = ["ArcError", "arc_points", "centre_from_radius", "curve_points", "nurbs_points"]
-
 FAR = f"the arc leads more than {REACH:g} m away; wrong unit?"
 
 

@@ -6,8 +6,6 @@ import re
 
 from kr270_milling.path.source_program import ProgramTool
 
-__all__ = ["ABOUT_TOOL", "AXIAL_KINDS", "described_tool", "kind_of", "operation_name"]
-
 NUMBER = r"((?<![0-9])[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"  # one start and one end in a row of digits
 #: lines by which posts announce an operation: FreeCAD, OpenBuilds, Vectric, Estlcam, CATIA
 ANNOUNCED = re.compile(

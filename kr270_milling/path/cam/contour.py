@@ -12,8 +12,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-__all__ = ["Stroke", "planned"]
-
 NEAR = 1e-9  #: [m], rounding of a place
 STRAIGHT_ON = (
     0.05  #: [rad], a smaller turn is no corner and costs 0.13 % of the radius: LinuxCNC, TOLERANCE_CONCAVE_CORNER

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["CLEARANCE", "Cycle"]
-
 #: [m] how far above the last depth a peck starts again: 0.01 inch, as in LinuxCNC
 CLEARANCE = 0.254e-3
 MOST_PECKS = 10_000

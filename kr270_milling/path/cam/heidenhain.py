@@ -28,8 +28,6 @@ from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN
 
-__all__ = ["read_heidenhain"]
-
 BEGIN = re.compile(r"BEGIN PGM (.*?) ?(MM|INCH)")
 #: words of a block; a sign alone is the direction of a circle
 WORD = re.compile(

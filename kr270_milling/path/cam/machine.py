@@ -22,8 +22,6 @@ from kr270_milling.path.kinematics import NO_ROTARY_AXES
 from kr270_milling.path.toolpath import REACH, TOP
 from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, tool_along
 
-__all__ = ["INCH", "MM", "Machine"]
-
 INCH = 0.0254  #: [m]
 MM = 0.001  #: [m]
 AXES = {"X": 0, "Y": 1, "Z": 2}

@@ -15,9 +15,6 @@ from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
 from kr270_milling.path.source_program import ProgramError, ProgramTool, Refusal, SourceProgram
 from kr270_milling.path.toolpath import MOST_BLOCKS, REACH, TOP, PathBuilder, Toolpath, cut_features
 
-__all__ = ["ProgramBuilder"]
-
-
 ROUNDING = 1e-12  #: [m] of a place that a shift of the coordinates leads away from and back to
 
 

@@ -21,19 +21,6 @@ from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
 from kr270_milling.path.trajectory import tool_along
 
-__all__ = [
-    "READERS",
-    "PathReader",
-    "find_tool_path",
-    "known_reader",
-    "read_path_file",
-    "read_points",
-    "read_toolpath",
-    "read_toolpaths",
-    "reader_of",
-    "readers",
-]
-
 LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_per_s")
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
 COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}

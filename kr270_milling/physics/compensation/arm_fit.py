@@ -14,8 +14,6 @@ from scipy.optimize import least_squares
 
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
-__all__ = ["Evidence", "fit_arm"]
-
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
 KEPT = 4  #: latest corrected passes that are fitted

@@ -18,8 +18,6 @@ from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.revision import PassRecord, corrected
 from kr270_milling.physics.compensation.settings import CompensationSettings
 
-__all__ = ["Compensator", "noise_floor", "remaining_error"]
-
 
 def remaining_error(target: Trajectory, record: PassRecord) -> float:
     """Largest distance [m] of the tool from the target path, across the feed, over the scored part of a pass.

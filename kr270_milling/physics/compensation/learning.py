@@ -35,8 +35,6 @@ from kr270_milling.physics.compensation.revision import (
     resting_segments,
 )
 
-__all__ = ["Learner"]
-
 UNSCORED = 0.05  #: weight of deviations before full engagement and in the air
 FREE = 0.3  #: their weight in the fit of the arm: a tool without load separates a constant offset from the compliance
 ALONG = 0.1  #: weight of deviations along the feed, which change the time and not the part

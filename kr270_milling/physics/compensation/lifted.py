@@ -24,8 +24,6 @@ from numba import njit
 
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
-__all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitions", "units"]
-
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
 TINY = 1e-12  #: share of the trace: keeps numbers that no sample shows from making a matrix singular
 

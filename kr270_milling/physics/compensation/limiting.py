@@ -8,8 +8,6 @@ import numpy as np
 
 from kr270_milling.base.column import column
 
-__all__ = ["UNBOUNDED", "Bounds", "Limited", "describe", "limit_change"]
-
 
 @dataclass(frozen=True)
 class Bounds:

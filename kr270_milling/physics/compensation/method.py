@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from kr270_milling.physics.compensation.models import CellModels
     from kr270_milling.physics.compensation.revision import PassRecord
 
-__all__ = ["Correction", "Method", "RevisionTask"]
-
 
 @dataclass(frozen=True, eq=False)
 class RevisionTask:

@@ -9,8 +9,6 @@ from kr270_milling.base.errors import ModelError, ParameterError, nearest
 from kr270_milling.base.extensions import load_as, refused, registered
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 
-__all__ = ["BEST", "LEARNED", "METHODS", "method_of", "methods"]
-
 
 @dataclass(frozen=True)
 class SampledMethod:

@@ -9,8 +9,6 @@ from kr270_milling.base.errors import ModelError
 from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot import Arm, Mount, equilibrium, inverse_near
 
-__all__ = ["loaded_pose", "mirror"]
-
 LEVER = 0.1  # [m]; weighs a rotation against a displacement in the convergence measure: about a tool's length
 
 

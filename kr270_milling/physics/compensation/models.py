@@ -12,8 +12,6 @@ from kr270_milling.physics.compensation.response import ArmResponse
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.dynamics import ArmFactors
 
-__all__ = ["CellModels"]
-
 
 @dataclass(frozen=True, eq=False)
 class CellModels:

@@ -28,8 +28,6 @@ from scipy.interpolate import CubicSpline
 from kr270_milling.base.blocks import blocks
 from kr270_milling.physics.motion.dynamics import ArmFactors
 
-__all__ = ["ArmResponse", "Lag", "Segments", "cubic_coefficients"]
-
 FEWEST, MOST = 4, 16  #: parts in a segment
 BLOCK = 4096  #: segments that are computed at once, some 12 kB each
 

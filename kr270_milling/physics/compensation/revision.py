@@ -15,14 +15,6 @@ from kr270_milling.path.controller_motion import block_ends, controller_motion, 
 from kr270_milling.path.trajectory import Trajectory, slerp
 from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 
-__all__ = [
-    "PassRecord",
-    "chord_error",
-    "corrected",
-    "resting_segments",
-    "sampled_correction",
-]
-
 ROUNDS = 30  #: rounds of tightening the limits at the knots until the spline between them keeps them too
 
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.physics.compensation.methods import BEST, methods
 
-__all__ = ["CompensationSettings"]
-
 
 @dataclass(frozen=True, eq=False)
 class CompensationSettings(Record):

@@ -2,8 +2,6 @@
 
 from numba import njit
 
-__all__ = ["compiled", "inlined"]
-
 #: Without fastmath, so that a run repeats bit for bit. Without reference counting of arrays, which would take most of
 #: the time: nothing compiled here makes an array, it only works on those of its caller.
 OPTIONS: dict = dict(cache=True, error_model="numpy", _nrt=False)

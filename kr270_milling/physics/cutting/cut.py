@@ -34,8 +34,6 @@ from kr270_milling.physics.cutting.state import (
 from kr270_milling.physics.cutting.sweep import NO_FORCES
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Cut", "CutModel", "EngagementCut"]
-
 
 class CutModel:
     """The cutting process: one interface for both models. Compiled loops hand ``params`` and ``state`` to ``cut_step``.

@@ -10,8 +10,6 @@ from kr270_milling.physics.cutting.revolution import undo_revolution
 from kr270_milling.physics.cutting.state import LEVEL_SUM, State
 from kr270_milling.physics.cutting.sweep import sweep, undo
 
-__all__ = ["cut_poses", "cut_step", "cut_undo"]
-
 
 def _step(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Plain form of compiled code; see ``cut_step``."""

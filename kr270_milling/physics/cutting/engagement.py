@@ -54,21 +54,6 @@ from kr270_milling.physics.cutting.profile import RUN, EdgeBins, Profile, profil
 from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES, common_params
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = [
-    "EngagementParams",
-    "EngagementState",
-    "cut_part",
-    "cut_tilted",
-    "engage",
-    "has_profile",
-    "make_engagement_params",
-    "make_engagement_state",
-    "outside",
-    "remember",
-    "take_tile",
-    "undo_engagement",
-]
-
 BINS = 72  #: K, of a whole turn
 SECTORS = 18  # bins of a whole turn below a sinking tool, whose force is nearly axial
 SINES = 4096  # entries of the table ``front`` from one side of the tool to the other

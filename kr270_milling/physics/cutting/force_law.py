@@ -20,8 +20,6 @@ from numba.extending import intrinsic
 from kr270_milling.base.record import Record, specs
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Cuts", "ForceLaw", "ChartLine", "call_law"]
-
 FORCES = types.UniTuple(types.float64, 3)
 MOST = 12  #: coefficients of a law, for which ``call_law`` has code
 POINTS = np.polynomial.legendre.leggauss(48)

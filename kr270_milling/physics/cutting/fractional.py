@@ -11,8 +11,6 @@ from numba import njit
 from kr270_milling.base.record import parameter
 from kr270_milling.physics.cutting.force_law import ChartLine, ForceLaw
 
-__all__ = ["FractionalLaw", "fractional"]
-
 #: The paper's k_0 is read as the slope for one millimetre of depth: F_t = k_0 h_s psi(h / h_s) a_p / (1 mm).
 READING_DEPTH = 1e-3  # [m]
 

@@ -14,8 +14,6 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter, stated
 
-__all__ = ["RESOLVED_NODES", "Stock", "TILE", "tile_count", "levels_in_window"]
-
 TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
 LEVELS = 65535
 RESOLVED_NODES = 10.0  #: nodes that a tooth meets in a micro-step, with which a slot has 97 % of its force

@@ -14,8 +14,6 @@ from numba.extending import intrinsic
 
 from kr270_milling.physics.cutting.compiled import inlined
 
-__all__ = ["LANES", "build_lanes", "lower_lanes", "lower_one_by_one", "lowering"]
-
 LANES = 16  #: nodes; grid and log reach that far beyond their last one
 NODE, INDEX = ir.IntType(16), ir.IntType(32)
 NODES = ir.VectorType(NODE, LANES)

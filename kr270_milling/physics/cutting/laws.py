@@ -14,8 +14,6 @@ from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.cutting.fractional import FractionalLaw
 from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
 
-__all__ = ["LAWS", "Cutting"]
-
 #: every force law, by its name in a parameter file
 LAWS: dict[str, type[ForceLaw]] = {"fractional": FractionalLaw, "linear_edge": LinearEdgeLaw}
 

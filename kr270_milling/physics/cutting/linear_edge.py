@@ -11,8 +11,6 @@ from numba import njit
 from kr270_milling.base.record import parameter
 from kr270_milling.physics.cutting.force_law import Cuts, ForceLaw
 
-__all__ = ["AL7075_T6", "LinearEdgeLaw", "linear_edge"]
-
 
 @njit(cache=True, error_model="numpy")
 def linear_edge(h, k_c, k_e):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.force_law import call_law
 
-__all__ = ["end_force", "load"]
-
 
 @inlined
 def load(s, p, i, step, turn, h, height):

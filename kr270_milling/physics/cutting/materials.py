@@ -12,8 +12,6 @@ from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
 from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
 
-__all__ = ["NAMES", "SCALE", "Material", "find_material", "materials", "spread"]
-
 FILE = "materials.csv"
 #: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
 NAMES = LinearEdgeLaw.result_keys()

@@ -8,14 +8,12 @@ cylinder.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kr270_milling.physics.cutting.grid import Stock
 from kr270_milling.physics.cutting.tool import Tool
-
-__all__ = ["ENTRIES", "LEVEL", "RUN", "EdgeBins", "Profile", "edge_parts", "outline", "profile_of"]
 
 ENTRIES = 4096  # of the profile from the axis to the radius
 LEVEL = 1e-6  # cos(kappa) of a flat end is 1 to this
@@ -141,14 +139,19 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     piece = np.clip(np.searchsorted(edges[:, 0], distance, side="right") - 1, 0, total.size - 1)
     piece[ENTRIES:] = total.size
     parts = np.vstack([edge_parts(tool), [radius, edges[-1, 1], radius, math.inf, 0.0, 1.0, 0.0]])
+    names = ("length", "bend", "lever", "middle", "sine", "cosine", "sine_area", "cosine_area")
+    columns: Any = {
+        name: np.append(values, last) for name, values, last in zip(names, (total, bend, *means), cylinder, strict=True)
+    }
+    hollow = bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any())
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.int16),
         edges[:, 1] / stock.level_step,
-        *(np.append(values, last) for values, last in zip((total, bend, *means), cylinder, strict=True)),
+        **columns,
         rims=edges[:, 0].copy(),
         parts=parts,
-        hollow=bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any()),
+        hollow=hollow,
     )
     return profile, radius, float(edges[1:, 0][flat].max(initial=0.0))

@@ -49,8 +49,6 @@ from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
 from kr270_milling.physics.cutting.tilted import lower_tilted
 
-__all__ = ["undo_revolution"]
-
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 

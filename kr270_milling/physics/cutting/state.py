@@ -13,8 +13,6 @@ from kr270_milling.physics.cutting.lanes import LANES
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Params", "State", "common_params", "make_params", "make_state", "make_log", "log_size"]
-
 # Places in State.ints
 TILES = 0  # tiles in use
 LOGGED = 1  # levels in the undo log

@@ -23,8 +23,6 @@ from kr270_milling.physics.cutting.state import (
     TILES,
 )
 
-__all__ = ["NO_FORCES", "sweep", "undo"]
-
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
 TURN = 1.26  # a point beyond ``near`` seen from a centre that moves by x turns by at most TURN x / radius
 JUMP = 0.125  # share of a tooth's way in a micro-step: a centre that moves further is a jump

@@ -30,8 +30,6 @@ from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT, UNDERCUT
 
-__all__ = ["lower_tilted"]
-
 MISSED = math.inf  # height of a tool that does not cover a node
 SLICES = 40  # of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
 NEWTON = 2  # steps to the moment at which the tool meets a slice

@@ -15,8 +15,6 @@ from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, discreti
 from kr270_milling.physics.robot import Arm, Mount, cartesian_mass, compliance, equilibrium, pose, rotate_matrix
 from kr270_milling.physics.robot.mass import MODELS
 
-__all__ = ["Dynamics", "MeasuredModes", "arm_model", "measured_model", "modal_models"]
-
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes(Record):

@@ -22,8 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-__all__ = ["NO_GAPS", "STATES", "Gaps", "cross_gaps", "flank_after", "flanks", "tool_jumps"]
-
 STATES = 18  #: numbers of the state of the gaps: mean wrench, flanks, first flanks
 
 

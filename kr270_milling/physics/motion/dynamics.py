@@ -27,20 +27,6 @@ from kr270_milling.base.errors import ModelError
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
-__all__ = [
-    "ArmModel",
-    "ModalModel",
-    "advance",
-    "approach",
-    "discretise",
-    "discretise_reference",
-    "drive",
-    "modes",
-    "push",
-    "reference_motion",
-    "swing_freely",
-]
-
 Side = Literal["left", "right"]
 
 

@@ -10,8 +10,6 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["LEAST_SERVO_FREQUENCY", "Imperfections", "second_order"]
-
 LEAST_SERVO_FREQUENCY = 0.1  #: [Hz]; far slower motors do not follow at all, and the filter becomes singular
 
 

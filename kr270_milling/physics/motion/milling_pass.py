@@ -22,8 +22,6 @@ from kr270_milling.physics.cutting.state import LEVEL_SUM
 from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
 from kr270_milling.physics.motion.periods import Clock
 
-__all__ = ["SERIES", "CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
-
 WINDOW = 65_536  # exchange periods whose reference is sampled at once, some 600 bytes each
 CHUNK = 4000  # exchange periods between two reports of progress
 #: shape of a row of each series of a pass

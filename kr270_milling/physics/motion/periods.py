@@ -10,8 +10,6 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["Clock", "Exchange", "Publish"]
-
 
 @dataclass(frozen=True, eq=False)
 class Exchange(Record):

@@ -9,8 +9,6 @@ from scipy.optimize import least_squares
 
 from kr270_milling.base.column import column
 
-__all__ = ["Scores", "path_deviation", "ringing_frequency", "score"]
-
 
 @dataclass(frozen=True)
 class Scores:

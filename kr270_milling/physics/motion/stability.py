@@ -31,8 +31,6 @@ from kr270_milling.base.column import column
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["DEEPEST", "Lobe", "Modes", "has_uniform_pitch", "stability_limit"]
-
 DEEPEST = 0.1  #: [m], up to which limits are looked for
 NODES = 8  #: on the arc for each wave, and 8 more: random limits are then within 1 % of another solution
 

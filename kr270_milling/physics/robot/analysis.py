@@ -8,13 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ModelError, ParameterError
-from kr270_milling.base.record import Record, build, read_tree
+from kr270_milling.base.parameter_file import read_tree
+from kr270_milling.base.record import Record, build
 from kr270_milling.physics.robot.arm import BARE, Arm, Mount
 from kr270_milling.physics.robot.elastostatics import compliance, equilibrium, stiffness
 from kr270_milling.physics.robot.kinematics import pose, rotate_matrix
 from kr270_milling.physics.robot.mass import MODELS, cartesian_mass, mode_frequencies
-
-__all__ = ["analyse", "read_arm"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,6 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, section
 
-__all__ = ["AXES", "BARE", "Arm", "GravityCompensator", "Mount", "moment_slope"]
-
 #: direction of each joint axis in the frame of the link that it turns, (6, 3)
 AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
 AXES.setflags(write=False)

@@ -18,8 +18,6 @@ from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError
 from kr270_milling.physics.robot.kinematics import LinkFrames, check_regular, forward, jacobian_at
 from kr270_milling.physics.robot.loads import GRAVITY, LinkLoads, link_loads, load_hessian, load_torque, moment_arms
 
-__all__ = ["Equilibrium", "compliance", "equilibrium", "stiffness", "wrench_for_pose"]
-
 RESIDUAL = 1e-9  #: a solved equilibrium is out of balance by no more than this [N m]
 ITERATIONS = 25
 #: a larger joint deflection [rad] is believed only when the load path leads there

@@ -9,15 +9,6 @@ import math
 
 from kr270_milling.base.errors import MillingError
 
-__all__ = [
-    "ReachError",
-    "JointLimitError",
-    "SingularityError",
-    "UnstableLoadError",
-    "DeflectionError",
-    "EquilibriumError",
-]
-
 
 def _place(index) -> str:
     return f" (pose {', '.join(str(i) for i in index)})" if index else ""

@@ -14,8 +14,6 @@ from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.physics.robot.kinematics import elbow_and_reach
 
-__all__ = ["BRANCHES", "branches", "branches_at", "inverse_along", "inverse_near", "lengths_of", "wrapped"]
-
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)

@@ -19,23 +19,6 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.errors import SingularityError
 
-__all__ = [
-    "LinkFrames",
-    "check_regular",
-    "cross",
-    "elbow_and_reach",
-    "forward",
-    "jacobian",
-    "jacobian_at",
-    "jacobian_column",
-    "joint_motion",
-    "pose",
-    "rotate_matrix",
-    "rows_of",
-    "singularity_measures",
-    "status_turn",
-]
-
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
 TURNS, SIGNS = np.argmax(np.abs(AXES), axis=1), AXES.sum(axis=1)
 

@@ -15,8 +15,6 @@ from numba import njit
 from kr270_milling.physics.robot.arm import Arm, GravityCompensator, Mount
 from kr270_milling.physics.robot.kinematics import LinkFrames, cross, rows_of
 
-__all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "moment_arms"]
-
 GRAVITY = 9.80665  #: standard acceleration of free fall [m/s^2], [BIPM, SI brochure]
 
 

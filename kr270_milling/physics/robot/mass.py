@@ -14,18 +14,6 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.kinematics import LinkFrames, check_regular, cross, forward, jacobian_at, rotate_matrix
 
-__all__ = [
-    "MODELS",
-    "assembled_mass",
-    "beam_mass",
-    "cartesian_mass",
-    "joint_mass",
-    "mode_frequencies",
-    "own_inertia",
-    "rigid_joint_mass",
-    "spatial_inertia",
-]
-
 MODELS = ("lumped", "consistent", "rigid")
 POINT = 1e-9  #: a link shorter than this [m] is a point mass in its end node
 

@@ -11,8 +11,6 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["ForceSensor", "moved_wrench"]
-
 WIDE = 5000.0  # [mm]
 
 

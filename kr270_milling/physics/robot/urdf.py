@@ -17,8 +17,6 @@ from kr270_milling.base.frames import JOINT_NAMES, TOOL, TOOL0, Pose, abc_from_r
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.mass import own_inertia
 
-__all__ = ["COLOURS", "urdf"]
-
 #: material of a solid -> red, green, blue, from 0 to 1
 COLOURS = {
     "arm": (0.90, 0.45, 0.10),

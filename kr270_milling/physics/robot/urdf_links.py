@@ -9,8 +9,6 @@ import numpy as np
 
 from kr270_milling.base.frames import rotation_from_abc
 
-__all__ = ["Link", "Mesh", "links_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Mesh:

@@ -13,8 +13,8 @@ import numpy as np
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.parameter_file import find_file
-from kr270_milling.base.record import build, read_tree
+from kr270_milling.base.parameter_file import find_file, read_tree
+from kr270_milling.base.record import build
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.draft import draft_text, straight_text, tools_text
 from kr270_milling.cell.keys import keys_of, schema

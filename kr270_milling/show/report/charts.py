@@ -10,18 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = [
-    "Chart",
-    "Curve",
-    "Panel",
-    "amplitude_spectrum",
-    "curve",
-    "envelope_index",
-    "moving_mean",
-    "stations",
-    "thinned_spectrum",
-]
-
 BUCKETS = 500  #: along a series; a picture of some 900 pixels shows no more
 
 

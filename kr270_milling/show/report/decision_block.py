@@ -25,8 +25,6 @@ from kr270_milling.show.report.tables import micro, typeset
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: colour of the tile
 
-__all__ = ["Tile", "asked", "cut_text", "finding_rows", "judged", "limit_bars", "tiles"]
-
 
 def judged(
     cell: Cell, passes: Sequence[ScoredPass], judgements: Sequence[Judgement]

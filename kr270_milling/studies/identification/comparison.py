@@ -11,15 +11,6 @@ from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency
 from kr270_milling.studies.identification.signals import resampled
 
-__all__ = [
-    "ComparedChannel",
-    "ComparedSeries",
-    "LinearFit",
-    "best_lag",
-    "compare",
-    "line_through",
-]
-
 #: "force" on the tool [N] and "pose", its centre [m], as far as there are: times [s], (n,), and vectors in workpiece
 #: axes, (n, 3); the series of a measured pass have separate clocks
 ComparedSeries = dict[str, tuple[np.ndarray, np.ndarray]]

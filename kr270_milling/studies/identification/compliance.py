@@ -20,8 +20,6 @@ from kr270_milling.studies.identification.intervals import half_interval, robust
 from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.problem import Problem
 
-__all__ = ["Fit", "fit_compliance"]
-
 #: relative standard deviation of a number that the data cannot identify, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15
 

@@ -18,17 +18,6 @@ from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.studies.identification.signals import read_topic
 
-__all__ = [
-    "COLUMNS",
-    "CutMeasurements",
-    "Sensor",
-    "engagement_angles",
-    "force_series",
-    "recorded_mean_force",
-    "read_cuts",
-    "turn_of",
-]
-
 FORCES = ("fx_n", "fy_n", "fz_n")
 CUT = ("feed_per_tooth_mm", "depth_mm", "width_mm")
 RECORDED = ("recording", "start_s", "stop_s", "tare_start_s", "tare_stop_s")

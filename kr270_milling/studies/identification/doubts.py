@@ -27,8 +27,6 @@ from kr270_milling.studies.identification.modes import Mode
 from kr270_milling.studies.identification.problem import TILTS, Problem
 from kr270_milling.studies.identification.signals import AXES
 
-__all__ = ["Doubt", "compliance_doubts", "force_doubts", "hammer_doubts", "refuse_units"]
-
 #: factor on the arm file beyond which a unit is suspected: the published sets of one robot differ by 2.2
 UNLIKELY = 3.0
 NEAR = 1.5  #: factor within which a known factor explains what is seen

@@ -19,14 +19,8 @@ from kr270_milling.base.column import computed
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import specs
 from kr270_milling.physics.cutting import LAWS, ForceLaw
-from kr270_milling.physics.cutting.materials import NAMES, SCALE
 from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.intervals import MixedUpError, half_interval, scatter, solve
-
-__all__ = [
-    "FIRST", "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "agreeing_cuts", "contradicting_cut", "fit_all",
-    "fit_forces", "law_sections",
-]  # fmt: skip
 
 FIRST = "linear_edge"
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z

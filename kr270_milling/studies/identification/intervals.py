@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-__all__ = ["MixedUpError", "half_interval", "robust_variance", "robust_weights", "scatter", "solve"]
-
 
 class MixedUpError(ValueError):
     """Fewer rows than unknowns, or columns that are alike; the caller knows their names."""

@@ -30,18 +30,6 @@ from kr270_milling.cell.plant import coarser, numbers_of, perturbed, robot_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.studies.identification.wall import PredictedPlaces, WallPlaces, read_wall, robot_errors
 
-__all__ = [
-    "Learned",
-    "gaussian_update",
-    "learn",
-    "learned_keys",
-    "linear_map",
-    "quantities",
-    "read_part",
-    "refuse_contradictions",
-    "strange_places",
-]
-
 FEWEST, MOST = 6, 200  #: places of a part
 SIGMA = 5e-6  #: [m], assumed: of a measured error without sigma_um, a CMM or a dial gauge on the part
 #: [m], and share of the errors that the robots of the cell have, assumed: what none of them explains. It has their

@@ -13,8 +13,6 @@ from kr270_milling.base.table import Table, read_table, write_table
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.loads import GRAVITY
 
-__all__ = ["COLUMNS", "Measurements", "read_measurements", "unmeasured", "write_measurements"]
-
 JOINTS = tuple(f"a{j}_deg" for j in range(1, 7))
 WRENCH = ("fx_n", "fy_n", "fz_n", "mx_n_m", "my_n_m", "mz_n_m")
 MASS = ("mass_kg", "mass_centre_x_mm", "mass_centre_y_mm", "mass_centre_z_mm")

@@ -36,9 +36,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
-__all__ = ["Mode", "by_compliance", "by_hammer", "check_hammer", "find_modes", "free_decay",
-           "split_modes", "tool_compliance"]  # fmt: skip
-
 CLEAR = 8.0  #: standard deviations; a pole that follows noise reaches about 4
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from kr270_milling.base.errors import MillingError, ParameterError
-from kr270_milling.base.record import read_tree
+from kr270_milling.base.parameter_file import read_tree
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.robot.arm import Arm, Mount
@@ -24,11 +24,6 @@ from kr270_milling.physics.robot.kinematics import forward, singularity_measures
 from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.studies.identification.measurements import Measurements, unmeasured
 from kr270_milling.studies.identification.problem import Problem
-
-__all__ = [
-    "CRITERIA", "Candidates", "Design", "Planner", "at_posture", "candidates", "read_test_pose",
-    "sorted_tests",
-]  # fmt: skip
 
 MARGIN = np.radians(5.0)  #: distance to every joint limit
 CRITERIA = ("test pose", "A", "D")

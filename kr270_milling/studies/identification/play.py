@@ -26,8 +26,6 @@ from kr270_milling.physics.robot.loads import link_loads, load_torque
 from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.intervals import MixedUpError, solve
 
-__all__ = ["Backlash", "Pushes", "backlash_keys", "fit_backlash", "read_pushes"]
-
 JOINTS = tuple(f"a{j}_deg" for j in range(1, 7))
 AXES = ("x", "y", "z")
 ARCSEC = math.pi / 648000  # [rad]

@@ -29,11 +29,6 @@ from kr270_milling.physics.robot.kinematics import LinkFrames, forward, jacobian
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 from kr270_milling.studies.identification.measurements import Measurements
 
-__all__ = [
-    "TILTS",
-    "Problem",
-]
-
 COMPENSATOR = tuple(spec.name for spec in specs(GravityCompensator))
 #: where the base may tilt, and the size of the unknown: [rad/(N m)], assumed, a third of the stiffest joint's
 TILTS, TILT = ("base x", "base y"), 5e-8

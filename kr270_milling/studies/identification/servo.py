@@ -22,8 +22,6 @@ from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.intervals import half_interval
 from kr270_milling.studies.identification.signals import even_stamps, pose_series, read_topic, resampled
 
-__all__ = ["Move", "Servo", "fit_servo", "identified_servo", "moved_along", "read_move", "servo_keys", "test_move"]
-
 PAIRS = (("commanded_mm", "measured_mm"), ("commanded_deg", "measured_deg"))
 LINEAR = 3  #: numbers that are eliminated: a, b, g
 FINE = 0.5e-3  #: [s], longest step of the integration; samples are farther apart

@@ -15,8 +15,6 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import FIXED
 from kr270_milling.recordings.passes import own_topics, series
 
-__all__ = ["AXES", "Signals", "even_stamps", "pose_series", "read_signals", "read_topic", "resampled"]
-
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
 COLUMNS = ("time_s", *AXES, FORCE)

@@ -22,18 +22,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.studies.identification.comparison import LinearFit, line_through
 
-__all__ = [
-    "BAND",
-    "COLUMNS",
-    "PLANTS",
-    "PredictedPlaces",
-    "WallComparison",
-    "WallPlaces",
-    "compare_wall",
-    "read_wall",
-    "robot_errors",
-]
-
 PLACE = ("x_mm", "y_mm")
 COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "surface", "note")
 FEWEST = 3  #: places for a gain and an offset

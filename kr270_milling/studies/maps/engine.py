@@ -31,7 +31,7 @@ from multiprocessing import connection
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError, ModelError
-from kr270_milling.base.record import read_tree
+from kr270_milling.base.parameter_file import read_tree
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
 ANSWER = 10.0  #: [s] for a scheduler to answer

@@ -9,7 +9,7 @@ from samples.wavy import MACHINE, program
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.frames import rotation_from_quaternion
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_of

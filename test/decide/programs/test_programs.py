@@ -20,7 +20,7 @@ from splines import spline
 
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell_file import read_cell

@@ -12,7 +12,8 @@ from book import check
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.record import ConfigError, build, find_file, read_tree
+from kr270_milling.base.parameter_file import find_file, read_tree
+from kr270_milling.base.record import ConfigError, build
 from kr270_milling.physics.robot import BARE, Arm, Mount, forward, inverse_near, jacobian, pose
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError

@@ -12,7 +12,7 @@ from samples.small_part import path_error
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ConfigError, InputError, RecordingError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main

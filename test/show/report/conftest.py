@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from samples.milled_part import POCKET, small_cell
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 

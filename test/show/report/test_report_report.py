@@ -18,7 +18,8 @@ from samples.cuttings import SET_ALUMINIUM
 from samples.milled_part import POCKET, RIGID, small_cell
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.record import find_file, flatten
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.record import flatten
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, cut_of, path_of

@@ -13,7 +13,7 @@ import pytest
 from samples.recording_samples import sample
 
 from kr270_milling.base.column import as_dict, column, columns, columns_of, computed, table_of
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_of, path_of

@@ -13,7 +13,7 @@ import pytest
 from hostile import answered, ask, refused, settings
 from samples.campaigns import COEFFICIENTS, TRUE, cuts, loads, measured, measured_cuts
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import serialise

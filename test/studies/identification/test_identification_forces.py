@@ -12,7 +12,7 @@ from samples.campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, 
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError, ModelError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
 from kr270_milling.physics.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock

@@ -15,7 +15,7 @@ import pytest
 from hostile import answered, settings
 
 from kr270_milling.base.errors import InputError, ModelError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.studies.maps.engine import AHEAD, Study, run_chunks
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from semi_discretisation import BENCHMARK, MASS, TEETH, directional, limit, modal_radius, radius
 
 from kr270_milling.base.errors import ConfigError, ParameterError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.stability import feature_limits, modes_of

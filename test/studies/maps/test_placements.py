@@ -10,7 +10,7 @@ import pytest
 from hostile import answered, refused, settings
 
 from kr270_milling.base.errors import ModelError, ParameterError
-from kr270_milling.base.record import find_file
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of

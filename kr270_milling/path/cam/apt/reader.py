@@ -41,8 +41,6 @@ from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, tool_along
 
-__all__ = ["read_apt"]
-
 WORD = re.compile(r"[A-Z][A-Z0-9 _-]*")
 TEXT = re.compile(rf"\s*(?:{'|'.join(TEXTS)})\b", re.I)
 BEGINNING = re.compile(r"\s*([A-Z][A-Z-]*)\s*(?:[/$]|\Z)", re.I)

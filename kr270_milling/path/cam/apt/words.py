@@ -4,21 +4,6 @@ from __future__ import annotations
 
 from kr270_milling.path.cam.machine import INCH, MM
 
-__all__ = [
-    "ADVICE",
-    "CENTRE",
-    "CYCLES",
-    "DATUM",
-    "DISTANCES",
-    "FEEDS",
-    "LENGTHS",
-    "MILL",
-    "MOVES",
-    "SILENT",
-    "SYSTEMS",
-    "TEXTS",
-]
-
 LENGTHS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "CM": 1e-2}
 #: unit of FEDRAT -> length [m], None: that of UNITS, and whether it is per revolution
 FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MMPR": (MM, True), "IPR": (INCH, True),

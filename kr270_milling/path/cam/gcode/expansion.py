@@ -17,8 +17,6 @@ from kr270_milling.path.cam.gcode.words import G_GROUPS, word_of
 from kr270_milling.path.cam.machine import AXES, MM, NURBS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 
-__all__ = ["expanded"]
-
 #: words that stay in their line: dwell, tool length, exact stop, look-ahead
 KEPT = frozenset((4, 8, 9, 43, 49, 61, 61.1, 64))
 #: groups of words that place the coordinates: they stay before the first move

@@ -11,8 +11,6 @@ import operator
 import re
 from collections.abc import Callable
 
-__all__ = ["ExpressionError", "Scanner", "Variables"]
-
 NEAR = 1e-4  #: two numbers are equal, and a number is an integer, within this distance: LinuxCNC
 MOST_NESTED = 100  #: brackets in brackets; assumed
 MOST_VALUE = 1e12  #: a larger number cannot be meant; assumed

@@ -15,8 +15,6 @@ from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, V
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.words import MACROS
 
-__all__ = ["Flow", "has_flow"]
-
 MOST_BLOCKS = 1_000_000  #: lines that a program with sub-programs or loops runs; assumed
 DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVELS
 #: a text that has one of these somewhere may jump

@@ -38,8 +38,6 @@ from kr270_milling.path.cam.machine import AXES, CENTRES, MM, OF_ARCS, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.trajectory import TOOL_DOWN
 
-__all__ = ["Interpreter"]
-
 FURTHER = frozenset("ABCUVW")
 VECTOR = ("A3", "B3", "C3")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else

@@ -9,8 +9,6 @@ import cmath
 import math
 from collections.abc import Sequence
 
-__all__ = ["NAMES", "Offsets"]
-
 #: work offsets with a number, as G10 L2 P and the parameters 5221 ff. count them
 NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 

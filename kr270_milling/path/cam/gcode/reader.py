@@ -23,8 +23,6 @@ from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.toolpath import Toolpath
 
-__all__ = ["COMMENT", "PIECE", "SKIP", "GcodeReader", "changes_by_m6", "gcode_path", "read_gcode"]
-
 #: an E directly after the digits begins an exponent if an integer follows; else, as after a blank, it is a letter of
 #: its own. One of two alternatives, so that a row of E words has one meaning.
 EXPONENT = r"E[-+]?[0-9]+(?![0-9.])"

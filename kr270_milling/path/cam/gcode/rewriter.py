@@ -22,8 +22,6 @@ from kr270_milling.path.cam.machine import MM
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
-__all__ = ["GcodeSource", "SourceMove", "read_source"]
-
 SAME_PLACE = 1e-9  #: [m], of a position and its number with seven decimals of a mm
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}

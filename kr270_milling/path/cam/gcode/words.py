@@ -8,27 +8,6 @@ from __future__ import annotations
 
 from kr270_milling.path.cam.machine import INCH, MM
 
-__all__ = [
-    "ADVICE",
-    "AXES5",
-    "BELONGS",
-    "CLAIMS",
-    "DATUM",
-    "HEIDENHAIN",
-    "G_GROUPS",
-    "LEFT",
-    "MACROS",
-    "MODAL",
-    "M_GROUPS",
-    "OFFSETS",
-    "SILENT",
-    "SILENT_G",
-    "SILENT_M",
-    "UNKNOWN",
-    "UNKNOWN_M",
-    "word_of",
-]
-
 #: modal state of a machine -> the G words that set it, and their values
 MODAL: dict[str, dict[float, object]] = {
     "unit": {20: INCH, 70: INCH, 700: INCH, 21: MM, 71: MM, 710: MM},

@@ -27,8 +27,6 @@ from kr270_milling.path.cam.machine import CHORD, MM, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, Toolpath
 
-__all__ = ["read_krl_program"]
-
 DEEPEST, MOST_STATEMENTS = 10, 1_000_000
 #: first word of a block -> words that end it or its parts
 BLOCKS = {

@@ -15,8 +15,6 @@ import numpy as np
 from kr270_milling.base.frames import Pose, abc_from_rotation
 from kr270_milling.base.text import short
 
-__all__ = ["FRAME", "KrlError", "UnknownValueError", "composed", "evaluated", "parts"]
-
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)|(?P<name>[$A-Z_][\w$]*)|(?P<word>\#[A-Z_]\w*)"

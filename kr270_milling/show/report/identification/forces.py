@@ -8,11 +8,11 @@ import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict
 from kr270_milling.physics.cutting import LAWS
-from kr270_milling.physics.cutting.materials import Material, spread
+from kr270_milling.physics.cutting.materials import NAMES, SCALE, Material, spread
 from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import COLOURS, points
 from kr270_milling.studies.identification.doubts import force_doubts
-from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
+from kr270_milling.studies.identification.forces import TOWARD_PART, LawFit, law_sections
 
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 

@@ -13,8 +13,6 @@ from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.play import ARCSEC, Backlash, backlash_keys
 from kr270_milling.studies.identification.servo import Move, Servo, servo_keys
 
-__all__ = ["backlash_outcome", "servo_outcome"]
-
 USE = "name this file in `includes` of the cell: plan and simulated robots then have these numbers"
 
 
