@@ -31,12 +31,7 @@ from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 
-RATIOS = (
-    1.0,
-    1.1,
-    1.25,
-    1.5,
-)  #: cycle times of softer ramps, of the programmed one; also feeds stay below the last
+RATIOS = (1.0, 1.1, 1.25, 1.5)  #: cycle times of softer ramps, of the programmed one; also feeds stay below the last
 NEEDS = "needs part.tolerance_um, and a program without times in path.file"
 SOFTEST = 0.02  #: share of the programmed acceleration
 QUICK = "inverse"  #: method that plans while feeds are chosen; ``robust`` takes eight times as long
