@@ -82,8 +82,8 @@ def test_a_notebook_shows_each_result_as_text_frame_figure_and_page(both, tmp_pa
     assert both.to_frame()["pass"].unique().tolist() == ["original", "linear"]
     np.testing.assert_allclose(judged.to_frame()["original_um"], 1e6 * judged.original)
     assert lobes.to_frame()["spindle_speed_rpm"].tolist() == pytest.approx([6000.0, 8000.0])
-    again = simulate(cell, both.compensated.reference)  # the program has rounded points
-    assert again.max_deviation_um == pytest.approx(both.compensated.max_deviation_um, abs=0.1)
+    again = simulate(cell, both.planned.reference)
+    assert again.max_deviation_um == pytest.approx(both.planned.max_deviation_um, abs=0.1)
     checked = check(cell)
     assert checked.may_be_run and "may be run" in repr(checked)
 

@@ -91,6 +91,8 @@ def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
     unasked = ("uncertainty.", "limits.", "program.", "compensation.", "publish.")
     kinds, tried = {"number": float, "whole number": int}, 0
     for row in keys_of():
+        if row["key"] == "uncertainty.least_backlash":  # its bound is another key
+            continue
         above = None if row["above"] is None else row["above"] + 1e-9
         almost = 1e-99 if row["low"] == 0.0 and row["type"] == "number" else None
         for bound in (row["low"], row["high"], above, almost) if row["type"] in kinds else ():

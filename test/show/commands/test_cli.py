@@ -126,7 +126,7 @@ def test_an_answer_that_a_test_prints_without_the_command_line_is_compared_with_
     ("simulat paper.yaml", "there is no command 'simulat'; did you mean simulate?"),
     ("identify complianc", "did you mean compliance? (kr270_milling identify --help)"),
     ("check paper.yaml --refrence=x", "there is no option --refrence; did you mean --reference?"),
-    ("compensate paper.yaml --method liner", "'liner' is not one of best, linear,"),
+    ("compensate paper.yaml --method liner", "'liner' is not one of best, none, linear,"),
     ("compensate paper.yaml --seed 0", "--seed: '0' is not a whole number from 1 to 999999"),
     ("check", "needs CELL.yaml (kr270_milling check --help)"),
     ("check paper.yaml other.yaml", "'other.yaml' is one argument too many"),
