@@ -267,13 +267,14 @@ def levers(
     motion: str,
     progress: Callable[[int, int], None] | None = None,
     turned: Callable[[Cell], Cell] | None = None,
+    method: str | None = None,
 ) -> tuple[list[Lever], Lever]:
     """Try the levers, and return a row for each and the row to run.
 
     That row is the one with the shortest time of those that are enough, or else the one with the most robots within
     the tolerance. A lever that takes longer than one that is enough is not tried. Without a finishing pass the path
-    takes at most ``RATIOS[-1]`` times as long. turned: the cell with the best turn of the tool. Raises InputError for a
-    straight cut and for a cell without a tolerance.
+    takes at most ``RATIOS[-1]`` times as long. turned: the cell with the best turn of the tool; method: of the
+    correction, default: that of the cell. Raises InputError for a straight cut and for a cell without a tolerance.
     """
     fed = path_of(cell).fed
     if fed is None or fed.timed_by_source or not any(cell.tolerances.of()):
@@ -289,7 +290,7 @@ def levers(
         """Plan the variant, run the robots, and append its row; the first one also has the path as programmed."""
         nonlocal done
         count(0)
-        program = _program(variant, variant.compensation.method, motion)
+        program = _program(variant, method or variant.compensation.method, motion)
         names, references = [name], [program]
         if not rows:
             names, references = ["nothing", name], [path_of(variant).target, program]

@@ -150,7 +150,7 @@ def _reach(cells, args, whole) -> tuple[list, Lever]:
     motion = (args.krl or [cells[0].krl.motion])[0]
     turned = None if args.gcode else turned_cell  # 3-axis G-code has no words for a turn
     with whole("levers") as report:
-        return levers(cells[0], args.verdict or SAMPLES, args.seed, motion, report, turned)
+        return levers(cells[0], args.verdict or SAMPLES, args.seed, motion, report, turned, args.method)
 
 
 def _levers_table(reached, chosen: Lever) -> TextTable:

@@ -13,6 +13,7 @@ from samples.small_part import GCODE, assignments
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cli import main
+from kr270_milling.decide import levers
 from kr270_milling.decide.programs import krl
 
 
@@ -145,3 +146,12 @@ def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(judged):
     code, text, result, _ = judged("--verdict", "0")
     assert result["verdict"] is None and result["recommended_method"] is None
     assert code == 0 and text.startswith("decision: caution: ")
+
+
+def test_the_levers_plan_with_the_method_of_the_command(quick, tmp_path, monkeypatch):
+    def program(cell, method, motion):
+        raise InputError("planned by", method)
+
+    monkeypatch.setattr(levers, "_program", program)
+    words = command(tmp_path, "--method", "spline", "--reach", sets=["part.tolerance_um=50"])
+    assert "planned by: spline" in refused(*words)

@@ -100,7 +100,9 @@ def test_the_papers_column_and_figures_are_there_only_for_the_paper(tmp_path, st
 
 def shown_decision(level: str, sentence: str, method: str, verdict: str) -> SimpleNamespace:
     text = SimpleNamespace(text=verdict)
-    return SimpleNamespace(level=level, sentence=sentence, method_text=method, notes=(sentence,), verdict=text, limits=())
+    return SimpleNamespace(
+        level=level, sentence=sentence, method_text=method, notes=(sentence,), verdict=text, limits=()
+    )
 
 
 def test_texts_from_files_are_escaped(tmp_path, straight):
