@@ -146,8 +146,8 @@ class Compensator:
             raise ParameterError(f"method {self.method}", kind, "a Correction, which revise must return")
         shape, knots = np.shape(correction.offset), (len(target), 3)
         if shape != knots or not np.isfinite(correction.offset).all():
-            found = shape if shape != knots else "not finite"
-            raise ParameterError(f"method {self.method}: offset", found, f"finite [m], of the shape {knots}")
+            given = shape if shape != knots else "not finite"
+            raise ParameterError(f"method {self.method}: offset", given, f"finite [m], of the shape {knots}")
         self.learner = correction.learner
         self.reference, self.limited = corrected(
             target, correction.offset, correction.smooth, bounds, quaternion=correction.quaternion

@@ -68,7 +68,7 @@ def _touch(parts, u, v, s, c):
                 return z, x / corner, v / corner, -root / corner
         elif corner > 0.0:  # a torus
             h, middle = z0, z0 + corner
-            found = False
+            touches = False
             x = rho = out = far = 1.0
             for _ in range(12):
                 x = (u - h * s) / c
@@ -77,14 +77,14 @@ def _touch(parts, u, v, s, c):
                 far = math.sqrt(out * out + (middle - h) * (middle - h))
                 slope = (-out * x * s / (c * rho) - (middle - h)) / far
                 if far - corner <= 2e-9:  # [m]
-                    found = True
+                    touches = True
                     break
                 if slope >= 0.0:
                     break
                 h -= (far - corner) / slope
                 if h > z1 + FLAT:
                     break
-            if found:
+            if touches:
                 return (h - u * s) / c, *_normal(x, v, rho, out / corner, (middle - h) / corner, s, c)
         elif parts[k, 5] < FLAT:  # level: the end, or a ledge
             x = (u - z0 * s) / c

@@ -65,9 +65,9 @@ def test_the_intervals_contain_nine_of_ten_hidden_lags_and_more(sweep):
         true = rng.uniform((10.0, 0.4, 0.0), (35.0, 1.0, 0.012))
         measured = follow(time, shift, *true) + rng.uniform(1e-3, 5e-3) * rng.standard_normal(len(time))
         fitted = servo.fit_servo(servo.Move(4e-3, shift, measured))
-        found = fitted.frequency, fitted.damping, fitted.delay
+        values = fitted.frequency, fitted.damping, fitted.delay
         hits += np.sum(
-            np.abs(np.subtract(found, true)) <= (fitted.frequency_half, fitted.damping_half, fitted.delay_half)
+            np.abs(np.subtract(values, true)) <= (fitted.frequency_half, fitted.damping_half, fitted.delay_half)
         )
     assert abs(hits - 0.95 * 3 * robots) <= 4 * binom.std(3 * robots, 0.95)
 
@@ -187,14 +187,14 @@ def test_the_backlash_of_joints_that_reverse_is_found_and_its_interval_covers_th
     rng, hits, count = np.random.default_rng(4), 0, 0
     for k in range(21):
         width = arm[0].backlash * rng.uniform(0.5, 2.0, 6)
-        found = play.fit_backlash(*arm, pushed(arm, width, 1e-12 if k == 0 else 2e-6, rng))
-        which = np.array(found.joints) - 1
+        fitted = play.fit_backlash(*arm, pushed(arm, width, 1e-12 if k == 0 else 2e-6, rng))
+        which = np.array(fitted.joints) - 1
         if k == 0:
-            assert len(which) >= 3 and found.width[which] == pytest.approx(width[which], rel=1e-3)
+            assert len(which) >= 3 and fitted.width[which] == pytest.approx(width[which], rel=1e-3)
             continue
         if which.size:
-            worst = np.abs(found.width[which] - width[which]) / found.width[which]
-            hits, count = hits + int(np.sum(worst <= found.half)), count + which.size
+            worst = np.abs(fitted.width[which] - width[which]) / fitted.width[which]
+            hits, count = hits + int(np.sum(worst <= fitted.half)), count + which.size
     assert count > 20 and hits >= 0.95 * count - 4 * binom.std(count, 0.95)
 
 
