@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.base.frames import rotation_from_quaternion, tool_axis
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, turned
 
@@ -332,7 +332,7 @@ def _taken_away(blocks: np.ndarray, away: np.ndarray) -> np.ndarray:
 
     def outside(block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The blocks of a place where a tool has left the box, and of the place above it."""
-        axis = -rotation_from_quaternion(block[3:7])[:, 2]
+        axis = tool_axis(block[3:7])
         room = np.where(axis > 0, high - block[:3], block[:3] - low) / np.maximum(np.abs(axis), 1e-12)
         room[:2] += LEVER / np.maximum(np.abs(axis[:2]), 1e-12)
         out, above = block.copy(), block.copy()

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.base.frames import Pose, rotation_from_quaternion, tool_axis
 from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.apt.words import (
     ADVICE,
@@ -386,7 +386,7 @@ class _AptReader(Machine):
         if self.program.quaternion == TOOL_DOWN:
             self._drilled_along_z(point)
             return
-        axis = -rotation_from_quaternion(np.array(self.program.quaternion))[:, 2]
+        axis = tool_axis(np.array(self.program.quaternion))
         with self._plane(axis.tolist()) as inside:
             self._drilled_along_z(inside(point))
 
