@@ -1,4 +1,4 @@
-"""The decorators of the compiled functions of the cut."""
+"""The decorators of the compiled functions of a pass: of the cut, and of the arm in its innermost loop."""
 
 from numba import njit
 
