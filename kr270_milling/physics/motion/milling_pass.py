@@ -142,7 +142,7 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
         raise PassError(float(np.linalg.norm(deflections[first, :3])), float(stamps[first]) * 1e-9)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)
 def _exchange(
     window, first, last, iterations, reference, silent, arm, state, wrench, cut, teeth, mean, micro_steps, out
 ):
@@ -179,7 +179,9 @@ def _exchange(
             if mean is not None:
                 torque = engage(s, p, p.flat, p.profile, p.tilts, tool[row], tool[row + 1], micro_steps, answer)
             if silent[row + 1]:
-                answer[:], torque = 0.0, 0.0
+                torque = 0.0
+                for j in range(6):
+                    answer[j] = 0.0
         drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot corrects
         for j in range(state.size):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
             state[j] = scratch[j]
