@@ -153,8 +153,9 @@ def test_nothing_is_written_elsewhere_through_a_link_or_over_a_file(tmp_path):
     for directory, name in ((tmp_path, "link"), (tmp_path, "victim"), (tmp_path / "out", None)):
         with pytest.raises(RecordingError, match="exists already|symbolic link"):
             BagWriter(directory, name)
-    with pytest.raises(RecordingError, match="cannot be created"):
-        BagWriter(tmp_path, "x" * 300)
+    for name, reason in (("x" * 300, "cannot be created"), *((n, "not the name") for n in ("../x", "a/b", "/tmp/x"))):
+        with pytest.raises(RecordingError, match=reason):
+            BagWriter(tmp_path, name)
     writer = BagWriter(tmp_path / "a")
     (tmp_path / "a" / "metadata.yaml").symlink_to(victim)
     writer.close()
