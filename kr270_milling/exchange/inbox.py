@@ -52,10 +52,6 @@ class ReceivedPass:
         steps = np.diff(self.pose_ns)
         return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
 
-    def until_wrench(self, count: int) -> ReceivedPass:
-        """Return the pass with its first ``count`` wrenches only."""
-        return ReceivedPass(self.pose_ns, self.position, self.wrench_ns[:count], self.wrench[:count])
-
     def as_learned(self, recording: str) -> LearnedRecording:
         """Return what the compensator publishes of a pass; recording: its file."""
         return LearnedRecording(recording, self.fingerprint, self.pose_ns.size, self.wrench_ns.size)
