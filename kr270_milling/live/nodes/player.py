@@ -18,9 +18,9 @@ from kr270_milling.base.errors import RecordingError, one_line
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
 from kr270_milling.live.ros.topics import NameRefused, message_class
-from kr270_milling.recordings.bag.files import read_qos
+from kr270_milling.recordings.bag.files import is_latched, read_qos
 from kr270_milling.recordings.bag.mcap_file import RawMessage
-from kr270_milling.recordings.bag.reader import Recording, is_latched, playback, span
+from kr270_milling.recordings.bag.reader import Recording, playback, span
 
 DEPTH = 1000  # messages that may wait for a slow reader
 
@@ -151,7 +151,7 @@ def qos_of(about) -> QoSProfile:
     Discovery does not report the depth; an unknown depth becomes 1 for latched topics, else ``DEPTH``.
     """
     profiles = read_qos(about.metadata.get("offered_qos_profiles", ""))
-    latched = is_latched(about)
+    latched = is_latched(about.metadata)
     reliable = all(p.get("reliability") in ("reliable", "system_default", 1, 0) for p in profiles)
     depths = [p["depth"] for p in profiles if isinstance(p.get("depth"), int) and 0 < p["depth"] <= DEPTH]
     return QoSProfile(

@@ -146,8 +146,9 @@ def rows(recording: Recording, topic: str) -> Iterator[Row]:
             yield from _trajectory_rows(recording, topic)
         else:
             cells_of = _joint_cells if kind == "sensor_msgs/msg/JointState" else lambda message: _flat(plain(message))
-            for message, decoded in recording.decoded([topic]):
-                cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
+            decode = recording.decoder(topic)
+            for message in recording.messages([topic]):
+                cells = {"log_time_ns": message.log_time, **cells_of(decode(message.data))}
                 yield list(cells), list(cells.values())
     except ValueError as error:
         raise RecordingError(recording.path, f"a message on {topic} is not a {kind}: {error}") from error

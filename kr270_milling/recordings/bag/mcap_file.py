@@ -188,37 +188,25 @@ class McapFile:
         return self._stream.read(size)
 
     def _take(self, record, offset: int, end: int) -> None:
-        """Take the content that a record states. Raises the errors in UNREADABLE."""
+        """Take the content that a record states; of a chunk, that of its records. Raises the errors in UNREADABLE."""
         if isinstance(record, Header):
             self.profile, self.library = record.profile, record.library
-        elif isinstance(record, (Schema, Channel)):
-            self._define(record)
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Statistics) and self.cut_off:  # in its summary
             self.statistics = record
         elif isinstance(record, Attachment):
-            about = Attached(record.name, record.media_type, len(record.data), offset, end)
-            self.attachments.append(about)
-        elif isinstance(record, Message):
-            self._count(record.channel_id, record.log_time)
-        elif isinstance(record, Chunk):
-            data = _unpack(record)
-            for opcode, begin, stop in _inside(data):
-                if opcode == Opcode.MESSAGE:
-                    channel, _, log_time, _ = MESSAGE.unpack_from(data, begin)
-                    self._count(channel, log_time)
-                elif opcode in DEFINITIONS:
-                    self._define(DEFINITIONS[opcode].read(_fields(data[begin:stop])))
-
-    def _define(self, record: Schema | Channel) -> None:
-        known: dict = self.schemas if isinstance(record, Schema) else self.channels
-        known[record.id] = record
-
-    def _count(self, channel: int, log_time: int) -> None:
-        self.counts[channel] += 1
-        self.first = log_time if self.first is None else min(self.first, log_time)
-        self.last = log_time if self.last is None else max(self.last, log_time)
+            self.attachments.append(Attached(record.name, record.media_type, len(record.data), offset, end))
+        for item in _content(record):
+            if isinstance(item, Schema):
+                self.schemas[item.id] = item
+            elif isinstance(item, Channel):
+                self.channels[item.id] = item
+            else:
+                channel, _, log_time, *_ = item
+                self.counts[channel] += 1
+                self.first = log_time if self.first is None else min(self.first, log_time)
+                self.last = log_time if self.last is None else max(self.last, log_time)
 
     def attachment(self, about: Attached) -> bytes:
         """Return the bytes of an attachment, compared with its checksum, which mcap does not do. Raises Damage."""
@@ -240,39 +228,18 @@ class McapFile:
 
         names: channel -> topic. on_damage: receives each damage, and reading continues at the next chunk.
         """
-        chunks = 0
         for record, offset, end in self._records(on_damage):
             with _reporting(offset, end, on_damage):
-                if isinstance(record, Chunk):
-                    chunks += 1
-                    yield from self._unpacked(record, names)
-                elif isinstance(record, Message):
-                    if record.channel_id not in self.channels or record.log_time >= LATEST:
-                        raise ValueError("a message belongs to no channel, or has a log time after the year 2262")
-                    if record.channel_id in names:
-                        topic, times = names[record.channel_id], (record.log_time, record.publish_time)
-                        yield RawMessage(topic, *times, record.data, record.channel_id, record.sequence)
-        stated = self.statistics
-        if stated and stated.chunk_count not in (0, chunks):
-            damage = Damage(f"has {chunks} chunks, but its summary counts {stated.chunk_count}", len(MAGIC))
-            _report(damage, 0, on_damage and _ignore)
-
-    def _unpacked(self, chunk: Chunk, names: Mapping[int, str]) -> Iterator[RawMessage]:
-        data = _unpack(chunk)
-        undefined = None
-        for opcode, begin, end in _inside(data):
-            if opcode != Opcode.MESSAGE:
-                continue
-            channel, sequence, log_time, publish_time = MESSAGE.unpack_from(data, begin)
-            if log_time >= LATEST:
-                raise ValueError(f"a log time of {log_time} ns is after the year 2262")
-            if channel in names:
-                payload = data[begin + MESSAGE.size : end]
-                yield RawMessage(names[channel], log_time, publish_time, payload, channel, sequence)
-            elif channel not in self.channels:
-                undefined = channel
-        if undefined is not None:
-            raise ValueError(f"messages belong to channel {undefined}, which is not defined")
+                for item in _content(record):
+                    if type(item) is not tuple:
+                        continue
+                    channel, sequence, log_time, publish_time, data = item
+                    if channel in names and log_time < LATEST:
+                        yield RawMessage(names[channel], log_time, publish_time, data, channel, sequence)
+                    elif channel not in self.channels:
+                        raise ValueError(f"a message belongs to channel {channel}, which is not defined")
+                    elif log_time >= LATEST:
+                        raise ValueError(f"a log time of {log_time} ns is after the year 2262")
 
     def _records(self, on_damage: OnDamage | None) -> Iterator[tuple[Any, int, int]]:
         """Yield the records of the data section, their first byte and the byte after their last. Raises Damage.
@@ -371,16 +338,23 @@ def _unpack(chunk: Chunk) -> bytes:
     return data
 
 
-def _inside(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, begin and end of the content of each record in a chunk.
+def _content(record) -> Iterator[Any]:
+    """Yield the definitions of a record and its messages: channel, sequence, log time, publish time, bytes.
 
     ``mcap.stream_reader.breakup_chunk`` makes an object of each message first: a chunk takes twice its size, and a
-    recording is read in 0.36 s instead of 0.16 s (36,000 messages).
+    recording is read in 0.36 s instead of 0.16 s (36,000 messages). Raises the errors in UNREADABLE.
     """
-    at = 0
+    if isinstance(record, (Schema, Channel)):
+        yield record
+    elif isinstance(record, Message):
+        yield record.channel_id, record.sequence, record.log_time, record.publish_time, record.data
+    data, at = _unpack(record) if isinstance(record, Chunk) else b"", 0
     while at < len(data):
         opcode, length = HEAD.unpack_from(data, at)
         begin, at = at + HEAD.size, at + HEAD.size + length
         if at > len(data) or (opcode == Opcode.MESSAGE and length < MESSAGE.size):
             raise ValueError("a record in a chunk has an impossible length")
-        yield opcode, begin, at
+        if opcode == Opcode.MESSAGE:
+            yield (*MESSAGE.unpack_from(data, begin), data[begin + MESSAGE.size : at])
+        elif opcode in DEFINITIONS:
+            yield DEFINITIONS[opcode].read(_fields(data[begin:at]))

@@ -19,7 +19,7 @@ from mcap.records import Channel, Schema
 
 from kr270_milling.base.errors import InputError, RecordingError, nearest
 from kr270_milling.base.units import SECOND
-from kr270_milling.recordings.bag.files import all_latched, find_recording, is_rosbag, read_qos, yaml_text
+from kr270_milling.recordings.bag.files import find_recording, is_latched, is_rosbag, yaml_text
 from kr270_milling.recordings.bag.mcap_file import LATEST, Attached, Damage, McapFile, OnDamage, RawMessage
 from kr270_milling.recordings.messages.definitions import (
     RecordedTopic,
@@ -38,6 +38,7 @@ class RosbagFile:
 
     def __init__(self, path: Path):
         from rosbags.rosbag2 import Reader
+        from rosbags.rosbag2.metadata import dump_qos_v9
 
         self._faults = _faults()
         try:
@@ -51,7 +52,11 @@ class RosbagFile:
         self.library = f"rosbag2 {self._reader.ros_distro or ''}".strip()
         self.counts = Counter({c.id: c.msgcount for c in self._connections})
         self.schemas = {c.id: Schema(c.id, *_definition_of(c)) for c in self._connections}
-        self.channels = {c.id: Channel(c.id, c.topic, "cdr", _qos_metadata(c), c.id) for c in self._connections}
+        self.channels = {}
+        for c in self._connections:  # metadata as rosbag2 writes them into an MCAP file
+            profiles = yaml_text(dump_qos_v9(c.ext.offered_qos_profiles)).strip()
+            about = {"offered_qos_profiles": profiles, "topic_type_hash": c.digest}
+            self.channels[c.id] = Channel(c.id, c.topic, "cdr", about, c.id)
         custom = self._reader.storage.metadata.custom or {}
         self.metadata = {"custom_data": {str(key): str(value) for key, value in custom.items()}} if custom else {}
         count = self._reader.message_count
@@ -100,14 +105,6 @@ def _definition_of(connection) -> tuple[bytes, str, str]:
             text = ""
     encoding = {"MSG": "ros2msg", "IDL": "ros2idl"}.get(kind, "")
     return text.encode(), encoding, connection.msgtype
-
-
-def _qos_metadata(connection) -> dict[str, str]:
-    """Return the metadata of a channel as rosbag2 writes them into an MCAP file."""
-    from rosbags.rosbag2.metadata import dump_qos_v9
-
-    profiles = yaml_text(dump_qos_v9(connection.ext.offered_qos_profiles)).strip()
-    return {"offered_qos_profiles": profiles, "topic_type_hash": connection.digest}
 
 
 OWN = tuple(topic.name for topic in TOPICS if not topic.name.startswith("/"))
@@ -220,14 +217,6 @@ class Recording:
         with self._damage_as_error():
             yield from self._file.messages(names, on_damage)
 
-    def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
-        """Messages with their fields as attributes: slow, but for any type of the "ros2msg" kind."""
-        decoders = {}
-        for message in self.messages(topics):
-            if message.topic not in decoders:
-                decoders[message.topic] = self.decoder(message.topic)
-            yield message, decoders[message.topic](message.data)
-
     def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """A function from the bytes of a topic's messages to an object. Raises RecordingError."""
         return make_decoder(self.path, topic, self.topics()[topic])
@@ -278,11 +267,6 @@ def namespaces_of(topics: Iterable[str]) -> set[str]:
     return {space for space, _, name in (topic.rpartition("/") for topic in topics) if name in OWN}
 
 
-def is_latched(about: RecordedTopic) -> bool:
-    """Return whether every publisher of a recorded topic repeats its last message for late subscribers."""
-    return all_latched(read_qos(about.metadata.get("offered_qos_profiles", "")))
-
-
 def span(recording: Recording, start_offset: float, duration: float | None) -> tuple[int, int]:
     """Return first and last log time [ns] of a playback; offset and duration (None: to the end) in s."""
     first = next((message.log_time for message in recording.messages()), 0)
@@ -306,6 +290,6 @@ def playback(recording: Recording, topics: Collection[str], start: int, end: int
             yield from before.values()
             before.clear()
             yield message._replace(log_time=latest)
-        elif is_latched(known[message.topic]):
+        elif is_latched(known[message.topic].metadata):
             before[message.topic] = message
     yield from before.values()

@@ -17,7 +17,7 @@ from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.version import __version__
 from kr270_milling.recordings.bag import files
-from kr270_milling.recordings.bag.info import SHARED, GapCounter, PassStarts
+from kr270_milling.recordings.bag.info import SHARED, GapCounter
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import definition, starts_with_stamp, type_hash
 
@@ -137,7 +137,7 @@ class BagWriter:
         self.start: int | None = None  #: [ns], smallest and largest log time
         self.end = 0
         self._last_chunk: float | None = None  # [s]
-        self._starts = PassStarts()
+        self._starts: dict[str, list[int]] = {}
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
         self._schemas: dict[tuple, int] = {}
         self._mcap.start("ros2", f"kr270_milling/{__version__}")
@@ -159,7 +159,7 @@ class BagWriter:
         self._mcap.add_metadata(name, {str(k): str(v) for k, v in values.items()})
 
     def add_topic(self, topic: str, type_name: str, qos: Iterable = ()) -> int:
-        """Prepare a topic with an installed message type; qos: profiles of its publishers for ``describe_qos``.
+        """Prepare a topic with an installed message type; qos: profiles of its publishers, of rclpy.
 
         A known topic stays unchanged.
         """
@@ -180,7 +180,7 @@ class BagWriter:
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = files.read_qos(about.get("offered_qos_profiles", ""))
         digest = about.get("topic_type_hash", "")
-        gaps = GapCounter(self._starts.of(topic), files.all_latched(profiles))
+        gaps = GapCounter(topic, self._starts, files.is_latched(about))
         self.channels[number] = WrittenChannel(number, topic, schema[0], encoding, profiles, digest, stamped, gaps)
         self.topics.setdefault(topic, number)
         return number
@@ -211,10 +211,8 @@ class BagWriter:
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
         stamp = stamp_of(data, channel.stamped)
-        if stamp is not None:
-            self._starts.take(channel.topic, stamp)
-            if channel.type not in SHARED:
-                channel.gaps.add(stamp)
+        if stamp is not None and channel.type not in SHARED:
+            channel.gaps.add(stamp)
 
     def tick(self, now: float) -> None:
         """Close the chunk after CHUNK_PERIOD; now [s]: any clock that does not go back."""

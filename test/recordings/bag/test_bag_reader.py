@@ -340,7 +340,7 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     assert place == "type" or result.lost_bytes >= chunk.end - chunk.offset  # readers skip records of unknown types
 
 
-@pytest.mark.parametrize(("opcode", "sentence"), [(7, "checksum at their end"), (5, "to no channel")])
+@pytest.mark.parametrize(("opcode", "sentence"), [(7, "checksum at their end"), (5, "which is not defined")])
 def test_a_chunk_with_the_opcode_of_another_record_is_not_passed_over(source, tmp_path, opcode, sentence):
     data, _, chunks = source
     chunk, count = chunks[len(chunks) // 2]
