@@ -97,18 +97,14 @@ def _rates(
     change = (rates[1] - rates[0]) / steps.mean(axis=1)[:, None]
     acceleration = np.hstack([np.mean(bends, axis=0) @ turn.T, change @ turn.T])
     if not sag_compensated:
-        velocity += _sag_rate(placed, reference, joints)
+        # velocity that the joints command beyond the reference, against the sag
+        tool, place = forward(placed.arm, placed.mount, joints).tool, placed.place
+        turned = tool.rotation @ np.swapaxes(turn @ rotation_from_quaternion(reference.quaternion), 1, 2)
+        beyond = [tool.position - place.apply(reference.position), Rotation.from_matrix(turned).as_rotvec()]
+        velocity += np.gradient(np.hstack(beyond), reference.time, axis=0)
     speed, gain = joint_motion(placed.arm, placed.mount, joints, velocity, acceleration)
     speed[corner], gain[kink] = np.nan, np.nan
     return speed, gain
-
-
-def _sag_rate(placed: PlacedArm, reference: Trajectory, joints: np.ndarray) -> np.ndarray:
-    """Velocity (n, 6) that the joints command beyond the reference, against the sag; base axes."""
-    tool, place = forward(placed.arm, placed.mount, joints).tool, placed.place
-    turned = tool.rotation @ np.swapaxes(place.rotation @ rotation_from_quaternion(reference.quaternion), 1, 2)
-    beyond = np.hstack([tool.position - place.apply(reference.position), Rotation.from_matrix(turned).as_rotvec()])
-    return np.gradient(beyond, reference.time, axis=0)
 
 
 def _duration(arm: Arm, travel: np.ndarray) -> float:

@@ -97,11 +97,6 @@ class StartSeeker:
         self.poses.append(sample)
         return sample.stamp - int(times[nearest])
 
-    def standing(self, start_ns: int) -> list[WrenchSample]:
-        """Return the wrenches of the time in which the tool waited for the start."""
-        first = self.poses[0].stamp if self.poses else start_ns
-        return [sample for sample in self.wrenches if first <= sample.stamp < start_ns]
-
 
 class PassInbox:
     """Collects poses and wrenches of one pass that starts at the stamp ``start_ns`` and takes ``end_ns``.
@@ -139,9 +134,9 @@ class PassInbox:
         """Await the next pass; wrenches: those of this pass that came before its first pose."""
         # plain tuples: a collection of garbage visits every NamedTuple, of which a pass of minutes has a million
         self._poses: dict[int, PositionQuaternion] = {}  # by their stamps, ascending
-        self._wrenches: dict[int, FrameWrench] = dict(wrenches or {})
+        self.wrenches: dict[int, FrameWrench] = dict(wrenches or {})  #: of the pass, by their stamps
         self._early: dict[int, FrameWrench] = {}
-        self._ignored = 0
+        self.ignored = 0  #: poses of a pass whose start was not received
         self.start_ns, self.foreign = self._planned_ns if self.foreign else self.start_ns, False
         self._seeker = None if self._reference is None else StartSeeker(self._reference, self._announced)
         self._standing: list[WrenchSample] = []  # wrenches before the start
@@ -174,16 +169,6 @@ class PassInbox:
         """Time of the last pose that counts."""
         return next(reversed(self._poses), 0)
 
-    @property
-    def ignored(self) -> int:
-        """Number of poses of a pass whose start was not received."""
-        return 0 if self._poses else self._ignored
-
-    @property
-    def has_wrench(self) -> bool:
-        """Return whether a wrench of the pass was received."""
-        return bool(self._wrenches)
-
     def pose(self, sample: PoseSample) -> None:
         """Take a pose that was checked."""
         time = sample.stamp - self.start_ns
@@ -191,21 +176,20 @@ class PassInbox:
             self._foreign_pose(time, sample)
             return
         last = next(reversed(self._poses), -1)
-        if self._seeker is not None and last < 0 and self._is_foreign(time):
-            self._ignored += 1
-            start = self._seeker.pose(sample)
+        if (self._seeker is not None or last >= 0) and self._is_foreign(
+            time
+        ):  # of a robot or publisher of another clock
+            self.ignored += 1
+            start = self._seeker.pose(sample) if self._seeker is not None and last < 0 else None
             if start is not None:
                 self.begin(start)
-            return
-        if last >= 0 and self._is_foreign(time):  # of another publisher
-            self._ignored += 1
             return
         if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
             self.clear(self._early)
             last = -1
         unstarted = last < 0 and time != 0
         if time != last and (time < last or last >= self.end_ns or unstarted):
-            self._ignored += 1  # older than the last one, after the end, or without the start
+            self.ignored += 1  # older than the last one, after the end, or without the start
             return
         self._check_gap("tool_pose", time, last if last >= 0 else 0)
         # repeated where the exchange is iterated, or the robot asked again
@@ -228,7 +212,8 @@ class PassInbox:
         self._last_poses = self._last_wrenches = 1
         if seeker is None:
             return
-        self._standing = seeker.standing(start_ns)
+        first = seeker.poses[0].stamp if seeker.poses else start_ns  # the tool waits for the start from here
+        self._standing = [sample for sample in seeker.wrenches if first <= sample.stamp < start_ns]
         if self._frames is not None and self._frames.untared(self._standing):
             self.problem = "no wrench of the force sensor before the start: its offset is not subtracted"
         for pose in seeker.poses:
@@ -248,26 +233,20 @@ class PassInbox:
         if self._reference is None or not is_far(self._reference, time, sample.position):
             self._near_ns = max(time, 0)
         if time - last > BREAK_NS:
-            self._break_off(f"no tool_pose for {(time - last) * 1e-9:.1f} s", sample)
+            self.break_off(f"no tool_pose for {(time - last) * 1e-9:.1f} s", sample)
         elif time - self._near_ns > BREAK_NS:
-            self._break_off(
-                "the tool does not move, is slow or has left the reference (is the override 100 %?)", sample
-            )
+            self.break_off("the tool does not move, is slow or has left the reference (is the override 100 %?)", sample)
         else:
             self._check_gap("tool_pose", time, last)
             self._poses[time] = sample.position, sample.quaternion
             self._last_poses -= time >= self.end_ns
 
-    def _break_off(self, reason: str, sample: PoseSample | None = None) -> None:
+    def break_off(self, reason: str, sample: PoseSample | None = None) -> None:
         """End the pass without a revision and seek the next start, which may be near this pose."""
         self.clear()
         self.problem = f"{reason}: the pass is over and is not used; the next start begins another pass"
         if sample is not None and not self._announced:
             self.pose(sample)
-
-    def give_up(self) -> None:
-        """End a pass whose poses have stopped."""
-        self._break_off(f"no tool_pose for {BREAK_NS * 1e-9:g} s")
 
     def _check_gap(self, topic: str, time: int, last: int) -> None:
         """State a gap that is longer than those before."""
@@ -280,8 +259,8 @@ class PassInbox:
         if self.foreign:
             time = sample.stamp - self.start_ns
             if time >= 0 and self._last_wrenches > 0:
-                self._check_gap("wrench", time, next(reversed(self._wrenches), time))
-                self._wrenches[time] = sample.frame, sample.wrench
+                self._check_gap("wrench", time, next(reversed(self.wrenches), time))
+                self.wrenches[time] = sample.frame, sample.wrench
                 self._last_wrenches -= time >= self.end_ns
             return
         if self._seeker is not None:
@@ -290,7 +269,7 @@ class PassInbox:
         if time == 0 and list(self._poses) != [0]:
             self._early = {0: (sample.frame, sample.wrench)}  # it may overtake the pose that it answers
         elif self._poses and not self._is_foreign(time):
-            self._wrenches[time] = sample.frame, sample.wrench
+            self.wrenches[time] = sample.frame, sample.wrench
             self._last_wrenches -= time >= self.end_ns
 
     def received(self) -> ReceivedPass:
@@ -299,14 +278,14 @@ class PassInbox:
         Raises MessageError where the poses of a robot with another clock are no pass along the reference.
         """
         stamps, poses = np.array(list(self._poses), np.int64), list(self._poses.values())
-        times = np.array(sorted(self._wrenches), np.int64)
+        times = np.array(sorted(self.wrenches), np.int64)
         nearest = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0)
-        samples = [self._wrenches[stamp] for stamp in times.tolist()]
+        samples = [self.wrenches[stamp] for stamp in times.tolist()]
         turned = self._at_tip(samples, [poses[k][1] for k in nearest.tolist()])
         position = np.array([place for place, _ in poses], float).reshape(-1, 3)
         if self.foreign and self._reference is not None:
-            if self._wrenches:
-                self._check_gap("wrench", self.end_ns, next(reversed(self._wrenches)))
+            if self.wrenches:
+                self._check_gap("wrench", self.end_ns, next(reversed(self.wrenches)))
             late = lag(self._reference, stamps, position)
             stamps, times = stamps - late, times - late
             check_follows(self._reference, stamps, position)

@@ -54,9 +54,8 @@ class RobotProtocol:
         self.steps = path_of(cell).clock.steps(planned.duration_ns)
         stamps = path_of(cell).clock.stamp(np.arange(self.steps + 1))
         self.start_ns = reference.start_ns
-        self._stamps: list[int] = (
-            stamps + self.start_ns
-        ).tolist()  # a list gives an item in a tenth of the time of an array
+        # a list gives an item in a tenth of the time of an array
+        self._stamps: list[int] = (stamps + self.start_ns).tolist()
         self._unloaded = planned.sample(stamps)  # [m], (steps + 1, 3)
         self._orientation = planned.sample_orientation(stamps)  # (steps + 1, 4)
         # the encoders are at the motors
@@ -100,7 +99,11 @@ class RobotProtocol:
             self._iteration += 1
             self._tool = self._unloaded[self._step] + self._arm.predict(wrench)[:3]
             return [self._question()]
-        step, deflection = self._step, self._correct(wrench)
+        step, deflection = self._step, np.zeros(6)  # the pass starts at rest, without load
+        if step > 0:
+            deflection = self._arm.correct(wrench)
+            x, y, z = (self._unloaded[step] + deflection[:3] - self._tool).tolist()
+            self.correction = max(self.correction, math.sqrt(x * x + y * y + z * z))
         self._step, self._iteration = step + 1, 0
         if step == self.steps:
             self.finished = True
@@ -111,18 +114,7 @@ class RobotProtocol:
         # the tool pose comes first, so that the cut works while the other messages are published
         return [self._question(), *self._state(step, sample.stamp, deflection)]
 
-    def _correct(self, wrench: np.ndarray) -> np.ndarray:
-        """Return the deflection (6,) at the end of the period; the pass starts at rest, without load."""
-        if self._step == 0:
-            return np.zeros(6)
-        deflection = self._arm.correct(wrench)
-        x, y, z = (self._unloaded[self._step] + deflection[:3] - self._tool).tolist()
-        self.correction = max(self.correction, math.sqrt(x * x + y * y + z * z))
-        return deflection
-
     def _question(self) -> Output:
-        if not self.started:
-            raise ExchangeError(0, "no pass was started")
         return "tool_pose", PoseSample(self.awaited_ns, WORKPIECE, self._tool, self._orientation[self._step])
 
     def _state(self, step: int, stamp_ns: int, deflection: np.ndarray) -> list[Output]:

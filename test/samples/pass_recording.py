@@ -117,7 +117,7 @@ def _exchange(robot, cut, compensator, file: str) -> list[Message]:
             sent += messages(answer)
             revised += compensator.wrench(answer[0][1])
             outputs += robot.wrench(answer[0][1])
-    return sent + messages(cut.workpiece()) + messages(revised)
+    return sent + messages([("workpiece", cut.map_of_part())]) + messages(revised)
 
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS, "robot_description": TEXT,

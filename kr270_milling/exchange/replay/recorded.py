@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -37,6 +38,7 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import from_bytes
 from kr270_milling.recordings.passes import EXCHANGED, TYPES, GraphRecord, PassSeries, Series, read_graph, series
 
+PLAIN = re.compile(rb"(?!\.\.?$)[^/\0]{1,200}")  # name of a file in one directory
 CELL_FILE, PLANT_FILE = "cell.yaml", "plant.yaml"
 Cells = tuple[Cell, Cell]  #: the cell that planned a pass, and the cell that cut in it
 
@@ -70,12 +72,7 @@ def recorded_cells(recording: Recording, file=None) -> Cells:
 
 def _names(recording: Recording) -> set[str]:
     """Return the names of the attachments that can be files in one directory."""
-    return {about.name for about in recording.attachments if _is_plain(about.name)}
-
-
-def _is_plain(name: str) -> bool:
-    alone = bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
-    return alone and len(name.encode()) <= 200  # bytes
+    return {about.name for about in recording.attachments if PLAIN.fullmatch(about.name.encode())}
 
 
 def _read_attached(recording: Recording, main: str) -> Cell:
@@ -107,7 +104,7 @@ def _localise(recording: Recording, file: Path, names: set[str], visited: set[st
     includes, path = (parameters.get("includes"), parameters.get("path")) if isinstance(parameters, dict) else ([], {})
     includes, path = includes if isinstance(includes, list) else [], path if isinstance(path, dict) else {}
     named = [*includes, *filter(None, [path.get("file")])]
-    far = [n for n in named if not isinstance(n, str) or not _is_plain(n)]
+    far = [n for n in named if not isinstance(n, str) or not PLAIN.fullmatch(n.encode())]
     foreign = [n for n in far if not isinstance(n, str) or Path(n).name not in names]
     if foreign:
         reason = f"its {file.name} names {repr(foreign[0])[:100]}, which is not attached"
@@ -307,7 +304,9 @@ def passes_from_recording(
     with Recording(path, remap=remap) as recording:
         cells = recorded_cells(recording, cell_file)
         read = read_passes(recording, cells[0], namespace)
-        name, program = name or recording.path.stem, _program(recording, cells[0])
+        name, file = name or recording.path.stem, Path(cells[0].path.file).name
+        attached = file in [about.name for about in recording.attachments]
+        program = recording.attachment(file).decode("utf-8", errors="replace") if attached else None
         names = [f"{name}_{number}" if len(read) > 1 else name for number in range(1, len(read) + 1)]
         results = [_scored(recording, cells, *pair, program) for pair in zip(read, names, strict=True)]
     passes = [result for result in results if not isinstance(result, str)]
@@ -366,14 +365,6 @@ def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, re
     later = there.step >= end
     step = np.append(np.arange(end), there.step[later])
     return Series(step, path_of(plant).clock.stamp(step), np.append(computed[:end], there.values[later], axis=0))
-
-
-def _program(recording: Recording, cell: Cell) -> str | None:
-    """Return the text of the attached tool path file; None without such a file."""
-    name = Path(cell.path.file).name
-    if name not in [about.name for about in recording.attachments]:
-        return None
-    return recording.attachment(name).decode("utf-8", errors="replace")
 
 
 def _result(

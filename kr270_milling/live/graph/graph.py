@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,31 +116,28 @@ class Driver:
     def spin(self) -> None:
         self._executor.spin_once(timeout_sec=0.02)  # then the processes are checked
 
-    def _call(self, node: str, kind: type, service: str, request, what: str, deadline: float) -> Callable:
-        """Call a service of a node; return a function that waits for the response and returns it.
+    def _call(self, nodes: Sequence[str], kind: type, service: str, request, what: str, deadline: float) -> dict:
+        """Call a service of several nodes at once and return the responses by node.
 
         what: words for the call, for the error after the deadline [s].
         """
-        name = f"{self.name_of(node)}/{service}"
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, name)
-        client = self._clients[name]
-        self.until(client.service_is_ready, f"discovery of the service {service}", deadline, node)
-        future = client.call_async(request)
-
-        def response():
+        futures = {}
+        for node in nodes:
+            name = f"{self.name_of(node)}/{service}"
+            if name not in self._clients:
+                self._clients[name] = self.node.create_client(kind, name)
+            self.until(self._clients[name].service_is_ready, f"discovery of the service {service}", deadline, node)
+            futures[node] = self._clients[name].call_async(request)
+        for node, future in futures.items():
             self.until(future.done, what, deadline, node)
-            return future.result()
-
-        return response
+        return {node: future.result() for node, future in futures.items()}
 
     def transition(self, name: str, *nodes: str, deadline: float) -> None:
         """Request a lifecycle transition of several nodes at once; raises RunError where it fails."""
         change = Transition(id=getattr(Transition, f"TRANSITION_{name.upper()}"), label=name)
         request = ChangeState.Request(transition=change)
-        responses = {node: self._call(node, ChangeState, "change_state", request, name, deadline) for node in nodes}
-        for node, response in responses.items():
-            if not response().success:
+        for node, response in self._call(nodes, ChangeState, "change_state", request, name, deadline).items():
+            if not response.success:
                 self.until(lambda: self.error, f"the reason for the failed {name}", 1.0, node)
                 self.check()
 
@@ -149,7 +146,8 @@ class Driver:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParameters.Request(parameters=parameters)
         what = f"setting {', '.join(values)}"
-        for result in self._call(node, SetParameters, "set_parameters", request, what, deadline)().results:
+        (response,) = self._call([node], SetParameters, "set_parameters", request, what, deadline).values()
+        for result in response.results:
             if not result.successful:
                 raise RunError(node, result.reason)
 
@@ -350,18 +348,12 @@ class Graph:
         """Close the file of the recorder, then create the next workpiece."""
         self.driver.transition("deactivate", RECORDER, deadline=UP)
         for node in (*CELL, RECORDER):
-            while self._value("state", node) != "inactive":
-                self.check()
-                self.driver.spin()
+            self.driver.until(lambda node=node: self._value("state", node) == "inactive", "deactivate", UP, node)
             if NOT_COMPLETE in self.driver.reports[node].message:
                 self.warn(f"{node}: {self.driver.reports[node].message}")
         self.passes += 1
-        self.renew_workpiece()
-
-    def renew_workpiece(self) -> None:
-        """Create a fresh workpiece for the next pass."""
-        self.driver.transition("cleanup", CUT, deadline=UP)
-        self.driver.transition("configure", CUT, deadline=UP)
+        for transition in ("cleanup", "configure"):  # a fresh workpiece for the next pass
+            self.driver.transition(transition, CUT, deadline=UP)
 
     def stop(self) -> None:
         """Stop every node, the recorder last, so that it receives the last messages of the others."""

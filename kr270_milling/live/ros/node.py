@@ -1,4 +1,4 @@
-"""Base classes of all nodes: reports in /diagnostics, guarded callbacks, guarded lifecycle transitions."""
+"""Base classes of all nodes: reports in /diagnostics, guarded timers, guarded lifecycle transitions."""
 
 from __future__ import annotations
 
@@ -40,21 +40,6 @@ LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a r
 
 def stamp_from_ns(ns: int) -> Time:
     return Time(sec=ns // SECOND, nanosec=ns % SECOND)
-
-
-def guarded(callback):
-    """Report the errors of a callback: a MillingError in /diagnostics; any other ends the node with exit code 1."""
-
-    @functools.wraps(callback)
-    def wrapped(self, *args):
-        try:
-            return callback(self, *args)
-        except Exception as error:  # noqa: BLE001 - every error is reported
-            self.refused += isinstance(error, MillingError)
-            self.fail(error, callback.__name__)
-        return None
-
-    return wrapped
 
 
 def _read(read: Callable, type_name: str, topic: str, data: bytes):
@@ -131,9 +116,20 @@ class ReportingNode(Node):
         return None
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
-        """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
+        """Create a timer on the monotonic clock, which continues when the wall clock is set back.
+
+        An error of the callback is reported in /diagnostics; any but a MillingError ends the node with exit code 1.
+        """
+
+        def guarded() -> None:
+            try:
+                callback()
+            except Exception as error:  # noqa: BLE001 - every error is reported
+                self.refused += isinstance(error, MillingError)
+                self.fail(error, callback.__name__)
+
         kwargs = {"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs}
-        return super().create_timer(timer_period_sec, callback, *args, **kwargs)
+        return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
 
     def declared(self, name: str, default, about: str, read_only: bool = True, **fields):
         """Declare a parameter of the node itself and return its value; fields: of its descriptor."""

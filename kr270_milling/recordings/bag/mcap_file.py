@@ -236,10 +236,10 @@ class McapFile:
                     channel, sequence, log_time, publish_time, data = item
                     if channel in names and log_time < LATEST:
                         yield RawMessage(names[channel], log_time, publish_time, data, channel, sequence)
-                    elif channel not in self.channels:
-                        raise ValueError(f"a message belongs to channel {channel}, which is not defined")
                     elif log_time >= LATEST:
                         raise ValueError(f"a log time of {log_time} ns is after the year 2262")
+                    elif channel not in self.channels:
+                        raise ValueError(f"a message belongs to channel {channel}, which is not defined")
 
     def _records(self, on_damage: OnDamage | None) -> Iterator[tuple[Any, int, int]]:
         """Yield the records of the data section, their first byte and the byte after their last. Raises Damage.
