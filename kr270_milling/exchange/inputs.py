@@ -75,13 +75,14 @@ class WrenchFrames:
     def __init__(self, mount: Mount, workpiece: Workpiece, sensor: ForceSensor):
         flange = mount.pose.inverse()
         self._sensor = sensor
-        self._on_tool = {"flange": flange, "tool0": flange @ TOOL0}  # pose in tcp
+        # pose in tcp
+        self._on_tool = {TOOL: Pose(np.zeros(3), np.eye(3)), "flange": flange, "tool0": flange @ TOOL0}
         base = workpiece.pose.rotation.T  # axes of the base in those of the workpiece
         self._fixed = {"base": base, "base_link": base}
         self._gravity = base @ [0.0, 0.0, -GRAVITY]
         if self._sensor.frame:
             self._on_tool[self._sensor.frame] = flange @ TOOL0 @ self._sensor.pose
-        self.names = (WORKPIECE, TOOL, *self._fixed, *self._on_tool)
+        self.names = (WORKPIECE, *self._on_tool, *self._fixed)
 
     def untared(self, standing: Sequence[WrenchSample]) -> bool:
         """Return whether no reading of the sensor is among the wrenches before the start."""

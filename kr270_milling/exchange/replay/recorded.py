@@ -28,9 +28,8 @@ from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
 from kr270_milling.cell.paths import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
-from kr270_milling.exchange.compensator import end_of
 from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
-from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
+from kr270_milling.exchange.inputs import checked_pose, checked_wrench
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -143,14 +142,13 @@ def too_long(cell: Cell, reference: Trajectory) -> str:
 
 def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iterator[PassSeries]:
     """Yield the passes of a robot with another clock, in the order of the file, as the compensator receives them."""
-    frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
     check: dict[str, Callable] = {  # as the compensator checks them
         "reference_trajectory": lambda run: run,
         "tool_pose": checked_pose,
-        "wrench": lambda sample: checked_wrench(sample, frames.names),
+        "wrench": lambda sample: checked_wrench(sample, inbox.frames.names),
     }
     names = {topic: name for name, topic in graph.topics.items() if name in check}
-    inbox, reference, number, last = PassInbox(0, 1), None, -1, b""
+    inbox, reference, number, last = PassInbox(cell, path_of(cell).target), None, -1, b""
     for message in recording.messages(set(names)):
         name = names[message.topic]
         if name == "reference_trajectory" and message.data == last:
@@ -163,7 +161,7 @@ def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iter
             if reference is not None:
                 yield from _received(cell, graph, number, reference, inbox)
             reference, number, last = record, number + 1, message.data
-            inbox = PassInbox(end_of(cell, record), 1, record.start_ns, record, path_of(cell).clock, frames)
+            inbox = PassInbox(cell, record, record.start_ns)
         elif reference is not None:
             late = inbox.foreign and record.stamp - inbox.start_ns > inbox.end_ns + BREAK_NS
             if inbox.foreign and inbox.at_end and (inbox.complete or late):
