@@ -60,8 +60,14 @@ class _Batch:
     """Collects a topic and unpacks consecutive messages of one layout together."""
 
     def __init__(self, recording: Recording, topic: str, frame: str | None = None):
-        self._recording, self._topic, self._width = recording, topic, _width(recording, topic)
-        self._frame = frame
+        about = recording.topics().get(topic)
+        if about is None:
+            raise RecordingError(recording.path, f"has no topic {topic}")
+        if about.encoding != "cdr" or about.type not in FIXED:
+            reason = f"{topic} is {about.type or 'of no type'}, which is no series of numbers"
+            raise RecordingError(recording.path, reason)
+        self._path, self._topic, self._type, self._frame = recording.path, topic, about.type, frame
+        self._width = len(FIXED[about.type])
         self._layout: tuple = ()
         self._refused: ValueError | None = None
         self._waiting: list[bytes] = []
@@ -90,22 +96,12 @@ class _Batch:
     def series(self) -> TopicSeries:
         self._unpack()
         if self._refused and len(self._stamps) == 1:
-            kind = self._recording.topics()[self._topic].type
-            reason = f"a message on {self._topic} is not a {kind}: {self._refused}"
-            raise RecordingError(self._recording.path, reason) from self._refused
+            reason = f"a message on {self._topic} is not a {self._type}: {self._refused}"
+            raise RecordingError(self._path, reason) from self._refused
         result = TopicSeries(np.concatenate(self._stamps), np.concatenate(self._values))
         for column in result:
             column.setflags(write=False)
         return result
-
-
-def _width(recording: Recording, topic: str) -> int:
-    about = recording.topics().get(topic)
-    if about is None:
-        raise RecordingError(recording.path, f"has no topic {topic}")
-    if about.encoding != "cdr" or about.type not in FIXED:
-        raise RecordingError(recording.path, f"{topic} is {about.type or 'of no type'}, which is no series of numbers")
-    return len(FIXED[about.type])
 
 
 EXCHANGED = ("tool_pose", "wrench", "deflection")

@@ -83,19 +83,14 @@ def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, 
         for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
             if len(files) == MAX_FILES:
                 raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-            files.append(_free_path(directory, topic, kind, [*taken, *files]))
+            number, file = 1, directory / f"{_word(topic)}.{kind}"
+            while file in (*taken, *files):  # another topic has this name
+                number += 1
+                file = directory / f"{_word(topic)}_{number}.{kind}"
+            files.append(file)
             with open(draft / files[-1].name, "xb") as stream:
                 write(stream, columns, (cells for _, cells in alike))
     return files
-
-
-def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> Path:
-    """Return ``directory/topic.suffix``, with a number if another topic has this name."""
-    number, path = 1, directory / f"{_word(topic)}.{suffix}"
-    while path in taken:
-        number += 1
-        path = directory / f"{_word(topic)}_{number}.{suffix}"
-    return path
 
 
 def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:

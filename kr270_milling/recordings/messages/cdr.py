@@ -172,16 +172,15 @@ def read_trajectory(data: bytes) -> TrajectoryRecord:
         raise ValueError(f"its {count} points leave out most of the {len(names)} bodies")
     times = np.empty(count, np.int64)
     tables = [np.full((count, len(names), width), np.nan) for width in WIDTHS]
-    count_read, window = 0, 16
-    while count_read < count:
-        points = _alike(cursor, len(names), min(window, count - count_read))
-        rows = slice(count_read, count_read + len(points))
+    at = 0
+    while at < count:
+        points = _alike(cursor, len(names), min(1000, count - at))  # a layout that changes all the time takes no hours
+        rows = slice(at, at + len(points))
         times[rows] = points["seconds"].astype(np.int64) * 10**9 + points["nanoseconds"]
         for k, table in enumerate(tables):
             if points[f"values_{k}"].size:
                 table[rows] = points[f"values_{k}"]
-        # as far ahead as it went well: a message made to change its layout all the time costs no more than its size
-        count_read, window = rows.stop, 4 * window if len(points) == window else 16
+        at = rows.stop
     cursor.finish()
     for table in (times, *tables):
         table.setflags(write=False)

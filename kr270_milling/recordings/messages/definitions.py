@@ -73,10 +73,7 @@ def _register(type_name: str) -> None:
 
 def _file(type_name: str) -> Path:
     """The ``.msg`` file of a type: beside the Python package in a wheel, an overlay or /opt/ros."""
-    match = TYPE_NAME.fullmatch(type_name)
-    if not match:
-        raise RecordingError(type_name, "this is not the name of a message type")
-    package, name = match.groups()
+    package, _, name = type_name.split("/")
     spec = importlib.util.find_spec(package)
     roots = [root for place in (spec and spec.submodule_search_locations) or [] for root in Path(place).parents]
     roots += [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
