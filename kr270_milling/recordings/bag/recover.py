@@ -33,11 +33,6 @@ class Recovered:
     dropped: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)  # findings in the source, also where no message is lost
 
-    def lose(self, damage: Damage, size: int) -> None:
-        """Take a damage of the data, and the bytes that are lost with it."""
-        self.lost_bytes += size
-        self.dropped.append(f"{size} bytes at byte {damage.offset}: {damage.reason}")
-
     def describe(self, recording: Recording) -> None:
         """Take the content of a whole recording."""
         self.messages = recording.count
@@ -108,9 +103,14 @@ def _copy(source: Recording, result: Recovered, writer: BagWriter, progress: Cal
         schema = source.schema_of(channel)
         parsed = (schema.name, schema.encoding, schema.data)
         numbers[number] = writer.add_channel(channel.topic, parsed, channel.message_encoding, channel.metadata)
+
+    def lose(damage: Damage, size: int) -> None:
+        result.lost_bytes += size
+        result.dropped.append(f"{size} bytes at byte {damage.offset}: {damage.reason}")
+
     refused: Counter[str] = Counter()  # reason -> messages
     before = len(result.dropped)
-    for count, message in enumerate(source.messages(on_damage=result.lose)):
+    for count, message in enumerate(source.messages(on_damage=lose)):
         number = numbers[message.channel]
         try:
             writer.write_raw(number, message.data, message.publish_time, message.log_time, message.sequence)

@@ -43,11 +43,6 @@ class WrittenChannel:
     count: int = 0
     refused: int = 0
 
-    def report(self) -> dict:
-        """Return the numbers of messages, of missing messages by their stamps, and of refused messages."""
-        refused = {"refused": self.refused} if self.refused else {}
-        return dict(count=self.count, **(self.gaps.as_dict() if self.stamped else {}), **refused)
-
 
 class RecordingFile:
     """A new file for mcap's Writer, without a buffer: a written chunk is in the kernel and survives a SIGKILL.
@@ -228,7 +223,12 @@ class BagWriter:
 
     def report(self) -> dict:
         """Return the counts of each topic: messages, missing messages by their stamps, refused messages."""
-        return {channel.topic: channel.report() for channel in self.channels.values()}
+        counts: dict[str, dict] = {}
+        for channel in self.channels.values():
+            counts[channel.topic] = {"count": channel.count, **(channel.gaps.as_dict() if channel.stamped else {})}
+            if channel.refused:
+                counts[channel.topic]["refused"] = channel.refused
+        return counts
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``; a second call, or a call after an error, does nothing."""
