@@ -26,7 +26,7 @@ from kr270_milling.exchange.replay.revisions import (
     NotRecorded,
     Revisions,
     array_difference,
-    pass_over,
+    costs_messages,
     record_difference,
     robots_of,
     usable,
@@ -146,7 +146,7 @@ class _Robot:
         self.first: tuple[tuple, Difference] | None = None  # its order by pass, time and cause
         self.stops: list[dict] = []
         self._namespace, self._cut_off = namespace, recording.cut_off
-        graph = read_graph(recording, path_of(self.cell).clock, namespace, self.cell.joint_names, pass_over)
+        graph = read_graph(recording, path_of(self.cell).clock, namespace, self.cell.joint_names, costs_messages)
         poses = recording.topics()[graph.topics["tool_pose"]].count if "tool_pose" in graph.topics else 0
         if poses > graph.refused.get("tool_pose", 0) and not graph.passes:
             reason = "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report "

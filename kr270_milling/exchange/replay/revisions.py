@@ -22,7 +22,6 @@ from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.physics.compensation.revision import PassRecord
-from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.passes import GraphRecord, PassSeries, read_graph
 
@@ -48,10 +47,9 @@ def usable(recording: Recording) -> Iterator[None]:
         raise RecordingError(recording.path, " ".join(str(error).split())) from error
 
 
-def pass_over(damage: Damage, size: int) -> None:
-    """Pass over a damage that costs no message, which ``findings`` reports. Raises Damage."""
-    if size > 13:  # bytes of the record with the checksum of the data
-        raise damage
+def costs_messages(reason: str, offset: int, size: int) -> bool:
+    """Return whether a damage costs messages; ``findings`` reports the others."""
+    return size > 13  # bytes of the record with the checksum of the data
 
 
 def array_difference(field: str, recorded: np.ndarray, expected: np.ndarray) -> tuple[str, object, object] | None:
@@ -255,7 +253,7 @@ def compensate_recording(
         cells = recorded_cells(recording, cell_file)
         namespaces = robots_of(recording)
         for done, namespace in enumerate(namespaces, 1):
-            graph = read_graph(recording, path_of(cells[0]).clock, namespace, on_damage=pass_over)
+            graph = read_graph(recording, path_of(cells[0]).clock, namespace, on_damage=costs_messages)
             with usable(recording):
                 revision = Revisions(cells, graph).revise(method)
             if revision is not None:

@@ -6,7 +6,6 @@ A definition in a file is not trusted: its size and its arrays are limited.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import struct
 from collections import Counter
@@ -20,7 +19,7 @@ from mcap.records import Channel, Schema
 from kr270_milling.base.errors import InputError, RecordingError, nearest
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.files import find_recording, is_latched, is_rosbag, yaml_text
-from kr270_milling.recordings.bag.mcap_file import LATEST, Attached, Damage, McapFile, OnDamage, RawMessage
+from kr270_milling.recordings.bag.mcap_file import LATEST, Attached, McapFile, OnDamage, RawMessage
 from kr270_milling.recordings.messages.definitions import (
     RecordedTopic,
     definition,
@@ -30,7 +29,7 @@ from kr270_milling.recordings.messages.topics import TOPICS
 
 
 class RosbagFile:
-    """The content of a recording, with the attributes of an ``McapFile``. Raises Damage."""
+    """The content of a recording, with the attributes of an ``McapFile``. Raises RecordingError."""
 
     cut_off = False
     profile = "ros2"
@@ -40,12 +39,12 @@ class RosbagFile:
         from rosbags.rosbag2 import Reader
         from rosbags.rosbag2.metadata import dump_qos_v9
 
-        self._faults = _faults()
+        self.path, self._faults = path, _faults()
         try:
             self._reader = Reader(path)
             self._reader.open()
         except self._faults as error:
-            raise Damage(f"cannot be read: {error}", 0) from error
+            raise RecordingError(path, f"cannot be read: {error}") from error
         self._connections = list(self._reader.connections)
         files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
         self.size = sum(file.stat().st_size for file in files)
@@ -67,10 +66,10 @@ class RosbagFile:
         self._reader.close()
 
     def attachment(self, about: Attached) -> bytes:
-        raise Damage(f"has no attachment {about.name!r}", 0)
+        raise RecordingError(self.path, f"has no attachment {about.name!r}")
 
     def messages(self, names: Mapping[int, str], on_damage: OnDamage | None = None) -> Iterator[RawMessage]:
-        """Yield the messages on some channels in the order of their times in each file. Raises Damage."""
+        """Yield the messages on some channels in the order of their times in each file. Raises RecordingError."""
         chosen = [c for c in self._connections if c.id in names]
         try:
             for c, time, data in self._reader.messages(chosen) if chosen else ():
@@ -78,10 +77,9 @@ class RosbagFile:
                     raise ValueError(f"a time of {time} ns is not between 1970 and 2262")
                 yield RawMessage(names[c.id], time, time, bytes(data), c.id)
         except self._faults as error:
-            damage = Damage(f"cannot be read to its end: {error}", 0)
-            if on_damage is None:
-                raise damage from error
-            on_damage(damage, 0)
+            reason = f"cannot be read to its end: {error}"
+            if on_damage is None or on_damage(reason, 0, 0):
+                raise RecordingError(self.path, reason) from error
 
 
 def _faults() -> tuple[type[BaseException], ...]:
@@ -114,8 +112,8 @@ class Recording:
     """An open recording: an MCAP file, or what rosbag2 wrote. Raises RecordingError where it cannot be read.
 
     ``cut_off``: its writer did not finish the file; the file is read up to its last whole chunk.
-    progress: called with (bytes read, bytes in all) where the file has no summary. on_damage: receives each damage and
-    the bytes that are lost with it; reading continues after them. By default the first damage raises RecordingError.
+    progress: called with (bytes read, bytes in all) where the file has no summary. on_damage: receives each damage, see
+    ``OnDamage``; by default the first damage raises RecordingError.
     remap: our names -> recorded names, see ``remapping``.
     """
 
@@ -128,9 +126,8 @@ class Recording:
     ):
         self.path = find_recording(path)
         self.remap = remap
-        with self._damage_as_error():
-            bag = is_rosbag(self.path)
-            self._file = RosbagFile(self.path) if bag else McapFile(self.path, progress, on_damage)
+        bag = is_rosbag(self.path)
+        self._file = RosbagFile(self.path) if bag else McapFile(self.path, progress, on_damage)
         self.size, self.cut_off = self._file.size, self._file.cut_off
         self.profile, self.library = self._file.profile, self._file.library
         self.channels, self.schemas, self.counts = self._file.channels, self._file.schemas, self._file.counts
@@ -142,14 +139,6 @@ class Recording:
             self.close()
             raise
         self._topics = self._list_topics()
-
-    @contextlib.contextmanager
-    def _damage_as_error(self) -> Iterator[None]:
-        try:
-            yield
-        except Damage as damage:
-            hint = "; recover may save the rest" if damage.offset else ""
-            raise RecordingError(self.path, damage.reason + hint, damage.offset) from damage
 
     def _rename(self) -> None:
         """Give the channels our names of their topics."""
@@ -202,8 +191,7 @@ class Recording:
         """The bytes of an attachment. Raises RecordingError."""
         for about in self.attachments:
             if about.name == name:
-                with self._damage_as_error():
-                    return self._file.attachment(about)
+                return self._file.attachment(about)
         raise RecordingError(self.path, f"has no attachment {name!r}")
 
     def messages(
@@ -214,8 +202,7 @@ class Recording:
         on_damage: receives each damage, and reading continues after the damage. Raises RecordingError.
         """
         names = {n: c.topic for n, c in self.channels.items() if topics is None or c.topic in topics}
-        with self._damage_as_error():
-            yield from self._file.messages(names, on_damage)
+        return self._file.messages(names, on_damage)
 
     def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """A function from the bytes of a topic's messages to an object. Raises RecordingError."""

@@ -91,11 +91,7 @@ def _feeds(time: np.ndarray, position: np.ndarray, moves: np.ndarray, feed_rate:
     if not feed.max() <= REACH:
         k = int(np.argmax(feed))
         raise ValueError(f"by its stamps the tool would go to pose {k + 2} at {feed[k]:.3g} m/s")
-    return _six_digits(feed)
-
-
-def _six_digits(feed: np.ndarray) -> np.ndarray:
-    """Round to six digits: stamps are whole nanoseconds and would turn one feed into many."""
+    # six digits: stamps are whole nanoseconds and would turn one feed into many
     unit = 10.0 ** (np.floor(np.log10(np.where(feed > 0, feed, 1.0))) - 5)
     return np.round(feed / unit) * unit
 
