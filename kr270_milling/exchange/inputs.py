@@ -10,6 +10,7 @@ import numpy as np
 from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.frames import TOOL, TOOL0, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.paths import MOST_STEPS
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.periods import Clock
@@ -18,8 +19,6 @@ from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.sensor import ForceSensor, moved_wrench
 
 Output = tuple[str, object]  #: topic, record
-
-MOST_STEPS = 20_000_000  #: exchange periods of a pass, 2.8 h at 0.5 ms; assumed: the arrays of a pass then have 3 GB
 
 
 class ExchangeError(MillingError):
@@ -51,18 +50,6 @@ def checked_wrench(sample: WrenchSample, frames: Sequence[str] = (WORKPIECE, TOO
     # assumed: a hundred times what the strongest milling robots carry
     _expect_finite(sample.wrench.tolist(), "wrench", 1e6, "N and N m")
     return sample
-
-
-def in_workpiece_axes(sample: WrenchSample, quaternion: np.ndarray) -> np.ndarray:
-    """Return the wrench (6,) in workpiece axes; a force sensor may publish it in the axes of tcp.
-
-    F_workpiece = R F_tool and M_workpiece = R M_tool: both are taken at the tool tip. quaternion: of tcp, (4,).
-    """
-    wrench = sample.wrench
-    if sample.frame == WORKPIECE:
-        return wrench
-    rotation_tool_to_workpiece = rotation_from_quaternion(quaternion)
-    return np.concatenate([rotation_tool_to_workpiece @ wrench[:3], rotation_tool_to_workpiece @ wrench[3:]])
 
 
 class WrenchFrames:

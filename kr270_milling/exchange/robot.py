@@ -9,14 +9,15 @@ import math
 
 import numpy as np
 
-from kr270_milling.base.frames import WORKPIECE
+from kr270_milling.base.frames import TOOL, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
-from kr270_milling.exchange.inputs import ExchangeError, Output, checked_length, checked_wrench, in_workpiece_axes
+from kr270_milling.exchange.inputs import ExchangeError, Output, checked_length, checked_wrench
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import CompliantArm
+from kr270_milling.physics.robot.sensor import moved_wrench
 from kr270_milling.physics.robot.urdf import urdf
 
 
@@ -94,7 +95,10 @@ class RobotProtocol:
         checked_wrench(sample)
         if sample.stamp != self.awaited_ns:
             return []
-        wrench = in_workpiece_axes(sample, self._orientation[self._step])
+        wrench = sample.wrench
+        if sample.frame == TOOL:
+            rotation = rotation_from_quaternion(self._orientation[self._step])
+            wrench = moved_wrench(wrench, Pose(np.zeros(3), rotation))
         if self._step > 0 and self._iteration + 1 < self._iterations:
             self._iteration += 1
             self._tool = self._unloaded[self._step] + self._arm.predict(wrench)[:3]

@@ -26,10 +26,9 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
-from kr270_milling.cell.paths import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
-from kr270_milling.exchange.inputs import checked_pose, checked_wrench
+from kr270_milling.exchange.inputs import checked_length, checked_pose, checked_wrench
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -134,12 +133,6 @@ def read_passes(recording: Recording, cell: Cell, namespace: str | None = None) 
     return [*passes, *_driven_passes(recording, cell, graph)]
 
 
-def too_long(cell: Cell, reference: Trajectory) -> str:
-    """Return why a pass along a reference cannot be used, if the reference takes too long."""
-    longest = path_of(cell).clock.steps(reference.duration_ns) > MOST_STEPS
-    return f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s" if longest else ""
-
-
 def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iterator[PassSeries]:
     """Yield the passes of a robot with another clock, in the order of the file, as the compensator receives them."""
     check: dict[str, Callable] = {  # as the compensator checks them
@@ -184,8 +177,7 @@ def _received(
         return
     target = graph.target_of(reference)
     try:
-        if reason := too_long(cell, reference):
-            raise MessageError(reason)
+        checked_length(reference, path_of(cell).clock)
         received = inbox.received()
     except MillingError as error:
         yield PassSeries(number, reference, target, {}, reason=str(error))
@@ -321,8 +313,12 @@ def _scored(
     """Return the scored pass, or the reason why it cannot be used."""
     cell, plant = cells
     reference, target = series.reference, series.target or path_of(cell).target
-    if reason := series.reason or too_long(cell, reference):
-        return reason
+    try:
+        checked_length(reference, path_of(cell).clock)
+    except MessageError as error:
+        return str(error)
+    if series.reason:
+        return series.reason
     last = path_of(cell).clock.steps(reference.duration_ns)
     recorded = {kind: series.topic(kind).last() for kind in EXCHANGED}
     driven = series.stamps != "exchange"

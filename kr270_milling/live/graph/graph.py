@@ -103,13 +103,16 @@ class Driver:
         report = self.reports.get(node)
         return None if report is None else report.values.get(key)
 
-    def until(self, condition: Callable[[], object], what: str, deadline: float, node: str = "graph"):
-        """Wait for a condition and return its value; raises RunError after the deadline [s]."""
+    def until(self, condition: Callable[[], object], what: str | Callable, deadline: float, node: str = "graph"):
+        """Wait for a condition and return its value; raises RunError after the deadline [s].
+
+        what: words for the condition, or a function that returns the reason.
+        """
         end = time.monotonic() + deadline
         while not (value := condition()):
             self.check()
             if time.monotonic() > end:
-                raise RunError(node, f"{what} took more than {deadline:g} s")
+                raise RunError(node, what() if callable(what) else f"{what} took more than {deadline:g} s")
             self.spin()
         return value
 
@@ -312,7 +315,8 @@ class Graph:
         until = self.driver.until
         self.begin_recording(name)
         self.driver.transition("activate", CUT, deadline=UP)
-        self._wait_until_ready()
+        waiting = "the compensator does not know the recording"
+        until(self._is_ready, lambda: self._value("waiting_for") or waiting, 30.0)  # [s] to discover each other
         revision, passes = self._value("revision"), self._value("passes", ROBOT)
         self.driver.transition("activate", ROBOT, deadline=UP)
         self._in_pass = True
@@ -325,6 +329,10 @@ class Graph:
         errors = tuple(e * 1e-6 for e in json.loads(self._value("remaining_error_um") or "[]"))
         return RunValues(self.out / name, wall, errors, self._value("finished") == "True")
 
+    def _is_ready(self) -> bool:
+        """Return whether the compensator knows the recording and reports that a pass may start."""
+        return self._value("recording") == self._recording and not self._value("waiting_for")
+
     def begin_recording(self, name: str) -> None:
         """Open the file of the recorder."""
         plant = ""
@@ -334,15 +342,6 @@ class Graph:
         self.driver.set_parameters(RECORDER, recording_parameters(self.out, name, self.cell.path.files, plant), UP)
         self.driver.transition("activate", RECORDER, deadline=UP)
         self._recording = f"{name}/{name}.mcap"
-
-    def _wait_until_ready(self) -> None:
-        """Wait until the compensator knows the recording and reports that a pass may start."""
-        end = time.monotonic() + 30.0  # [s] for the nodes to discover each other
-        while self._value("recording") != self._recording or self._value("waiting_for"):
-            self.check()
-            self.driver.spin()
-            if time.monotonic() > end:
-                raise RunError("graph", self._value("waiting_for") or "the compensator does not know the recording")
 
     def end_recording(self) -> None:
         """Close the file of the recorder, then create the next workpiece."""

@@ -42,16 +42,6 @@ def stamp_from_ns(ns: int) -> Time:
     return Time(sec=ns // SECOND, nanosec=ns % SECOND)
 
 
-def _read(read: Callable, type_name: str, topic: str, data: bytes):
-    """Return the record of a message; raises MessageError."""
-    try:
-        return read(data)
-    except MillingError as error:
-        raise MessageError(str(error)) from None
-    except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
-        raise MessageError(f"{topic}: cannot be read as {type_name.rpartition('/')[2]}: {error}") from None
-
-
 class Silence:
     """Time since the last message of a partner, without the time in which this process was stopped."""
 
@@ -150,19 +140,26 @@ class ReportingNode(Node):
         read: bytes -> record, default: as the table of topics states.
         """
         package, name = topic.type.__module__.partition(".")[0], topic.name.strip("/")
-        type_name = f"{package}/msg/{topic.type.__name__}"
-        read = functools.partial(_read, read or functools.partial(from_bytes, type_name), type_name, name)
+        read = read or functools.partial(from_bytes, f"{package}/msg/{topic.type.__name__}")
+
+        def record(data: bytes):
+            try:
+                return read(data)
+            except MillingError as error:
+                raise MessageError(str(error)) from None
+            except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
+                raise MessageError(f"{name}: cannot be read as {topic.type.__name__}: {error}") from None
 
         def take(data: bytes) -> None:
-            self.used(name, lambda: use(read(data)))
+            self.used(name, lambda: use(record(data)))
 
         return self.create_subscription(topic.type, topic.name, take, topic.qos, raw=True)
 
     def used(self, source: str, use: Callable, *args):
-        """Return ``use(*args)``: the one place where a message or a request of another node is read and used.
+        """Return ``use(*args)`` for a message or request of another node; return None after an error.
 
-        An error does not end this node and returns None. It is counted under ``source``, the topic or service, and
-        reported: as a warning where the message cannot be used, as an error where the computation failed.
+        The error is counted under ``source``, the topic or service, and reported: as a warning where the message cannot
+        be used, as an error where the computation failed.
         """
         try:
             return use(*args)

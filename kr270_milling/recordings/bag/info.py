@@ -158,16 +158,13 @@ def info_text(data: dict) -> str:
     lines.append(f"written by {data['library'] or 'unknown'}, profile {data['profile'] or 'none'}")
     width = max((len(name) for name in data["topics"]), default=0)
     for name, topic in data["topics"].items():
+        counts, gaps = topic["gaps"] or {}, ""
+        if any(counts.get(key) for key in ("missing", "repeated", "backwards")):
+            gaps = "; {missing} missing in {gaps} gaps, {repeated} repeated, {backwards} back".format(**counts)
         rate = f"{topic['rate_hz']:10.1f} Hz" if topic["rate_hz"] else " " * 13
-        lines.append(f"  {name:{width}}  {topic['count']:8d} {rate}  {topic['type']}{_gap_text(topic['gaps'])}")
+        lines.append(f"  {name:{width}}  {topic['count']:8d} {rate}  {topic['type']}{gaps}")
     for name, entries in data["metadata"].items():
         lines += [f"  {name}: {key} = {value}" for key, value in entries.items()]
     lines += [f"  attached: {a['name']} ({a['size_bytes']} bytes)" for a in data["attachments"]]
     # text in a file must not control the terminal
     return "\n".join(map(one_line, lines))
-
-
-def _gap_text(gaps: dict | None) -> str:
-    if not gaps or not (gaps["missing"] or gaps["repeated"] or gaps["backwards"]):
-        return ""
-    return f"; {gaps['missing']} missing in {gaps['gaps']} gaps, {gaps['repeated']} repeated, {gaps['backwards']} back"

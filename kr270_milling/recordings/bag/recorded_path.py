@@ -44,7 +44,13 @@ def read_recorded(path, topic: str = "", feed: float = 0.0) -> Toolpath | TimedP
                     raise ValueError("has several different paths; a recording must have one")
             if recording.topics()[topic].encoding != "cdr":
                 raise ValueError("has no message that can be read")
-            return _toolpath(data, feed) if fits[topic] == PATH else _timed(read_trajectory(data))
+            if fits[topic] == TRAJECTORY:
+                return _timed(read_trajectory(data))
+            frames, time, position, quaternion = read_path(data)
+            _expect_frame(frames[0], *filter(None, frames[1:]))  # an empty frame is the frame of the message
+            chosen = _moving(position)
+            feeds = np.append(0.0, _feeds(time, position, chosen[1:], feed))
+            return _blocks(chosen, position, _orientations(quaternion), feeds, np.zeros(len(chosen)))
         except (ValueError, TrajectoryError) as error:
             reason = getattr(error, "reason", error)
             point = getattr(error, "index", None)
@@ -65,14 +71,6 @@ def read_path(data: bytes) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.
     places = [(pose.pose.position, pose.pose.orientation) for pose in message.poses]
     position = np.array([(p.x, p.y, p.z) for p, _ in places]).reshape(-1, 3)
     return tuple(frames), time, position, np.array([(q.x, q.y, q.z, q.w) for _, q in places]).reshape(-1, 4)
-
-
-def _toolpath(data: bytes, feed_rate: float) -> Toolpath:
-    frames, time, position, quaternion = read_path(data)
-    _expect_frame(frames[0], *filter(None, frames[1:]))  # an empty frame is the frame of the message
-    chosen = _moving(position)
-    feed = np.append(0.0, _feeds(time, position, chosen[1:], feed_rate))
-    return _blocks(chosen, position, _orientations(quaternion), feed, np.zeros(len(chosen)))
 
 
 def _feeds(time: np.ndarray, position: np.ndarray, moves: np.ndarray, feed_rate: float) -> np.ndarray:

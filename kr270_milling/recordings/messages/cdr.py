@@ -130,17 +130,6 @@ class Cursor:
         start = self.skip(length := self.number("I"))
         return bytes(self.data[start : start + max(length - 1, 0)]).decode("utf-8", "replace")
 
-    def strings(self) -> tuple[str, ...]:
-        count = self.number("I")
-        if 4 * count > len(self.data):
-            raise ValueError("the message ends too early")
-        return tuple(self.string() for _ in range(count))
-
-    def finish(self) -> None:
-        """Raise ValueError where more than padding follows the last field: the message has another type."""
-        if len(self.data) - self.offset >= 8:
-            raise ValueError("the message is longer than its type")
-
 
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 WIDTHS = (7, 6, 6)  # doubles of a transform, a velocity, an acceleration
@@ -164,7 +153,7 @@ def read_trajectory(data: bytes) -> TrajectoryRecord:
     """The content of one serialised message; raises ValueError where it is none."""
     cursor = Cursor(data)
     cursor.number("i"), cursor.number("I")
-    frame_id, names = cursor.string(), cursor.strings()
+    frame_id, names = cursor.string(), tuple(cursor.string() for _ in range(cursor.number("I")))
     count = cursor.number("I")
     if 20 * count > len(data):  # a point without any content has 20 bytes
         raise ValueError("the message ends too early")
@@ -181,7 +170,8 @@ def read_trajectory(data: bytes) -> TrajectoryRecord:
             if points[f"values_{k}"].size:
                 table[rows] = points[f"values_{k}"]
         at = rows.stop
-    cursor.finish()
+    if len(data) - cursor.offset >= 8:  # more than padding
+        raise ValueError("the message is longer than its type")
     for table in (times, *tables):
         table.setflags(write=False)
     return TrajectoryRecord(stamp_of(data), frame_id, names, times, *np.split(tables[0], [3], axis=2), *tables[1:])
