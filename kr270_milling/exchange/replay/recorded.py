@@ -298,27 +298,27 @@ def passes_from_recording(
         attached = file in [about.name for about in recording.attachments]
         program = recording.attachment(file).decode("utf-8", errors="replace") if attached else None
         names = [f"{name}_{number}" if len(read) > 1 else name for number in range(1, len(read) + 1)]
-        results = [_scored(recording, cells, *pair, program) for pair in zip(read, names, strict=True)]
-    passes = [result for result in results if not isinstance(result, str)]
-    unused = {name: result for name, result in zip(names, results, strict=True) if isinstance(result, str)}
+        passes, unused = [], {}  # pass that cannot be used: reason
+        for part, part_name in zip(read, names, strict=True):
+            try:
+                passes.append(_scored(recording, cells, part, part_name, program, unused))
+            except MessageError as error:  # noqa: PERF203 - one pass of several
+                unused[part_name] = str(error)
     if not passes:
         reason = f"holds no pass: {NO_PASS}, or a pass of a robot with another clock"
         raise RecordingError(recording.path, next(iter(unused.values()), reason))
-    return [(scored_pass, dataclasses.replace(facts, unused=unused)) for scored_pass, facts in passes]
+    return passes
 
 
 def _scored(
-    recording: Recording, cells: Cells, series: PassSeries, name: str, program: str | None
-) -> tuple[ScoredPass, RecordedFacts] | str:
-    """Return the scored pass, or the reason why it cannot be used."""
+    recording: Recording, cells: Cells, series: PassSeries, name: str, program: str | None, unused: Mapping[str, str]
+) -> tuple[ScoredPass, RecordedFacts]:
+    """Return a scored pass and its facts; raise MessageError for a pass that cannot be used."""
     cell, plant = cells
     reference, target = series.reference, series.target or path_of(cell).target
-    try:
-        checked_length(reference, path_of(cell).clock)
-    except MessageError as error:
-        return str(error)
+    checked_length(reference, path_of(cell).clock)
     if series.reason:
-        return series.reason
+        raise MessageError(series.reason)
     last = path_of(cell).clock.steps(reference.duration_ns)
     recorded = {kind: series.topic(kind).last() for kind in EXCHANGED}
     driven = series.stamps != "exchange"
@@ -327,7 +327,7 @@ def _scored(
         recorded["deflection"] = _all_deflections(plant, reference, planned, recorded)
     steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in recorded.values()))
     if steps.size < 2:
-        return f"has no {NO_PASS}"
+        raise MessageError(f"has no {NO_PASS}")
     rows = {kind: part.values[np.searchsorted(part.step, steps)] for kind, part in recorded.items()}
     if driven:
         lost = to_end = series.driven_lost
@@ -338,7 +338,7 @@ def _scored(
     result = _result(cells, target, planned, steps, rows, series.wall_s)
     scored_pass = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
     complete = complete and not recording.cut_off
-    return scored_pass, RecordedFacts(cell, target, lost, to_end, complete, program, series.stamps)
+    return scored_pass, RecordedFacts(cell, target, lost, to_end, complete, program, series.stamps, unused)
 
 
 def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, recorded: dict[str, Series]) -> Series:

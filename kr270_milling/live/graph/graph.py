@@ -34,7 +34,6 @@ from kr270_milling.live.graph.processes import (
     RunError,
     own_graph,
     recording_parameters,
-    ros_arguments,
     stop,
 )
 from kr270_milling.live.ros import topics
@@ -248,7 +247,10 @@ class Graph:
         for nodes in (CELL, PLANNER) if self._composed else ((node,) for node in NODES):
             parameters = cuts if nodes[0] in CELL else self.out / "cell.yaml"
             more = [*(tracked if COMPENSATOR in nodes else ()), *(records if RECORDER in nodes else ())]
-            child = Child(nodes, ros_arguments(parameters, space, *more), self.out / "log")
+            if space != "/":
+                more += ["-r", f"__ns:={space}"]
+            words = ["--ros-args", "-p", f"cell_file:={json.dumps(str(parameters))}", *more]
+            child = Child(nodes, words, self.out / "log")
             for node in nodes:
                 self.children[node] = child
                 self.driver.expect(node, child.pid)

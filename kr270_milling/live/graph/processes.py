@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import math
 import os
 import shlex
@@ -130,12 +129,6 @@ def stop(children: Iterable[Child], grace: float = 3.0) -> list[str]:
         child.signal(signal.SIGKILL)
         child.process.wait()
     return [child.name for child in killed]
-
-
-def ros_arguments(cell_file: Path, namespace: str, *more: str) -> list[str]:
-    """Return the arguments of a node with a cell in a namespace."""
-    space = ["-r", f"__ns:={namespace}"] if namespace != "/" else []
-    return ["--ros-args", "-p", f"cell_file:={json.dumps(str(cell_file))}", *space, *more]
 
 
 def recording_parameters(out: Path, name: str, files: Iterable[Path], plant: str = "") -> dict:

@@ -286,8 +286,8 @@ class ReportingNode(Node):
 class ManagedNode(ReportingNode, LifecycleNode):
     """A lifecycle node that reports why a transition failed.
 
-    A child implements ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart``
-    the node configures and activates itself.
+    A child may have ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart`` the
+    node configures and activates itself.
     """
 
     def __init__(self, name: str, autostart: bool = False, **kwargs):
@@ -334,36 +334,21 @@ class ManagedNode(ReportingNode, LifecycleNode):
         lacking = "" if received else f"; a subscriber has not received the end of the pass; {NOT_COMPLETE}"
         self.report(OK if received else WARN, f"stopped{lacking}")
 
-    def configure(self) -> None: ...
-
-    def activate(self) -> None: ...
-
-    def deactivate(self) -> None: ...
-
-    def cleanup(self) -> None: ...
-
-    def _transition(self, step: Callable, state: str) -> TransitionCallbackReturn:
-        """Run the step of a transition; the node is in the new state during the step."""
+    def _transition(self, name: str, state: str, _) -> TransitionCallbackReturn:
+        """Run a method of the child, if it has one; the node is in the new state meanwhile."""
         before, self.state = self.state, state
         try:
-            step()
+            getattr(self, name, lambda: None)()
         except Exception as error:  # noqa: BLE001 - every error is reported
             self.state = before
-            self.fail(error, step.__name__)
+            self.fail(error, name)
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
-    def on_configure(self, state):
-        return self._transition(self.configure, "inactive")
-
-    def on_activate(self, state):
-        return self._transition(self.activate, "active")
-
-    def on_deactivate(self, state):
-        return self._transition(self.deactivate, "inactive")
-
-    def on_cleanup(self, state):
-        return self._transition(self.cleanup, "unconfigured")
+    on_configure = functools.partialmethod(_transition, "configure", "inactive")
+    on_activate = functools.partialmethod(_transition, "activate", "active")
+    on_deactivate = functools.partialmethod(_transition, "deactivate", "inactive")
+    on_cleanup = functools.partialmethod(_transition, "cleanup", "unconfigured")
 
     def on_shutdown(self, state):
         self.state = "finalized"
