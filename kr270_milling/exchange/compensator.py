@@ -169,7 +169,7 @@ class CompensatorProtocol:
         self.compensator: Compensator | None = None
         self.passes = 0  #: completed passes
         self.missing = 0  #: poses that the last completed pass lacks
-        self.inbox = PassInbox(cell, Trajectory([0, 1], np.zeros((2, 3)), TOOL_DOWN))  # of no target yet
+        self.inbox = PassInbox(cell, Trajectory(np.array([0, 1]), np.zeros((2, 3)), np.array(TOOL_DOWN)))  # no target
         self._now = now
         self._announced = announced
         self._free_ns = 0  # stamp after the end of the last pass

@@ -298,7 +298,8 @@ def passes_from_recording(
         attached = file in [about.name for about in recording.attachments]
         program = recording.attachment(file).decode("utf-8", errors="replace") if attached else None
         names = [f"{name}_{number}" if len(read) > 1 else name for number in range(1, len(read) + 1)]
-        passes, unused = [], {}  # pass that cannot be used: reason
+        passes = []
+        unused: dict[str, str] = {}  # pass that cannot be used: reason
         for part, part_name in zip(read, names, strict=True):
             try:
                 passes.append(_scored(recording, cells, part, part_name, program, unused))

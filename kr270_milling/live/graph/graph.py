@@ -348,8 +348,9 @@ class Graph:
     def end_recording(self) -> None:
         """Close the file of the recorder, then create the next workpiece."""
         self.driver.transition("deactivate", RECORDER, deadline=UP)
-        for node in (*CELL, RECORDER):
-            self.driver.until(lambda node=node: self._value("state", node) == "inactive", "deactivate", UP, node)
+        nodes = (*CELL, RECORDER)
+        self.driver.until(lambda: all(self._value("state", node) == "inactive" for node in nodes), "deactivate", UP)
+        for node in nodes:
             if NOT_COMPLETE in self.driver.reports[node].message:
                 self.warn(f"{node}: {self.driver.reports[node].message}")
         self.passes += 1

@@ -98,7 +98,8 @@ class GapCounter:
 
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Return duration, counts, rates, sizes, gaps, metadata and attachments of a recording; read all its messages."""
-    known, starts = recording.topics(), {}
+    known = recording.topics()
+    starts: dict[str, list[int]] = {}
     stamped = {n for n, t in known.items() if t.schema_encoding == "ros2msg" and starts_with_stamp(t.schema)}
     gaps = {
         name: GapCounter(name, starts, is_latched(known[name].metadata))

@@ -52,7 +52,7 @@ class RosbagFile:
         self.schemas = {c.id: Schema(c.id, *_definition_of(c)) for c in self._connections}
         self.channels = {}
         for c in self._connections:  # metadata as rosbag2 writes them into an MCAP file
-            profiles = yaml_text(dump_qos_v9(c.ext.offered_qos_profiles)).strip()
+            profiles = yaml_text(dump_qos_v9(c.ext.offered_qos_profiles)).strip()  # type: ignore[union-attr]
             about = {"offered_qos_profiles": profiles, "topic_type_hash": c.digest}
             self.channels[c.id] = Channel(c.id, c.topic, "cdr", about, c.id)
         custom = self._reader.storage.metadata.custom or {}

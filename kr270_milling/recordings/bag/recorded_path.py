@@ -33,8 +33,8 @@ def read_recorded(path, topic: str = "", feed: float = 0.0) -> Toolpath | TimedP
         if topic and topic not in fits:
             raise RecordingError(path, f"has no path on path.topic {topic!r}, but on: {listed or 'no topic'}")
         if not topic and len(fits) != 1:
-            reason = f"several topics have a path, name one as path.topic: {listed}"
-            raise RecordingError(path, reason if fits else f"has no {PATH} and no {TRAJECTORY}")
+            several = f"several topics have a path, name one as path.topic: {listed}"
+            raise RecordingError(path, several if fits else f"has no {PATH} and no {TRAJECTORY}")
         topic = topic or next(iter(fits))
         try:
             data = b""

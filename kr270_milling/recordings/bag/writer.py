@@ -52,7 +52,8 @@ class RecordingFile:
     """
 
     def __init__(self, path: Path):
-        self.path, self.error = path, None
+        self.path = path
+        self.error: RecordingError | None = None
         self.count = self.saved = 0  #: messages given to mcap's Writer, and messages in the file
         folder = path.parent
         try:
@@ -249,7 +250,7 @@ class BagWriter:
         except InputError as error:
             raise RecordingError(neighbour, error.reason) from error
 
-    def __enter__(self) -> BagWriter:
+    def __enter__(self):
         return self
 
     def __exit__(self, *_) -> None:
