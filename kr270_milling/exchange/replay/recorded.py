@@ -120,19 +120,6 @@ def _localise(recording: Recording, file: Path, names: set[str], visited: set[st
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
 
 
-def read_passes(recording: Recording, cell: Cell, namespace: str | None = None) -> list[PassSeries]:
-    """Return every pass of one robot, also those that cannot be used. Raises RecordingError."""
-    graph = read_graph(recording, path_of(cell).clock, namespace)
-    if f"{graph.namespace}/correction" in recording.topics():
-        return [_rsi_pass(recording, cell, graph)]
-    passes = [
-        part for part in graph.passes if part.reason or part.topic("deflection").step.size
-    ]  # a driver publishes none
-    if any(not part.reason for part in passes):
-        return passes
-    return [*passes, *_driven_passes(recording, cell, graph)]
-
-
 def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iterator[PassSeries]:
     """Yield the passes of a robot with another clock, in the order of the file, as the compensator receives them."""
     check: dict[str, Callable] = {  # as the compensator checks them
@@ -293,7 +280,13 @@ def passes_from_recording(
     """
     with Recording(path, remap=remap) as recording:
         cells = recorded_cells(recording, cell_file)
-        read = read_passes(recording, cells[0], namespace)
+        graph = read_graph(recording, path_of(cells[0]).clock, namespace)
+        if f"{graph.namespace}/correction" in recording.topics():
+            read = [_rsi_pass(recording, cells[0], graph)]
+        else:  # a driver publishes no deflection
+            read = [part for part in graph.passes if part.reason or part.topic("deflection").step.size]
+            if all(part.reason for part in read):
+                read += _driven_passes(recording, cells[0], graph)
         name, file = name or recording.path.stem, Path(cells[0].path.file).name
         attached = file in [about.name for about in recording.attachments]
         program = recording.attachment(file).decode("utf-8", errors="replace") if attached else None
