@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ModelError
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
 Side = Literal["left", "right"]
@@ -312,7 +313,7 @@ def advance(step, state, wrench, push, arrays, new_state, deflection):
     drive(step, free, state, wrench, push, arrays, new_state, deflection)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
+@inlined
 def _between(step, steps_per_knot, n):
     """Postures k and m about a step, and the share of m."""
     place = step / steps_per_knot
@@ -321,7 +322,7 @@ def _between(step, steps_per_knot, n):
     return k, m, min(place - k, 1.0) if m > k else 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
+@inlined
 def swing_freely(step, state, arrays, free):
     """Fill ``free`` (2r,): A x, the part of ``advance`` that is the same under every wrench."""
     transition = arrays[0]
@@ -334,7 +335,7 @@ def swing_freely(step, state, arrays, free):
         free[i] = total
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
+@inlined
 def drive(step, free, state, wrench, push, arrays, new_state, deflection):
     """The part of ``advance`` that follows ``swing_freely``."""
     _, driven, output, feedthrough, steps_per_knot, gaps = arrays
