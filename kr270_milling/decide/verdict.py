@@ -262,7 +262,12 @@ def monte_carlo(
     robots = drawn(quick)
     rows = np.stack([row[:2] for row, _ in robots])
     if quick is not cell:
-        full = drawn_errors(cell, [revised], min(CHECKED, samples), seed, quick=False)[:, 0, 0]
+        gauge = gauge_of(cell)
+
+        def full_error(_: int, robot: Cell) -> float:
+            return float(run_sample(robot, target, [revised], gauge, 1)[0, 0])
+
+        full = np.array(_each_robot(cell, min(CHECKED, samples), seed, full_error, lambda done: None))
         both = rows[: len(full), 1, 0]
         alike = np.isnan(full) & np.isnan(both)  # fails either way
         difference = float(np.where(alike, 0.0, np.abs(full - both)).max())
@@ -330,30 +335,32 @@ def drawn_errors(
     seed: int,
     count: Callable[[int], object] = lambda done: None,
     gauge: Gauge | None = None,
-    quick: bool = True,
 ) -> np.ndarray:
     """Errors [m] of drawn robots along references of a program, and their shares of the tolerance, (robots, k, 2).
 
-    count(done): called after each robot; gauge: default that of the cell; quick: passes of ``coarser``.
+    count(done): called after each robot; gauge: default that of the cell.
     """
-    nominal, target = coarser(cell) if quick else cell, path_of(cell).target
+    nominal, target = coarser(cell), path_of(cell).target
     gauge = gauge or gauge_of(nominal)
     return np.array(
         _each_robot(nominal, robots, seed, lambda _, robot: run_sample(robot, target, references, gauge), count)
     )
 
 
-def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge) -> np.ndarray:
+def run_sample(
+    plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge, first: int = 0
+) -> np.ndarray:
     """The error [m] of one plant along k references, and its share of the tolerance, (k, 2).
 
     NaN where the plant does not survive a reference; a share is also NaN without a tolerance. The references are
-    corrections of one target: the arm's model along the target holds for all.
+    corrections of one target: the arm's model along the target holds for all. first: number of the first pass, on which
+    the repeatability depends.
     """
     rows = np.full((len(references), 2), np.nan)
     with contextlib.suppress(MillingError):
         model = arm_model_of(plant, target)
         for k, reference in enumerate(references):
-            rows[k] = _errors(plant, model, target, reference, k, gauge)
+            rows[k] = _errors(plant, model, target, reference, first + k, gauge)
     return rows
 
 
