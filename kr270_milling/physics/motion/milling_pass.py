@@ -302,8 +302,8 @@ def _combined(every: int, first: int, series: tuple[np.ndarray, ...]) -> tuple[n
         return tuple(values[first:] for values in series)
     size = np.linalg.norm(series[4][1:, :3], axis=1)
     starts = np.arange(0, size.size, every)
-    largest = [begin + int(np.argmax(size[begin : begin + every])) for begin in starts.tolist()]
-    rows = np.append(np.zeros(1 - first, int), np.array(largest, int) + 1)
+    padded = np.append(size, np.full(-size.size % every, -1.0)).reshape(-1, every)
+    rows = np.append(np.zeros(1 - first, int), starts + padded.argmax(1) + 1)
     counts = np.diff(np.append(starts, size.size))[:, None]
     combined = [values[rows] for values in series]
     for k, values in enumerate((np.add, np.maximum, np.maximum, np.add), 5):  # wrench, correction, torque, volume
