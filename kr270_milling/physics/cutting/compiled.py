@@ -9,7 +9,8 @@ compiled = njit(**OPTIONS)
 
 #: For functions that compiled functions alone call: the wrapper for Python is a further copy to compile. Called from
 #: Python, such a function crashes.
-inner = njit(**OPTIONS, no_cpython_wrapper=True)
+INNER: dict = dict(**OPTIONS, no_cpython_wrapper=True)
+inner = njit(**INNER)
 
 #: The same for what runs in the innermost loops.
-inlined = njit(**OPTIONS, no_cpython_wrapper=True, forceinline=True)
+inlined = njit(**{**INNER, "forceinline": True})

@@ -36,14 +36,16 @@ from kr270_milling.physics.cutting.tool import Tool
 
 
 class CutModel:
-    """The cutting process: one interface for both models. Compiled loops take ``params``, ``state``, ``model``.
+    """The cutting process: one interface for both models; compiled loops take its fields.
 
     tool, cutting, stock: records of the parameter file; the grid of ``stock`` is that of the model.
     """
 
     params: Params | EngagementParams
     state: State | EngagementState
-    model: tuple  #: arguments ``teeth`` and ``mean`` of ``cut_step``
+    #: arguments of ``cut_step``: True for the model of this cut, None for the other
+    teeth: bool | None
+    mean: bool | None
     tilts = False  #: poses have the axis of the tool after the position of its tip, (6,)
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
@@ -70,7 +72,18 @@ class CutModel:
         self._make_room(n, math.dist(start[:3].tolist(), end[:3].tolist()))
         wrench, torque, volume = np.empty((2, 6)), np.empty(2), np.empty(2)
         steps = np.array([first, first + n], np.int64)
-        cut_poses(self.state, self.params, *self.model, np.array([start, end]), steps, forces, wrench, torque, volume)
+        cut_poses(
+            self.state,
+            self.params,
+            self.teeth,
+            self.mean,
+            np.array([start, end]),
+            steps,
+            forces,
+            wrench,
+            torque,
+            volume,
+        )
         self.refuse_failure()
         self.torque = float(torque[1])
         return wrench[1]
@@ -89,7 +102,7 @@ class CutModel:
         positions, steps = self.poses(positions, axes), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
-        cut_poses(self.state, params, *self.model, positions, steps, NO_FORCES, wrench, torque, volume)
+        cut_poses(self.state, params, self.teeth, self.mean, positions, steps, NO_FORCES, wrench, torque, volume)
         self.refuse_failure()
         return wrench, torque, volume
 
@@ -127,7 +140,7 @@ class CutModel:
 
     def restore(self) -> None:
         """Take the last sweep back, once. Raises MillingError."""
-        self.refuse_failure(cut_undo(self.state, *self.model))
+        self.refuse_failure(cut_undo(self.state, self.teeth, self.mean))
 
     def refuse_failure(self, undone: bool = True) -> None:
         """Raise MillingError where no tile of the grid is left; undone: whether all could be taken back."""
@@ -199,7 +212,7 @@ class Cut(CutModel):
 
     params: Params
     state: State
-    model = (True, None)
+    teeth, mean = True, None
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int | None = None):
         super().__init__(tool, cutting, stock)
@@ -234,7 +247,7 @@ class EngagementCut(CutModel):
 
     params: EngagementParams
     state: EngagementState
-    model = (None, True)
+    teeth, mean = None, True
 
     def __init__(
         self,

@@ -118,7 +118,7 @@ def cut_undo(s, teeth, mean):
     return undone
 
 
-@njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)  # several workpieces are cut at once
+@njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are cut at once
 def cut_poses(s, p, teeth, mean, positions, steps, forces, wrench, torque, volume):
     """Cut from each position (n, 3) [m] to the next, which is reached at micro-steps (n,) counted from the start.
 

@@ -142,7 +142,7 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
         raise PassError(float(np.linalg.norm(deflections[first, :3])), float(stamps[first]) * 1e-9)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _exchange(
     window, first, last, iterations, reference, silent, arm, state, wrench, cut, teeth, mean, micro_steps, out
 ):
@@ -258,7 +258,8 @@ def run_pass(
             state,
             wrench,
             (cut_state, cut.params),
-            *cut.model,
+            cut.teeth,
+            cut.mean,
             clock.micro_steps,
             out,
         )
