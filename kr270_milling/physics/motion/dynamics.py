@@ -130,11 +130,11 @@ def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]
     """
     carries = np.diagonal(mass, axis1=-2, axis2=-1).reshape(-1, 6) > 0.0
     inertial, free = np.flatnonzero(carries[0]), np.flatnonzero(~carries[0])
-    own, other = np.ix_(inertial, inertial), np.ix_(inertial, free)
+    own, other = inertial[:, None], free[:, None]  # rows of a matrix
     inert = inertial.size and (carries == carries[0]).all() and not np.any(mass[..., free, :])
-    if not inert or np.linalg.eigvalsh(mass[(..., *own)])[..., 0].min() <= 0.0:
+    if not inert or np.linalg.eigvalsh(mass[..., own, inertial])[..., 0].min() <= 0.0:
         raise ModelError("the mass matrix must be symmetric and positive definite in the components with inertia")
-    softness = compliance[(..., *own)]
+    softness = compliance[..., own, inertial]
     if not (np.isfinite(softness).all() and (np.linalg.cond(softness) < 1e12).all()):
         raise ModelError("the compliance matrix is singular or not finite where there is inertia")
     stiffness = np.linalg.inv(softness)
@@ -145,25 +145,25 @@ def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]
     )
     force[..., inertial] = output[..., inertial, :] = np.eye(inertial.size)
     if free.size:
-        coupling = stiffness @ compliance[(..., *other)]
+        coupling = stiffness @ compliance[..., own, free]
         force[..., free], output[..., free, :] = coupling, coupling.swapaxes(-1, -2)
-        rest = compliance[(..., *np.ix_(free, free))] - compliance[(..., *np.ix_(free, inertial))] @ coupling
-        feedthrough[(..., *np.ix_(free, free))] = rest
+        rest = compliance[..., other, free] - compliance[..., other, inertial] @ coupling
+        feedthrough[..., other, free] = rest
     return inertial, stiffness, force, output, feedthrough
 
 
 def modes(compliance: np.ndarray, mass: np.ndarray) -> list[ModalModel]:
     """Modes of (1) at n postures, from compliance [m, rad per N, N m] and mass matrices in the same axes, (n, 6, 6)."""
     inertial, stiffness, *rest = condense(compliance, mass)
-    mass_i = mass[(..., *np.ix_(inertial, inertial))]
+    mass_i = mass[..., inertial[:, None], inertial]
     root = np.linalg.cholesky(mass_i)  # M = L L^T: the symmetric problem of L^-1 K L^-T has the same eigenvalues
     half = np.linalg.solve(root, stiffness)
     squared, turned = np.linalg.eigh(np.linalg.solve(root, half.swapaxes(-1, -2)))
     if not squared.min() > 0.0:
         raise ModelError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
     shape = np.linalg.solve(root.swapaxes(-1, -2), turned)
-    columns = zip(np.sqrt(squared), shape, mass_i, *rest, strict=True)
-    return [ModalModel(inertial, *values, np.eye(6)[inertial]) for values in columns]
+    every = (inertial, np.sqrt(squared), shape, mass_i, *rest)
+    return [ModalModel(inertial, *(values[k] for values in every[1:]), np.eye(6)[inertial]) for k in range(len(mass))]
 
 
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
