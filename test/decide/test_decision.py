@@ -175,6 +175,8 @@ def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(tmp_path, ca
     if method == "best":  # the method that is recommended is the one that is written
         assert written == result["recommended_method"] == "robust"
         assert f"recommended method: {written}, because" in text
+        assert set(result["verdict"]["methods_um"]) == {NO_METHOD, written}  # the verdict runs no other method
+        assert result["verdict"]["quantity"] == SURFACE_ERROR
     assert "exchange: largest correction of a predicted pose is" in text
     assert len(headers) == 2 and all(f"decision {level}: see MANIFEST.txt" in header for header in headers)
     assert any(f"method {written}" in header for header in headers)
@@ -190,7 +192,7 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
     assert done.decision.method == done.decision.recommended_method == "none"
 
 
-def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_method(tmp_path):
+def test_best_takes_learned_only_with_a_tracker(tmp_path):
     cell = small_part(tmp_path, SHORTER, *MOVING, "compensation.method=best")
     original = simulate(cell)
     result = compare_methods(cell, original)
@@ -200,10 +202,6 @@ def test_best_takes_learned_only_with_a_tracker_and_its_verdict_runs_no_other_me
     assert compare_methods(tracked, original).best == "learned"
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
         assert Compensator(one.compensation, path_of(one).target).method == method
-    judged = cell.replace(tolerances=cell.tolerances.replace(tolerance=100 * UM))
-    result = compensation.compensate(judged, robots=1).decision
-    assert list(result.verdict.methods) == [result.method]  # it runs no other method
-    assert result.verdict.quantity == result.compensated.quantity
 
 
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):
