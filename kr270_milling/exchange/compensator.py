@@ -23,8 +23,8 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.inbox import PassInbox
-from kr270_milling.exchange.inputs import Output, WrenchFrames, checked_length, checked_pose, checked_wrench
-from kr270_milling.path.trajectory import Trajectory, fingerprint
+from kr270_milling.exchange.inputs import Output, checked_length, checked_pose, checked_wrench
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.robot.arm import Arm
@@ -97,18 +97,14 @@ def _rates(
     change = (rates[1] - rates[0]) / steps.mean(axis=1)[:, None]
     acceleration = np.hstack([np.mean(bends, axis=0) @ turn.T, change @ turn.T])
     if not sag_compensated:
-        velocity += _sag_rate(placed, reference, joints)
+        # velocity that the joints command beyond the reference, against the sag
+        tool, place = forward(placed.arm, placed.mount, joints).tool, placed.place
+        turned = tool.rotation @ np.swapaxes(turn @ rotation_from_quaternion(reference.quaternion), 1, 2)
+        beyond = [tool.position - place.apply(reference.position), Rotation.from_matrix(turned).as_rotvec()]
+        velocity += np.gradient(np.hstack(beyond), reference.time, axis=0)
     speed, gain = joint_motion(placed.arm, placed.mount, joints, velocity, acceleration)
     speed[corner], gain[kink] = np.nan, np.nan
     return speed, gain
-
-
-def _sag_rate(placed: PlacedArm, reference: Trajectory, joints: np.ndarray) -> np.ndarray:
-    """Velocity (n, 6) that the joints command beyond the reference, against the sag; base axes."""
-    tool, place = forward(placed.arm, placed.mount, joints).tool, placed.place
-    turned = tool.rotation @ np.swapaxes(place.rotation @ rotation_from_quaternion(reference.quaternion), 1, 2)
-    beyond = np.hstack([tool.position - place.apply(reference.position), Rotation.from_matrix(turned).as_rotvec()])
-    return np.gradient(beyond, reference.time, axis=0)
 
 
 def _duration(arm: Arm, travel: np.ndarray) -> float:
@@ -173,10 +169,9 @@ class CompensatorProtocol:
         self.compensator: Compensator | None = None
         self.passes = 0  #: completed passes
         self.missing = 0  #: poses that the last completed pass lacks
-        self.inbox = PassInbox(0, cell.exchange.iterations)
+        self.inbox = PassInbox(cell, Trajectory(np.array([0, 1]), np.zeros((2, 3)), np.array(TOOL_DOWN)))  # no target
         self._now = now
         self._announced = announced
-        self._frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
         self._free_ns = 0  # stamp after the end of the last pass
         self._learned: tuple[LearnedRecording, ...] = ()  # the passes that the reference follows from
         self._first: tuple[LearnedRecording, ...] = ()  # the pass along the target
@@ -238,7 +233,7 @@ class CompensatorProtocol:
 
     def wrench(self, sample: WrenchSample) -> list[Output]:
         """Take a wrench; raises MessageError, and the errors of a revision."""
-        checked_wrench(sample, self._frames.names)
+        checked_wrench(sample, self.inbox.frames.names)
         if self.compensator is None:
             return []
         self.inbox.wrench(sample)
@@ -283,10 +278,7 @@ class CompensatorProtocol:
         commanded_joints(arm_of(self.cell), self.cell.compensation, revised.reference)
         self.compensator, self._learned = revised, learned
         start, problem = max(self._now(), self._free_ns), self.inbox.problem
-        end, iterations = end_of(self.cell, revised.reference), self.cell.exchange.iterations
-        self.inbox = PassInbox(
-            end, iterations, start, revised.reference, path_of(self.cell).clock, self._frames, self._announced
-        )
+        self.inbox = PassInbox(self.cell, revised.reference, start, self._announced)
         self.inbox.problem = problem
         state = CompensatorState(
             self.name,
@@ -298,8 +290,3 @@ class CompensatorProtocol:
             learned,
         )
         return [("compensator_state", state), ("reference_trajectory", revised.reference.starting_at(start))]
-
-
-def end_of(cell: Cell, reference: Trajectory) -> int:
-    """Return the stamp [ns] of the last exchange of a pass along a reference."""
-    return int(path_of(cell).clock.stamp(path_of(cell).clock.steps(reference.duration_ns)))

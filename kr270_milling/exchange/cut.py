@@ -39,22 +39,14 @@ class CutProtocol:
         """Create a fresh workpiece and return its map, so that late subscribers do not see the previous part."""
         self.cut = cut_of(self.cell)
         self.cut.touch()
-        self._silent = self._drilling()
+        self._silent, path = np.zeros(0, bool), path_of(self.cell)  # exchanges whose wrench is zero
+        if path.drills:  # the force of drilling is not modelled; else the cut does not need the times of the path
+            steps = np.arange(self._clock.steps(path.target.duration_ns) + 1)
+            self._silent = silent_periods(path.drilling_at(self._clock.stamp(steps)))
         self.step, self.stamp_ns = -1, 0
         self._before = self._tool = np.zeros(3)  # tool centre of the previous exchange, and of the last one
         self._wrench = np.zeros(6)
-        return self.workpiece()
-
-    def _drilling(self) -> np.ndarray:
-        """Return whether the wrench of each exchange is zero, (n + 1,) bool: the force of drilling is not modelled.
-
-        Empty where the program does not drill: then the cut does not need the times of the path.
-        """
-        programmed = path_of(self.cell)
-        if not programmed.drills:
-            return np.zeros(0, bool)
-        steps = self._clock.steps(programmed.target.duration_ns)
-        return silent_periods(programmed.drilling_at(self._clock.stamp(np.arange(steps + 1))))
+        return [("workpiece", self.map_of_part())]
 
     def release(self) -> None:
         """Drop the workpiece."""
@@ -117,10 +109,6 @@ class CutProtocol:
         wrench = cut.sweep(start, end, (step - 1) * n, n)
         self._wrench = np.zeros(6) if step < self._silent.size and self._silent[step] else wrench
         self.step, self._before, self._tool = step, start, np.array(end)
-
-    def workpiece(self) -> list[Output]:
-        """Return the map of the part after the last answer; raises MessageError."""
-        return [("workpiece", self.map_of_part())]
 
     def map_of_part(self) -> StockMap:
         """Return the thinned map of the part; raises MessageError."""

@@ -12,15 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import MessageError
-from kr270_milling.base.frames import TOOL, WORKPIECE
+from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import LearnedRecording, PoseSample, WrenchSample
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import pass_record
+from kr270_milling.cell.models import path_of
 from kr270_milling.cell.paths import CellPath
-from kr270_milling.exchange.inputs import WrenchFrames, in_workpiece_axes
+from kr270_milling.exchange.inputs import WrenchFrames
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.imperfections import Imperfections
-from kr270_milling.physics.motion.periods import Clock
 
 PositionQuaternion = tuple[np.ndarray, np.ndarray]
 FrameWrench = tuple[str, np.ndarray]
@@ -52,10 +53,6 @@ class ReceivedPass:
         steps = np.diff(self.pose_ns)
         return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0))) if steps.size else 0
 
-    def until_wrench(self, count: int) -> ReceivedPass:
-        """Return the pass with its first ``count`` wrenches only."""
-        return ReceivedPass(self.pose_ns, self.position, self.wrench_ns[:count], self.wrench[:count])
-
     def as_learned(self, recording: str) -> LearnedRecording:
         """Return what the compensator publishes of a pass; recording: its file."""
         return LearnedRecording(recording, self.fingerprint, self.pose_ns.size, self.wrench_ns.size)
@@ -70,84 +67,39 @@ class ReceivedPass:
         return pass_record(path, assumed, self.pose_ns, self.position, wrench, plant, number)
 
 
-class StartSeeker:
-    """Collects poses and wrenches before the start of a pass along ``reference``.
-
-    announced: a message states the start. Otherwise the pass starts when the tool leaves the first point along the
-    reference.
-    """
-
-    def __init__(self, reference: Trajectory, announced: bool = False):
-        self.distance: float | None = None  #: [m], of the tool from the first point of the reference; None: no pose yet
-        self.poses: deque[PoseSample] = deque(maxlen=2000)
-        self.wrenches: deque[WrenchSample] = deque(maxlen=2000)
-        self._reference = reference
-        self._announced = announced
-
-    def pose(self, sample: PoseSample) -> int | None:
-        """Take a pose; return the stamp [ns] of the start where the pose shows that the pass has started."""
-        self.distance = float(np.linalg.norm(sample.position - self._reference.position[0]))
-        if self._announced or self.distance <= START_TOLERANCE:
-            self.poses.append(sample)
-            return None
-        if not self.poses:
-            return None
-        times = np.arange(0, min(SEEK_NS, self._reference.duration_ns) + 1, SEEK_NS // 1000)
-        off = np.linalg.norm(self._reference.sample(times) - sample.position, axis=1)
-        nearest = int(np.argmin(off))
-        if off[nearest] > START_TOLERANCE:
-            self.poses.clear()
-            return None
-        self.poses.append(sample)
-        return sample.stamp - int(times[nearest])
-
-    def standing(self, start_ns: int) -> list[WrenchSample]:
-        """Return the wrenches of the time in which the tool waited for the start."""
-        first = self.poses[0].stamp if self.poses else start_ns
-        return [sample for sample in self.wrenches if first <= sample.stamp < start_ns]
-
-
 class PassInbox:
-    """Collects poses and wrenches of one pass that starts at the stamp ``start_ns`` and takes ``end_ns``.
+    """Collects poses and wrenches of one pass along a reference, which starts at the stamp ``start_ns``.
 
     All other times are those of the pass, counted from its start. A pass is complete when pose and wrench have
     reached the end, each as often as the exchange is iterated.
 
-    A robot with another clock starts when its tool leaves the first point of ``reference`` along the reference, or
-    with ``begin`` where its start is ``announced``; then ``start_ns`` becomes a stamp of this clock. ``clock``
-    recognises the stamps of the simulated robot. frames: of the wrenches, with those of a force sensor.
+    A robot with another clock starts when its tool leaves the first point along the reference, or with ``begin`` where
+    its start is ``announced``; then ``start_ns`` becomes a stamp of this clock.
     """
 
-    def __init__(
-        self,
-        end_ns: int,
-        iterations: int,
-        start_ns: int = 0,
-        reference: Trajectory | None = None,
-        clock: Clock | None = None,
-        frames: WrenchFrames | None = None,
-        announced: bool = False,
-    ):
-        self.end_ns = end_ns
+    def __init__(self, cell: Cell, reference: Trajectory, start_ns: int = 0, announced: bool = False):
+        self._clock = path_of(cell).clock  # recognises the stamps of the simulated robot
+        self.end_ns = int(self._clock.stamp(self._clock.steps(reference.duration_ns)))
         self.start_ns = self._planned_ns = start_ns
         self.foreign = False  #: the pass of a robot with another clock
         self.problem = ""  #: sentence on messages that do not fit; the caller clears it
+        self.frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
         self._reference = reference
-        self._clock = clock
-        self._frames = frames
         self._announced = announced
-        self._iterations = iterations
+        self._iterations = cell.exchange.iterations
         self.clear()
 
     def clear(self, wrenches: dict[int, FrameWrench] | None = None) -> None:
         """Await the next pass; wrenches: those of this pass that came before its first pose."""
         # plain tuples: a collection of garbage visits every NamedTuple, of which a pass of minutes has a million
         self._poses: dict[int, PositionQuaternion] = {}  # by their stamps, ascending
-        self._wrenches: dict[int, FrameWrench] = dict(wrenches or {})
+        self.wrenches: dict[int, FrameWrench] = dict(wrenches or {})  #: of the pass, by their stamps
         self._early: dict[int, FrameWrench] = {}
-        self._ignored = 0
+        self.ignored = 0  #: poses of a pass whose start was not received
         self.start_ns, self.foreign = self._planned_ns if self.foreign else self.start_ns, False
-        self._seeker = None if self._reference is None else StartSeeker(self._reference, self._announced)
+        self._distance: float | None = None
+        self._waiting: deque[PoseSample] = deque(maxlen=2000)  # poses of a robot with another clock before the start
+        self._before: deque[WrenchSample] = deque(maxlen=2000)
         self._standing: list[WrenchSample] = []  # wrenches before the start
         self._near_ns = 0  # time of the last pose near the reference
         self._gap_ns = GAP_NS  # longest time between two messages that was reported
@@ -156,7 +108,7 @@ class PassInbox:
     @property
     def distance(self) -> float | None:
         """Distance [m] of a tool that waits from the first point of the reference; None where no such tool is known."""
-        return None if self._seeker is None or self.started else self._seeker.distance
+        return None if self.started else self._distance
 
     @property
     def started(self) -> bool:
@@ -178,16 +130,6 @@ class PassInbox:
         """Time of the last pose that counts."""
         return next(reversed(self._poses), 0)
 
-    @property
-    def ignored(self) -> int:
-        """Number of poses of a pass whose start was not received."""
-        return 0 if self._poses else self._ignored
-
-    @property
-    def has_wrench(self) -> bool:
-        """Return whether a wrench of the pass was received."""
-        return bool(self._wrenches)
-
     def pose(self, sample: PoseSample) -> None:
         """Take a pose that was checked."""
         time = sample.stamp - self.start_ns
@@ -195,21 +137,18 @@ class PassInbox:
             self._foreign_pose(time, sample)
             return
         last = next(reversed(self._poses), -1)
-        if self._seeker is not None and last < 0 and self._is_foreign(time):
-            self._ignored += 1
-            start = self._seeker.pose(sample)
+        if self._is_foreign(time):
+            self.ignored += 1
+            start = self._start_of(sample) if last < 0 else None
             if start is not None:
                 self.begin(start)
-            return
-        if last >= 0 and self._is_foreign(time):  # of another publisher
-            self._ignored += 1
             return
         if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
             self.clear(self._early)
             last = -1
         unstarted = last < 0 and time != 0
         if time != last and (time < last or last >= self.end_ns or unstarted):
-            self._ignored += 1  # older than the last one, after the end, or without the start
+            self.ignored += 1  # older than the last one, after the end, or without the start
             return
         self._check_gap("tool_pose", time, last if last >= 0 else 0)
         # repeated where the exchange is iterated, or the robot asked again
@@ -218,27 +157,39 @@ class PassInbox:
 
     def _is_foreign(self, time: int) -> bool:
         """Return whether a time cannot be a stamp of the simulated robot."""
-        if self._clock is None or self._announced:
-            return self._announced
-        return not 0 <= time <= self.end_ns or self._clock.step(time) < 0
+        return self._announced or not 0 <= time <= self.end_ns or self._clock.step(time) < 0
+
+    def _start_of(self, sample: PoseSample) -> int | None:
+        """Take a pose before the start; return the stamp [ns] of the start where the tool has left the first point."""
+        self._distance = float(np.linalg.norm(sample.position - self._reference.position[0]))
+        if self._announced or self._distance <= START_TOLERANCE:
+            self._waiting.append(sample)
+        elif self._waiting:
+            times = np.arange(0, min(SEEK_NS, self._reference.duration_ns) + 1, SEEK_NS // 1000)
+            off = np.linalg.norm(self._reference.sample(times) - sample.position, axis=1)
+            nearest = int(np.argmin(off))
+            if off[nearest] <= START_TOLERANCE:
+                self._waiting.append(sample)
+                return sample.stamp - int(times[nearest])
+            self._waiting.clear()
+        return None
 
     def begin(self, start_ns: int) -> None:
         """Begin the pass of a robot with another clock at a stamp [ns] of this clock."""
-        restarted, seeker = self.started, self._seeker
+        restarted, waiting, before = self.started, self._waiting, self._before
         self.clear()
         self.problem = "the robot began the pass again" if restarted else self.problem
         self._planned_ns = self.start_ns
         self.foreign, self.start_ns = True, start_ns
         self._last_poses = self._last_wrenches = 1
-        if seeker is None:
-            return
-        self._standing = seeker.standing(start_ns)
-        if self._frames is not None and self._frames.untared(self._standing):
+        first = waiting[0].stamp if waiting else start_ns  # the tool waits for the start from here
+        self._standing = [sample for sample in before if first <= sample.stamp < start_ns]
+        if self.frames.untared(self._standing):
             self.problem = "no wrench of the force sensor before the start: its offset is not subtracted"
-        for pose in seeker.poses:
+        for pose in waiting:
             if pose.stamp >= start_ns:
                 self.pose(pose)
-        for wrench in seeker.wrenches:
+        for wrench in before:
             self.wrench(wrench)
 
     def _foreign_pose(self, time: int, sample: PoseSample) -> None:
@@ -249,29 +200,23 @@ class PassInbox:
             self.problem = f"tool_pose: the stamp is {what}, so the pose is not used"
         if time < last or last >= self.end_ns:
             return
-        if self._reference is None or not is_far(self._reference, time, sample.position):
+        if not is_far(self._reference, time, sample.position):
             self._near_ns = max(time, 0)
         if time - last > BREAK_NS:
-            self._break_off(f"no tool_pose for {(time - last) * 1e-9:.1f} s", sample)
+            self.break_off(f"no tool_pose for {(time - last) * 1e-9:.1f} s", sample)
         elif time - self._near_ns > BREAK_NS:
-            self._break_off(
-                "the tool does not move, is slow or has left the reference (is the override 100 %?)", sample
-            )
+            self.break_off("the tool does not move, is slow or has left the reference (is the override 100 %?)", sample)
         else:
             self._check_gap("tool_pose", time, last)
             self._poses[time] = sample.position, sample.quaternion
             self._last_poses -= time >= self.end_ns
 
-    def _break_off(self, reason: str, sample: PoseSample | None = None) -> None:
+    def break_off(self, reason: str, sample: PoseSample | None = None) -> None:
         """End the pass without a revision and seek the next start, which may be near this pose."""
         self.clear()
         self.problem = f"{reason}: the pass is over and is not used; the next start begins another pass"
         if sample is not None and not self._announced:
             self.pose(sample)
-
-    def give_up(self) -> None:
-        """End a pass whose poses have stopped."""
-        self._break_off(f"no tool_pose for {BREAK_NS * 1e-9:g} s")
 
     def _check_gap(self, topic: str, time: int, last: int) -> None:
         """State a gap that is longer than those before."""
@@ -284,17 +229,16 @@ class PassInbox:
         if self.foreign:
             time = sample.stamp - self.start_ns
             if time >= 0 and self._last_wrenches > 0:
-                self._check_gap("wrench", time, next(reversed(self._wrenches), time))
-                self._wrenches[time] = sample.frame, sample.wrench
+                self._check_gap("wrench", time, next(reversed(self.wrenches), time))
+                self.wrenches[time] = sample.frame, sample.wrench
                 self._last_wrenches -= time >= self.end_ns
             return
-        if self._seeker is not None:
-            self._seeker.wrenches.append(sample)
+        self._before.append(sample)
         time = sample.stamp - self.start_ns
         if time == 0 and list(self._poses) != [0]:
             self._early = {0: (sample.frame, sample.wrench)}  # it may overtake the pose that it answers
         elif self._poses and not self._is_foreign(time):
-            self._wrenches[time] = sample.frame, sample.wrench
+            self.wrenches[time] = sample.frame, sample.wrench
             self._last_wrenches -= time >= self.end_ns
 
     def received(self) -> ReceivedPass:
@@ -303,14 +247,14 @@ class PassInbox:
         Raises MessageError where the poses of a robot with another clock are no pass along the reference.
         """
         stamps, poses = np.array(list(self._poses), np.int64), list(self._poses.values())
-        times = np.array(sorted(self._wrenches), np.int64)
+        times = np.array(sorted(self.wrenches), np.int64)
         nearest = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0)
-        samples = [self._wrenches[stamp] for stamp in times.tolist()]
+        samples = [self.wrenches[stamp] for stamp in times.tolist()]
         turned = self._at_tip(samples, [poses[k][1] for k in nearest.tolist()])
         position = np.array([place for place, _ in poses], float).reshape(-1, 3)
-        if self.foreign and self._reference is not None:
-            if self._wrenches:
-                self._check_gap("wrench", self.end_ns, next(reversed(self._wrenches)))
+        if self.foreign:
+            if self.wrenches:
+                self._check_gap("wrench", self.end_ns, next(reversed(self.wrenches)))
             late = lag(self._reference, stamps, position)
             stamps, times = stamps - late, times - late
             check_follows(self._reference, stamps, position)
@@ -321,12 +265,9 @@ class PassInbox:
         frames, wrench = [frame for frame, _ in samples], np.array([w for _, w in samples], float).reshape(-1, 6)
         for frame in set(frames) - {WORKPIECE}:
             rows = [row for row, name in enumerate(frames) if name == frame]
-            if self._frames is None or frame == TOOL:
-                wrench[rows] = [in_workpiece_axes(WrenchSample(0, *samples[row]), quaternions[row]) for row in rows]
-                continue
             turns = np.array([quaternions[row] for row in rows])
-            offset = self._frames.offset(self._standing, next(iter(self._poses.values()))[1])
-            wrench[rows] = self._frames.at_tip(frame, wrench[rows], turns, offset)
+            offset = self.frames.offset(self._standing, next(iter(self._poses.values()))[1])
+            wrench[rows] = self.frames.at_tip(frame, wrench[rows], turns, offset)
         return wrench
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from kr270_milling.base.errors import MessageError, MillingError
 from kr270_milling.base.frames import TOOL, TOOL0, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.paths import MOST_STEPS
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.periods import Clock
@@ -18,8 +19,6 @@ from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.sensor import ForceSensor, moved_wrench
 
 Output = tuple[str, object]  #: topic, record
-
-MOST_STEPS = 20_000_000  #: exchange periods of a pass, 2.8 h at 0.5 ms; assumed: the arrays of a pass then have 3 GB
 
 
 class ExchangeError(MillingError):
@@ -53,18 +52,6 @@ def checked_wrench(sample: WrenchSample, frames: Sequence[str] = (WORKPIECE, TOO
     return sample
 
 
-def in_workpiece_axes(sample: WrenchSample, quaternion: np.ndarray) -> np.ndarray:
-    """Return the wrench (6,) in workpiece axes; a force sensor may publish it in the axes of tcp.
-
-    F_workpiece = R F_tool and M_workpiece = R M_tool: both are taken at the tool tip. quaternion: of tcp, (4,).
-    """
-    wrench = sample.wrench
-    if sample.frame == WORKPIECE:
-        return wrench
-    rotation_tool_to_workpiece = rotation_from_quaternion(quaternion)
-    return np.concatenate([rotation_tool_to_workpiece @ wrench[:3], rotation_tool_to_workpiece @ wrench[3:]])
-
-
 class WrenchFrames:
     """The frames in which the compensator takes a wrench, and the wrench at the tool tip in workpiece axes.
 
@@ -75,13 +62,14 @@ class WrenchFrames:
     def __init__(self, mount: Mount, workpiece: Workpiece, sensor: ForceSensor):
         flange = mount.pose.inverse()
         self._sensor = sensor
-        self._on_tool = {"flange": flange, "tool0": flange @ TOOL0}  # pose in tcp
+        # pose in tcp
+        self._on_tool = {TOOL: Pose(np.zeros(3), np.eye(3)), "flange": flange, "tool0": flange @ TOOL0}
         base = workpiece.pose.rotation.T  # axes of the base in those of the workpiece
         self._fixed = {"base": base, "base_link": base}
         self._gravity = base @ [0.0, 0.0, -GRAVITY]
         if self._sensor.frame:
             self._on_tool[self._sensor.frame] = flange @ TOOL0 @ self._sensor.pose
-        self.names = (WORKPIECE, TOOL, *self._fixed, *self._on_tool)
+        self.names = (WORKPIECE, *self._on_tool, *self._fixed)
 
     def untared(self, standing: Sequence[WrenchSample]) -> bool:
         """Return whether no reading of the sensor is among the wrenches before the start."""

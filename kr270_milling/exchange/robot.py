@@ -9,14 +9,15 @@ import math
 
 import numpy as np
 
-from kr270_milling.base.frames import WORKPIECE
+from kr270_milling.base.frames import TOOL, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_model_of, arm_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
-from kr270_milling.exchange.inputs import ExchangeError, Output, checked_length, checked_wrench, in_workpiece_axes
+from kr270_milling.exchange.inputs import ExchangeError, Output, checked_length, checked_wrench
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import CompliantArm
+from kr270_milling.physics.robot.sensor import moved_wrench
 from kr270_milling.physics.robot.urdf import urdf
 
 
@@ -54,9 +55,8 @@ class RobotProtocol:
         self.steps = path_of(cell).clock.steps(planned.duration_ns)
         stamps = path_of(cell).clock.stamp(np.arange(self.steps + 1))
         self.start_ns = reference.start_ns
-        self._stamps: list[int] = (
-            stamps + self.start_ns
-        ).tolist()  # a list gives an item in a tenth of the time of an array
+        # a list gives an item in a tenth of the time of an array
+        self._stamps: list[int] = (stamps + self.start_ns).tolist()
         self._unloaded = planned.sample(stamps)  # [m], (steps + 1, 3)
         self._orientation = planned.sample_orientation(stamps)  # (steps + 1, 4)
         # the encoders are at the motors
@@ -95,12 +95,19 @@ class RobotProtocol:
         checked_wrench(sample)
         if sample.stamp != self.awaited_ns:
             return []
-        wrench = in_workpiece_axes(sample, self._orientation[self._step])
+        wrench = sample.wrench
+        if sample.frame == TOOL:
+            rotation = rotation_from_quaternion(self._orientation[self._step])
+            wrench = moved_wrench(wrench, Pose(np.zeros(3), rotation))
         if self._step > 0 and self._iteration + 1 < self._iterations:
             self._iteration += 1
             self._tool = self._unloaded[self._step] + self._arm.predict(wrench)[:3]
             return [self._question()]
-        step, deflection = self._step, self._correct(wrench)
+        step, deflection = self._step, np.zeros(6)  # the pass starts at rest, without load
+        if step > 0:
+            deflection = self._arm.correct(wrench)
+            x, y, z = (self._unloaded[step] + deflection[:3] - self._tool).tolist()
+            self.correction = max(self.correction, math.sqrt(x * x + y * y + z * z))
         self._step, self._iteration = step + 1, 0
         if step == self.steps:
             self.finished = True
@@ -111,18 +118,7 @@ class RobotProtocol:
         # the tool pose comes first, so that the cut works while the other messages are published
         return [self._question(), *self._state(step, sample.stamp, deflection)]
 
-    def _correct(self, wrench: np.ndarray) -> np.ndarray:
-        """Return the deflection (6,) at the end of the period; the pass starts at rest, without load."""
-        if self._step == 0:
-            return np.zeros(6)
-        deflection = self._arm.correct(wrench)
-        x, y, z = (self._unloaded[self._step] + deflection[:3] - self._tool).tolist()
-        self.correction = max(self.correction, math.sqrt(x * x + y * y + z * z))
-        return deflection
-
     def _question(self) -> Output:
-        if not self.started:
-            raise ExchangeError(0, "no pass was started")
         return "tool_pose", PoseSample(self.awaited_ns, WORKPIECE, self._tool, self._orientation[self._step])
 
     def _state(self, step: int, stamp_ns: int, deflection: np.ndarray) -> list[Output]:

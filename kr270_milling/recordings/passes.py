@@ -17,7 +17,7 @@ from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.bag.mcap_file import OnDamage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import FIXED, layout_of, unpack_alike
-from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes, type_of
+from kr270_milling.recordings.messages.codec import from_bytes, type_of
 from kr270_milling.recordings.messages.topics import TOPICS
 
 
@@ -60,8 +60,14 @@ class _Batch:
     """Collects a topic and unpacks consecutive messages of one layout together."""
 
     def __init__(self, recording: Recording, topic: str, frame: str | None = None):
-        self._recording, self._topic, self._width = recording, topic, _width(recording, topic)
-        self._frame = frame
+        about = recording.topics().get(topic)
+        if about is None:
+            raise RecordingError(recording.path, f"has no topic {topic}")
+        if about.encoding != "cdr" or about.type not in FIXED:
+            reason = f"{topic} is {about.type or 'of no type'}, which is no series of numbers"
+            raise RecordingError(recording.path, reason)
+        self._path, self._topic, self._type, self._frame = recording.path, topic, about.type, frame
+        self._width = len(FIXED[about.type])
         self._layout: tuple = ()
         self._refused: ValueError | None = None
         self._waiting: list[bytes] = []
@@ -90,22 +96,12 @@ class _Batch:
     def series(self) -> TopicSeries:
         self._unpack()
         if self._refused and len(self._stamps) == 1:
-            kind = self._recording.topics()[self._topic].type
-            reason = f"a message on {self._topic} is not a {kind}: {self._refused}"
-            raise RecordingError(self._recording.path, reason) from self._refused
+            reason = f"a message on {self._topic} is not a {self._type}: {self._refused}"
+            raise RecordingError(self._path, reason) from self._refused
         result = TopicSeries(np.concatenate(self._stamps), np.concatenate(self._values))
         for column in result:
             column.setflags(write=False)
         return result
-
-
-def _width(recording: Recording, topic: str) -> int:
-    about = recording.topics().get(topic)
-    if about is None:
-        raise RecordingError(recording.path, f"has no topic {topic}")
-    if about.encoding != "cdr" or about.type not in FIXED:
-        raise RecordingError(recording.path, f"{topic} is {about.type or 'of no type'}, which is no series of numbers")
-    return len(FIXED[about.type])
 
 
 EXCHANGED = ("tool_pose", "wrench", "deflection")
@@ -164,7 +160,6 @@ class GraphRecord:
     namespace: str
     topics: dict[str, str] = dataclasses.field(default_factory=dict)  #: our names -> names in the recording
     references: list[Trajectory] = dataclasses.field(default_factory=list)  #: in the order of the file
-    published: list[Trajectory] = dataclasses.field(default_factory=list)  #: the same, with the bits of the messages
     targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: fingerprint -> target, in this order
     states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: states in the order of the file
     refused: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that cannot be read
@@ -230,21 +225,16 @@ def read_graph(
     maps: list[StockMap] = []
     walls: list[float] = []  # wall times of complete passes [s]
 
-    def add_reference(data: bytes) -> Trajectory:
-        reference, as_sent = trajectory_from_bytes(data), trajectory_from_bytes(data, as_sent=True)
-        graph.published.append(as_sent)
-        return reference
-
     def add_target(target: Trajectory) -> None:
         graph.targets[fingerprint(target)] = target
 
     take: dict[str, Callable] = {
         "target_trajectory": add_target,
         "compensator_state": graph.states.append,
+        "reference_trajectory": graph.references.append,
         **({"joint_states": joints.append, "workpiece": maps.append} if joint_names else {}),
     }
     others = {f"{space}/{name}": _reader(graph, name, receive) for name, receive in take.items()}
-    others[reference] = _reader(graph, "reference_trajectory", graph.references.append, add_reference)
     if "/diagnostics" in recording.topics():
         with contextlib.suppress(RecordingError):  # of another kind; only the wall times are missing then
             decode = recording.decoder("/diagnostics")
@@ -266,15 +256,12 @@ def read_graph(
     return graph
 
 
-def _reader(
-    graph: GraphRecord, name: str, take: Callable, read: Callable[[bytes], object] | None = None
-) -> Callable[[bytes], None]:
+def _reader(graph: GraphRecord, name: str, take: Callable) -> Callable[[bytes], None]:
     """Return the receiver of a topic's messages; a message that the nodes refuse is counted."""
-    read = read or (lambda data: from_bytes(TYPES[name], data))
 
     def receive(data: bytes) -> None:
         try:
-            record = read(data)
+            record = from_bytes(TYPES[name], data)
         except (MillingError, ValueError):
             graph.refused[name] = graph.refused.get(name, 0) + 1
         else:

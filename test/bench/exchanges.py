@@ -34,7 +34,7 @@ from kr270_milling.live.graph.processes import RunError
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import child_environment, keep_to_this_host
 from kr270_milling.recordings.messages.codec import to_bytes
-from kr270_milling.recordings.messages.topics import RECORDER
+from kr270_milling.recordings.messages.topics import CUT, RECORDER
 
 TRIPS = 4000
 HERE = Path(__file__).resolve().parents[1]
@@ -49,7 +49,8 @@ class Unrecorded(Graph):
     def begin_recording(self, name: str) -> None: ...
 
     def end_recording(self) -> None:
-        self.renew_workpiece()
+        for transition in ("cleanup", "configure"):
+            self.driver.transition(transition, CUT, deadline=60.0)
 
 
 class Partner(Node):

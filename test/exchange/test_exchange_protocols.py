@@ -159,7 +159,7 @@ def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_ce
     going = [cut.under_way]
     run(robot, cut, lambda robot, cut, pose: going.append(cut.under_way) or [])
     assert going == [False, False] + [True] * (len(going) - 2) and not cut.under_way and cut.at_end
-    ((_, used),) = cut.workpiece()
+    used = cut.map_of_part()
     assert used.stamp == cut.stamp_ns == path_of(short_cell).clock.stamp(robot.steps) and used.cells.min() < 100
     share = (100 - used.cells.astype(float)) / 100
     height, area = short_cell.stock.max[2] - short_cell.stock.min[2], used.resolution**2

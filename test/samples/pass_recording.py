@@ -10,7 +10,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from samples.recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH
+from samples.recording_samples import GRID, JOINTS, PATH, POSE, TEXT, TWIST, WRENCH, profile
 
 from kr270_milling.base.arguments import PLAY
 from kr270_milling.base.parameter_file import find_file
@@ -30,7 +30,7 @@ needs_messages = pytest.mark.skipif(
     importlib.util.find_spec("geometry_msgs") is None, reason="the message definitions of ROS are not installed"
 )
 STATE = "diagnostic_msgs/msg/DiagnosticStatus"
-LATCHED = {"durability": "transient_local", "depth": 1}
+LATCHED = profile(1, "TRANSIENT_LOCAL")
 LATCHED_TOPICS = {topic.name for topic in TOPICS if topic.latched}
 LATCHED_FIRST = 2  # state and reference, which the compensator publishes together
 STEPS = 121  # 4 mm at 4 m/min, every 0.5 ms
@@ -117,7 +117,7 @@ def _exchange(robot, cut, compensator, file: str) -> list[Message]:
             sent += messages(answer)
             revised += compensator.wrench(answer[0][1])
             outputs += robot.wrench(answer[0][1])
-    return sent + messages(cut.workpiece()) + messages(revised)
+    return sent + messages([("workpiece", cut.map_of_part())]) + messages(revised)
 
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS, "robot_description": TEXT,
@@ -136,7 +136,7 @@ def write(
     with BagWriter(directory, attachments=attached, metadata={"seed": "1"}) as writer:
         for namespace in namespaces:
             for name, kind in TYPES.items():
-                writer.add_topic(f"{namespace}/{name}", kind, [LATCHED] if name in LATCHED_TOPICS else [{}])
+                writer.add_topic(f"{namespace}/{name}", kind, [LATCHED] if name in LATCHED_TOPICS else ())
         for i, message in enumerate(messages):
             for namespace in namespaces:
                 writer.write(f"{namespace}/{message.topic}", message.data, 10**9 + spacing * i)

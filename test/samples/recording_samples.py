@@ -7,9 +7,11 @@ import functools
 import resource
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
 from rosbags.typesys import Stores, get_typestore
 
 from kr270_milling.recordings.bag.reader import Recording
@@ -36,6 +38,15 @@ TOPICS = {
     "/diagnostics": DIAGNOSTICS,
     "/clock": CLOCK,
 }
+
+
+def profile(depth: int = 10, durability: str = "VOLATILE"):
+    """A reliable profile with the attributes of rclpy's."""
+    keys = ("deadline", "lifespan", "liveliness_lease_duration")
+    always = dict.fromkeys(keys, SimpleNamespace(nanoseconds=2**63 - 1))
+    return SimpleNamespace(history=QosHistory.KEEP_LAST, depth=depth, reliability=QosReliability.RELIABLE,
+                           durability=QosDurability[durability], liveliness=QosLiveliness.AUTOMATIC,
+                           avoid_ros_namespace_conventions=False, **always)  # fmt: skip
 
 
 def make(type_name: str, *args):
@@ -118,7 +129,7 @@ def record(directory, steps: int = 50, topics=tuple(TOPICS), **options) -> list[
     written = []
     with BagWriter(directory, **options) as writer:
         for topic in topics:
-            writer.add_topic(topic, TOPICS[topic], [{"durability": "transient_local", "depth": 1}])
+            writer.add_topic(topic, TOPICS[topic], [profile(1, "TRANSIENT_LOCAL")])
         for step in range(steps):
             for topic in topics:
                 data = raw(sample(topic, step))

@@ -26,7 +26,7 @@ from kr270_milling.exchange.replay.revisions import (
     NotRecorded,
     Revisions,
     array_difference,
-    pass_over,
+    costs_messages,
     record_difference,
     robots_of,
     usable,
@@ -35,7 +35,7 @@ from kr270_milling.physics.motion.milling_pass import CompliantArm, silent_perio
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.messages.topics import TOPICS
-from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
+from kr270_milling.recordings.passes import PassSeries, Series, read_graph
 
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
 AXES = {  # fields of the columns of a topic
@@ -146,7 +146,7 @@ class _Robot:
         self.first: tuple[tuple, Difference] | None = None  # its order by pass, time and cause
         self.stops: list[dict] = []
         self._namespace, self._cut_off = namespace, recording.cut_off
-        graph = read_graph(recording, path_of(self.cell).clock, namespace, self.cell.joint_names, pass_over)
+        graph = read_graph(recording, path_of(self.cell).clock, namespace, self.cell.joint_names, costs_messages)
         poses = recording.topics()[graph.topics["tool_pose"]].count if "tool_pose" in graph.topics else 0
         if poses > graph.refused.get("tool_pose", 0) and not graph.passes:
             reason = "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report "
@@ -156,8 +156,13 @@ class _Robot:
             complete += self._compare_pass(series, number, complete)
             if progress:
                 progress(number + 1, len(graph.passes))
-        self._check_outputs(graph)
-        self._compare_revisions(Revisions(recording, cells, graph))
+        for name, others in (("deflection", graph.outside), ("joint_states", graph.refused)):
+            other = others.get(name, 0)  # messages that only the robot publishes, of no pass or unreadable
+            if graph.passes and other > (UNDER_WAY if self._cut_off else 0):
+                self._count(name).not_compared += other
+                reason = f"{other} messages on {namespace}/{name} were not compared: no recorded input leads to them"
+                self._stop(None, reason)
+        self._compare_revisions(Revisions(cells, graph))
         if not any(self._count(name).compared for name in ("tool_pose", "wrench")) and not self.stops:
             self._stop(None, "no pass is in the recording: no tool_pose and no wrench was compared")
 
@@ -167,20 +172,28 @@ class _Robot:
     def _stop(self, stamp_ns: int | None, reason: str) -> None:
         self.stops.append(dict(robot=self._namespace or "/", stamp_ns=stamp_ns, reason=reason))
 
-    def _differs(self, name: str, order: tuple[int, int], index: int, field: str, recorded, recomputed) -> None:
-        """Keep the difference if it is the first by pass, time and cause."""
+    def _judge(self, name: str, order: tuple[int, int], index: int, difference: tuple | None, count: int = 1) -> None:
+        """Count a compared message and its difference; keep the first difference by pass, time and cause.
+
+        difference: field and both values, of the first of ``count`` messages that differ; None: none differs.
+        """
+        counted = self._count(name)
+        counted.compared += 1
+        if difference is None:
+            return
+        counted.differing += count
         key = (*order, [topic.name for topic in TOPICS].index(name))  # in the order of causes
         if self.first is None or key < self.first[0]:
-            topic = f"{self._namespace}/{name}"
-            self.first = key, Difference(topic, index, order[1], field, recorded, recomputed)
+            self.first = key, Difference(f"{self._namespace}/{name}", index, order[1], *difference)
 
     # --- robot and cut ---
 
     def _compare_pass(self, series: PassSeries, number: int, complete: int) -> bool:
         """Compare one pass; return whether it ran to the end of its reference. complete: passes before that did."""
-        last = path_of(self.plant).clock.steps(series.reference.duration_ns)
+        clock = path_of(self.plant).clock
+        last = clock.steps(series.reference.duration_ns)
         wrench, pose = series.topic("wrench").last(), series.topic("tool_pose").last()
-        start, inputs = series.reference.start_ns, {"wrench": wrench.unbroken(), "tool pose": pose.unbroken()}
+        inputs = {"wrench": wrench.unbroken(), "tool pose": pose.unbroken()}
         if series.reason or not inputs["tool pose"]:
             self._stop(None, series.reason or "the recording begins in the middle of a pass, whose state is not known")
             for name, part in series.series.items():
@@ -188,35 +201,23 @@ class _Robot:
             return False
         outputs = self._robot(series, wrench, inputs["wrench"], last, complete)
         outputs["wrench"] = self._cut(series, number, pose, inputs["tool pose"])
-        for name, expected in outputs.items():
-            self._compare(name, series, number, expected)
         whole = inputs["wrench"] > last
         allowed = 0 if whole and not self._cut_off else UNDER_WAY
+        for name, expected in outputs.items():
+            self._compare(name, series, number, expected)
         for cause, effects in (("wrench", ("tool_pose", "deflection")), ("tool pose", ("wrench",))):
             beyond = max((int(series.topic(name).step[-1]) for name in effects if name in series.series), default=0)
             if beyond - inputs[cause] >= allowed and inputs[cause] <= last:
-                stamp = start + int(path_of(self.plant).clock.stamp(inputs[cause]))
+                stamp = series.reference.start_ns + int(clock.stamp(inputs[cause]))
                 self._stop(stamp, f"the {cause} of this time is not in the recording")
-        for name in ("deflection", "joint_states"):
-            self._check_tail(name, series, min(len(outputs[name]), last + 1) - allowed)
+        for name in ("deflection", "joint_states"):  # a gap in the stamps does not show the end of a series
+            every, there, topic = self._every(name), series.topic(name).step, f"{self._namespace}/{name}"
+            end = max(min(len(outputs[name]), last + 1) - allowed, 0)
+            due = (end - 1) // every - (int(there[-1]) // every if there.size else -1)
+            if due > 0 and not self._cut_off and topic in self.counts:
+                reason = f"{due} messages that belong on {topic} are not in the recording, and the stamps show no gap"
+                self._stop(None, reason)
         return whole
-
-    def _check_tail(self, name: str, series: PassSeries, end: int) -> None:
-        """Stop where the last messages of a pass are missing, which no gap in the stamps shows."""
-        every, there, topic = self._every(name), series.topic(name).step, f"{self._namespace}/{name}"
-        due = (max(end, 0) - 1) // every - (int(there[-1]) // every if there.size else -1)
-        if due > 0 and not self._cut_off and topic in self.counts:
-            reason = f"{due} messages that belong on {topic} are not in the recording, and the stamps show no gap"
-            self._stop(None, reason)
-
-    def _check_outputs(self, graph: GraphRecord) -> None:
-        """Stop where messages that only the robot publishes belong to no pass, or cannot be read."""
-        for name in ("deflection", "joint_states"):
-            topic = f"{self._namespace}/{name}"
-            other = graph.refused.get(name, 0) if name == "joint_states" else graph.outside.get(name, 0)
-            if graph.passes and other > (UNDER_WAY if self._cut_off else 0):
-                self._count(name).not_compared += other
-                self._stop(None, f"{other} messages on {topic} were not compared: no recorded input leads to them")
 
     def _every(self, name: str) -> int:
         """Return the number of steps from one message that must be there to the next."""
@@ -239,31 +240,30 @@ class _Robot:
             if step < count:
                 deflection[step] = arm.correct(wrench.values[step])
         turn = planned.sample_orientation(stamps[: len(tool)])
-        every = self.cell.publish.steps(self.cell.exchange)
+        every = self._every("joint_states")
         joints = arm_of(plant).joints_along(reference, stamps[:count:every]) if count else np.zeros((0, 6))
         repeated = np.repeat(joints, every, axis=0)[:count]  # only the rows at multiples of ``every`` are compared
         return {"tool_pose": np.hstack([tool, turn]), "deflection": deflection, "joint_states": repeated}
 
     def _cut(self, series: PassSeries, number: int, pose: Series, count: int) -> np.ndarray:
         """Return the wrenches along the recorded poses, by steps; compare the map of the part at their end."""
-        plant, steps = self.plant, np.arange(count)
+        plant, path = self.plant, path_of(self.plant)
+        steps = np.arange(count)
+        stamps = path.clock.stamp(steps)
         protocol = CutProtocol(plant)
         protocol.cut = cut_of(plant)
         axes = tool_axis(pose.values[:count, 3:7]) if protocol.cut.tilts else None
-        wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * path_of(plant).clock.micro_steps, axes=axes)
-        if path_of(plant).drills:
-            wrench[silent_periods(path_of(plant).drilling_at(path_of(plant).clock.stamp(steps)))] = 0.0
-        protocol.stamp_ns = series.reference.start_ns + int(path_of(plant).clock.stamp(count - 1))
+        wrench, _, _ = protocol.cut.along(pose.values[:count, :3], steps * path.clock.micro_steps, axes=axes)
+        if path.drills:
+            wrench[silent_periods(path.drilling_at(stamps))] = 0.0
+        protocol.stamp_ns = series.reference.start_ns + int(stamps[-1])
         expected = protocol.map_of_part()
         at_end = [index for index, recorded in enumerate(series.maps) if recorded.stamp == expected.stamp]
         if series.maps:  # the others are of the part before, or within the pass
             self._count("workpiece").not_compared += len(series.maps) - bool(at_end)
-        if at_end:
-            counted, recorded = self._count("workpiece"), series.maps[at_end[-1]]
-            counted.compared += 1
-            if field := array_difference("data", recorded.cells.T.ravel(), expected.cells.T.ravel()):
-                counted.differing += 1
-                self._differs("workpiece", (number, recorded.stamp), at_end[-1], *field)
+        for index in at_end[-1:]:
+            cells = (stock_map.cells.T.ravel() for stock_map in (series.maps[index], expected))
+            self._judge("workpiece", (number, expected.stamp), index, array_difference("data", *cells))
         return wrench
 
     def _compare(self, name: str, series: PassSeries, number: int, expected: np.ndarray) -> None:
@@ -271,35 +271,31 @@ class _Robot:
         there, every = series.topic(name).last(), self._every(name)
         if not there.step.size:
             return
-        counted = self._count(name)
         used = there.step < len(expected)
         if name == "joint_states":
             used &= there.step % every == 0
-        steps, values = there.step[used], there.values[used]
-        if name == "joint_states" and values.shape[1] != expected.shape[1]:
-            counted.not_compared += there.step.size
-            return
-        different = (expected[steps].view(np.int64) != np.ascontiguousarray(values).view(np.int64)).any(axis=1)
-        before, row = counted.compared + counted.not_compared, int(np.argmax(different)) if different.any() else -1
-        counted.compared += int(np.count_nonzero(used))
-        counted.differing += int(np.count_nonzero(different))
-        counted.not_compared += int(np.count_nonzero(~used))
+        steps, values = there.step[used], np.ascontiguousarray(there.values[used])
+        counted, rows = self._count(name), np.flatnonzero(used)
+        before = counted.compared + counted.not_compared
+        counted.compared += rows.size
+        counted.not_compared += used.size - rows.size
         counted.missing += np.setdiff1d(np.arange(0, len(expected), every), there.step).size
-        if row >= 0:
-            column = int(np.argmax(expected[steps[row]].view(np.int64) != values[row].view(np.int64)))
-            stamp = series.reference.start_ns + int(there.stamp_ns[used][row])
-            index = before + int(np.flatnonzero(used)[row])
-            recorded, recomputed = float(values[row, column]), float(expected[steps[row], column])
-            self._differs(name, (number, stamp), index, AXES[name][column], recorded, recomputed)
+        different = expected[steps].view(np.int64) != values.view(np.int64)
+        if different.any():
+            row, column = np.argwhere(different)[0].tolist()
+            stamp = series.reference.start_ns + int(there.stamp_ns[rows[row]])
+            fields = AXES[name][column], float(values[row, column]), float(expected[steps[row], column])
+            counted.compared -= 1
+            index, count = before + int(rows[row]), int(np.count_nonzero(different.any(axis=1)))
+            self._judge(name, (number, stamp), index, fields, count)
 
     # --- compensator ---
 
     def _compare_revisions(self, revisions: Revisions) -> None:
         """Compare each state and reference of the compensator with those that the recorded passes lead to."""
         graph = revisions.graph
-        for index in range(max(len(graph.states), len(graph.published))):
-            order = revisions.order(index)
-            published: dict[str, list] = {"compensator_state": graph.states, "reference_trajectory": graph.published}
+        published: dict[str, list] = {"compensator_state": graph.states, "reference_trajectory": graph.references}
+        for index in range(max(map(len, published.values()))):
             names = [name for name, messages in published.items() if index < len(messages)]
             try:
                 rebuilt = revisions.rebuild(index)
@@ -310,12 +306,8 @@ class _Robot:
                     self._count(name).not_compared += 1
                 continue
             for name, expected in zip(published, rebuilt, strict=True):
-                if name not in names:
-                    if index < len(graph.states) - 1:  # a recorder may stop after the last state
-                        self._count(name).missing += 1
-                    continue
-                counted = self._count(name)
-                counted.compared += 1
-                if field := record_difference(published[name][index], expected):
-                    counted.differing += 1
-                    self._differs(name, order, index, *field)
+                if name in names:
+                    difference = record_difference(published[name][index], expected)
+                    self._judge(name, revisions.order(index), index, difference)
+                elif index < len(graph.states) - 1:  # a recorder may stop after the last state
+                    self._count(name).missing += 1

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -25,11 +26,9 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
-from kr270_milling.cell.paths import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
-from kr270_milling.exchange.compensator import end_of
 from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
-from kr270_milling.exchange.inputs import WrenchFrames, checked_pose, checked_wrench
+from kr270_milling.exchange.inputs import checked_length, checked_pose, checked_wrench
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -37,6 +36,7 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import from_bytes
 from kr270_milling.recordings.passes import EXCHANGED, TYPES, GraphRecord, PassSeries, Series, read_graph, series
 
+PLAIN = re.compile(rb"(?!\.\.?$)[^/\0]{1,200}")  # name of a file in one directory
 CELL_FILE, PLANT_FILE = "cell.yaml", "plant.yaml"
 Cells = tuple[Cell, Cell]  #: the cell that planned a pass, and the cell that cut in it
 
@@ -70,12 +70,7 @@ def recorded_cells(recording: Recording, file=None) -> Cells:
 
 def _names(recording: Recording) -> set[str]:
     """Return the names of the attachments that can be files in one directory."""
-    return {about.name for about in recording.attachments if _is_plain(about.name)}
-
-
-def _is_plain(name: str) -> bool:
-    alone = bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
-    return alone and len(name.encode()) <= 200  # bytes
+    return {about.name for about in recording.attachments if PLAIN.fullmatch(about.name.encode())}
 
 
 def _read_attached(recording: Recording, main: str) -> Cell:
@@ -107,7 +102,7 @@ def _localise(recording: Recording, file: Path, names: set[str], visited: set[st
     includes, path = (parameters.get("includes"), parameters.get("path")) if isinstance(parameters, dict) else ([], {})
     includes, path = includes if isinstance(includes, list) else [], path if isinstance(path, dict) else {}
     named = [*includes, *filter(None, [path.get("file")])]
-    far = [n for n in named if not isinstance(n, str) or not _is_plain(n)]
+    far = [n for n in named if not isinstance(n, str) or not PLAIN.fullmatch(n.encode())]
     foreign = [n for n in far if not isinstance(n, str) or Path(n).name not in names]
     if foreign:
         reason = f"its {file.name} names {repr(foreign[0])[:100]}, which is not attached"
@@ -125,35 +120,15 @@ def _localise(recording: Recording, file: Path, names: set[str], visited: set[st
 LONGEST_GAP = 100_000_000  # [ns] between two poses of a complete pass
 
 
-def read_passes(recording: Recording, cell: Cell, namespace: str | None = None) -> list[PassSeries]:
-    """Return every pass of one robot, also those that cannot be used. Raises RecordingError."""
-    graph = read_graph(recording, path_of(cell).clock, namespace)
-    if f"{graph.namespace}/correction" in recording.topics():
-        return [_rsi_pass(recording, cell, graph)]
-    passes = [
-        part for part in graph.passes if part.reason or part.topic("deflection").step.size
-    ]  # a driver publishes none
-    if any(not part.reason for part in passes):
-        return passes
-    return [*passes, *_driven_passes(recording, cell, graph)]
-
-
-def too_long(cell: Cell, reference: Trajectory) -> str:
-    """Return why a pass along a reference cannot be used, if the reference takes too long."""
-    longest = path_of(cell).clock.steps(reference.duration_ns) > MOST_STEPS
-    return f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s" if longest else ""
-
-
 def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iterator[PassSeries]:
     """Yield the passes of a robot with another clock, in the order of the file, as the compensator receives them."""
-    frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
     check: dict[str, Callable] = {  # as the compensator checks them
         "reference_trajectory": lambda run: run,
         "tool_pose": checked_pose,
-        "wrench": lambda sample: checked_wrench(sample, frames.names),
+        "wrench": lambda sample: checked_wrench(sample, inbox.frames.names),
     }
     names = {topic: name for name, topic in graph.topics.items() if name in check}
-    inbox, reference, number, last = PassInbox(0, 1), None, -1, b""
+    inbox, reference, number, last = PassInbox(cell, path_of(cell).target), None, -1, b""
     for message in recording.messages(set(names)):
         name = names[message.topic]
         if name == "reference_trajectory" and message.data == last:
@@ -166,7 +141,7 @@ def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iter
             if reference is not None:
                 yield from _received(cell, graph, number, reference, inbox)
             reference, number, last = record, number + 1, message.data
-            inbox = PassInbox(end_of(cell, record), 1, record.start_ns, record, path_of(cell).clock, frames)
+            inbox = PassInbox(cell, record, record.start_ns)
         elif reference is not None:
             late = inbox.foreign and record.stamp - inbox.start_ns > inbox.end_ns + BREAK_NS
             if inbox.foreign and inbox.at_end and (inbox.complete or late):
@@ -189,8 +164,7 @@ def _received(
         return
     target = graph.target_of(reference)
     try:
-        if reason := too_long(cell, reference):
-            raise MessageError(reason)
+        checked_length(reference, path_of(cell).clock)
         received = inbox.received()
     except MillingError as error:
         yield PassSeries(number, reference, target, {}, reason=str(error))
@@ -306,26 +280,39 @@ def passes_from_recording(
     """
     with Recording(path, remap=remap) as recording:
         cells = recorded_cells(recording, cell_file)
-        read = read_passes(recording, cells[0], namespace)
-        name, program = name or recording.path.stem, _program(recording, cells[0])
+        graph = read_graph(recording, path_of(cells[0]).clock, namespace)
+        if f"{graph.namespace}/correction" in recording.topics():
+            read = [_rsi_pass(recording, cells[0], graph)]
+        else:  # a driver publishes no deflection
+            read = [part for part in graph.passes if part.reason or part.topic("deflection").step.size]
+            if all(part.reason for part in read):
+                read += _driven_passes(recording, cells[0], graph)
+        name, file = name or recording.path.stem, Path(cells[0].path.file).name
+        attached = file in [about.name for about in recording.attachments]
+        program = recording.attachment(file).decode("utf-8", errors="replace") if attached else None
         names = [f"{name}_{number}" if len(read) > 1 else name for number in range(1, len(read) + 1)]
-        results = [_scored(recording, cells, *pair, program) for pair in zip(read, names, strict=True)]
-    passes = [result for result in results if not isinstance(result, str)]
-    unused = {name: result for name, result in zip(names, results, strict=True) if isinstance(result, str)}
+        passes = []
+        unused: dict[str, str] = {}  # pass that cannot be used: reason
+        for part, part_name in zip(read, names, strict=True):
+            try:
+                passes.append(_scored(recording, cells, part, part_name, program, unused))
+            except MessageError as error:  # noqa: PERF203 - one pass of several
+                unused[part_name] = str(error)
     if not passes:
         reason = f"holds no pass: {NO_PASS}, or a pass of a robot with another clock"
         raise RecordingError(recording.path, next(iter(unused.values()), reason))
-    return [(scored_pass, dataclasses.replace(facts, unused=unused)) for scored_pass, facts in passes]
+    return passes
 
 
 def _scored(
-    recording: Recording, cells: Cells, series: PassSeries, name: str, program: str | None
-) -> tuple[ScoredPass, RecordedFacts] | str:
-    """Return the scored pass, or the reason why it cannot be used."""
+    recording: Recording, cells: Cells, series: PassSeries, name: str, program: str | None, unused: Mapping[str, str]
+) -> tuple[ScoredPass, RecordedFacts]:
+    """Return a scored pass and its facts; raise MessageError for a pass that cannot be used."""
     cell, plant = cells
     reference, target = series.reference, series.target or path_of(cell).target
-    if reason := series.reason or too_long(cell, reference):
-        return reason
+    checked_length(reference, path_of(cell).clock)
+    if series.reason:
+        raise MessageError(series.reason)
     last = path_of(cell).clock.steps(reference.duration_ns)
     recorded = {kind: series.topic(kind).last() for kind in EXCHANGED}
     driven = series.stamps != "exchange"
@@ -334,7 +321,7 @@ def _scored(
         recorded["deflection"] = _all_deflections(plant, reference, planned, recorded)
     steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in recorded.values()))
     if steps.size < 2:
-        return f"has no {NO_PASS}"
+        raise MessageError(f"has no {NO_PASS}")
     rows = {kind: part.values[np.searchsorted(part.step, steps)] for kind, part in recorded.items()}
     if driven:
         lost = to_end = series.driven_lost
@@ -345,7 +332,7 @@ def _scored(
     result = _result(cells, target, planned, steps, rows, series.wall_s)
     scored_pass = ScoredPass(name, reference, result, scored(cell, result, low_frequency_of(plant), target))
     complete = complete and not recording.cut_off
-    return scored_pass, RecordedFacts(cell, target, lost, to_end, complete, program, series.stamps)
+    return scored_pass, RecordedFacts(cell, target, lost, to_end, complete, program, series.stamps, unused)
 
 
 def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, recorded: dict[str, Series]) -> Series:
@@ -366,14 +353,6 @@ def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, re
     later = there.step >= end
     step = np.append(np.arange(end), there.step[later])
     return Series(step, path_of(plant).clock.stamp(step), np.append(computed[:end], there.values[later], axis=0))
-
-
-def _program(recording: Recording, cell: Cell) -> str | None:
-    """Return the text of the attached tool path file; None without such a file."""
-    name = Path(cell.path.file).name
-    if name not in [about.name for about in recording.attachments]:
-        return None
-    return recording.attachment(name).decode("utf-8", errors="replace")
 
 
 def _result(

@@ -12,7 +12,8 @@ import numpy as np
 
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.samples import CompensatorState, LearnedRecording
-from kr270_milling.cell.arm import PlacedArm, commanded_joints
+from kr270_milling.cell.arm import commanded_joints
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.inbox import ReceivedPass
@@ -21,8 +22,6 @@ from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.physics.compensation.revision import PassRecord
-from kr270_milling.physics.compensation.settings import CompensationSettings
-from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.passes import GraphRecord, PassSeries, read_graph
 
@@ -48,10 +47,9 @@ def usable(recording: Recording) -> Iterator[None]:
         raise RecordingError(recording.path, " ".join(str(error).split())) from error
 
 
-def pass_over(damage: Damage, size: int) -> None:
-    """Pass over a damage that costs no message, which ``findings`` reports. Raises Damage."""
-    if size > 13:  # bytes of the record with the checksum of the data
-        raise damage
+def costs_messages(reason: str, offset: int, size: int) -> bool:
+    """Return whether a damage costs messages; ``findings`` reports the others."""
+    return size > 13  # bytes of the record with the checksum of the data
 
 
 def array_difference(field: str, recorded: np.ndarray, expected: np.ndarray) -> tuple[str, object, object] | None:
@@ -67,16 +65,15 @@ def array_difference(field: str, recorded: np.ndarray, expected: np.ndarray) -> 
 
 def record_difference(recorded, expected) -> tuple[str, object, object] | None:
     """Return name and both values of the first field of two records that differs."""
-    is_trajectory = isinstance(expected, Trajectory)
     names = [field.name for field in dataclasses.fields(expected)]
-    if is_trajectory:  # fields with the bits of a message
+    if isinstance(expected, Trajectory):  # fields with the bits of a message
         names = ["time_ns", "position", "quaternion", "velocity"]
     for name in names:
         a, b = getattr(recorded, name), getattr(expected, name)
         if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
             if field := array_difference(name, a, b):
                 return field
-        elif (a is None) != (b is None) or (not is_trajectory and a != b):
+        elif (a is None) != (b is None) or a != b:
             return name, a, b
     return None
 
@@ -90,88 +87,77 @@ class NotRecorded(MillingError):
 
 
 class Revisions:
-    """The node publishes its n-th state together with its n-th reference."""
+    """The n-th state and reference of the compensator, as they follow from the recorded passes.
 
-    def __init__(self, recording: Recording, cells: Cells, graph: GraphRecord):
+    A pass that a state names first is the last pass before this state; passes of the first state are in other files.
+    """
+
+    def __init__(self, cells: Cells, graph: GraphRecord):
         self.graph = graph
         self.cell, plant = cells
         self._plant = None if plant is self.cell else plant.imperfections
-        self._file = f"{recording.path.parent.name}/{recording.path.name}"
-        self._passes = [series for series in graph.passes if self._complete(series)]
-        self._learned: dict[str, int] = {}  # stated fingerprint -> number of the pass in this file
+        self._passes = [series for series in graph.passes if self._is_complete(series)]
         target = path_of(self.cell).target
         self._targets = {fingerprint(target): target, **graph.targets}
+        self._numbers: dict[str, int | None] = {}  # stated fingerprint -> pass in this file; None: in another one
+        for index, state in enumerate(graph.states):
+            before = sum(series.number < index for series in self._passes) - 1
+            for named in state.learned:
+                known = before in self._numbers.values() or before < 0
+                self._numbers.setdefault(named.fingerprint, (None if index == 0 else -1) if known else before)
 
-    def _complete(self, series: PassSeries) -> bool:
+    def _is_complete(self, series: PassSeries) -> bool:
         pose = series.topic("tool_pose").last()
         steps = path_of(self.cell).clock.steps(series.reference.duration_ns)
         return not series.reason and pose.unbroken() > 0 and pose.step[-1] == steps
 
     def order(self, index: int) -> tuple[int, int]:
         """Return number and end stamp [ns] of the pass before a state, for the order of differences."""
-        numbers = [k for k, series in enumerate(self.graph.passes) if series.number < index]
-        if not numbers:
+        before = [(number, series) for number, series in enumerate(self.graph.passes) if series.number < index]
+        if not before:
             return 0, 0
-        reference = self.graph.passes[numbers[-1]].reference
-        return numbers[-1], reference.start_ns + reference.duration_ns
+        number, series = before[-1]
+        return number, series.reference.start_ns + series.reference.duration_ns
 
     def rebuild(self, index: int) -> tuple[CompensatorState, Trajectory]:
         """Return a state and its reference as they follow from the recorded passes. Raises NotRecorded."""
         if index >= len(self.graph.states):
             raise NotRecorded("a reference trajectory was published without its compensator_state", index == 0)
         stated = self.graph.states[index]
-        rebuilt = self._revised(stated, index)
-        numbers = [self._number(named, index) for named in stated.learned]
-        learned = tuple(
-            named if number is None else self._received(number, named).as_learned(named.recording)
-            for named, number in zip(stated.learned, numbers, strict=True)
-        )
-        reference = fingerprint(rebuilt.reference)
-        state = CompensatorState(
-            stated.name,
-            rebuilt.method,
-            stated.passes,
-            rebuilt.finished,
-            fingerprint(rebuilt.target),
-            reference,
-            learned,
+        rebuilt = self._revised(stated)
+        numbers = [(named, self._numbers[named.fingerprint]) for named in stated.learned]
+        state = dataclasses.replace(
+            stated,
+            method=rebuilt.method,
+            finished=rebuilt.finished,
+            target=fingerprint(rebuilt.target),
+            reference=fingerprint(rebuilt.reference),
+            learned=tuple(
+                named if number is None else self._received(number, named).as_learned(named.recording)
+                for named, number in numbers
+            ),
         )
         return state, rebuilt.reference
 
-    def _number(self, stated: LearnedRecording, index: int) -> int | None:
-        """Return the pass in this file that a state names; None for a pass of another file. Raises NotRecorded."""
-        if stated.fingerprint in self._learned:
-            return self._learned[stated.fingerprint]
-        same = [n for n in range(len(self._passes)) if self._received(n, stated).fingerprint == stated.fingerprint]
-        before = {named.fingerprint for state in self.graph.states[:index] for named in state.learned}
-        if not same and (index == 0 or stated.fingerprint in before):
-            return None
-        free = [n for n, series in enumerate(self._passes) if n not in self._learned.values() and series.number < index]
-        if not same and not free:
-            raise NotRecorded("the reference trajectory follows from a pass that was not recorded")
-        number = (same or free)[0]
-        self._learned[stated.fingerprint] = number
+    def _record(self, number: int, stated: LearnedRecording | None) -> PassRecord:
         received = self._received(number, stated)
-        there = received.pose_ns.size, received.wrench_ns.size
-        if there != (stated.poses, stated.wrenches):
-            del self._learned[stated.fingerprint]
-            reason = (
-                f"the compensator received {stated.poses} poses and {stated.wrenches} wrenches of a pass, of which "
-            )
-            raise NotRecorded(reason + "the recording has {} and {}".format(*there))
-        return number
-
-    def _record(self, received: ReceivedPass, number: int) -> PassRecord:
         return received.record(path_of(self.cell), self.cell.imperfections, self._plant, number)
 
-    def _received(self, number: int, stated: LearnedRecording | None = None) -> ReceivedPass:
-        """Return a pass as the compensator received it, with the wrenches that a state counts."""
-        series = self._passes[number]
-        pose, wrench = series.topic("tool_pose").last(), series.topic("wrench").last()
-        received = ReceivedPass(pose.stamp_ns, pose.values[:, :3].copy(), wrench.stamp_ns, wrench.values)
-        return received if stated is None else received.until_wrench(stated.wrenches)
+    def _received(self, number: int, stated: LearnedRecording | None) -> ReceivedPass:
+        """Return a pass as the compensator received it, with the wrenches that a state counts. Raises NotRecorded."""
+        if number < 0:
+            raise NotRecorded("the reference trajectory follows from a pass that was not recorded")
+        pose, wrench = (self._passes[number].topic(name).last() for name in ("tool_pose", "wrench"))
+        end = wrench.step.size if stated is None else stated.wrenches
+        received = ReceivedPass(pose.stamp_ns, pose.values[:, :3].copy(), wrench.stamp_ns[:end], wrench.values[:end])
+        there = received.pose_ns.size, received.wrench_ns.size
+        if stated is not None and there != (stated.poses, stated.wrenches):
+            stated_counts = f"{stated.poses} poses and {stated.wrenches} wrenches"
+            recorded = "the recording has {} and {}".format(*there)
+            raise NotRecorded(f"the compensator received {stated_counts} of a pass, of which {recorded}")
+        return received
 
-    def _revised(self, state: CompensatorState, index: int, place: int | None = None) -> Compensator:
+    def _revised(self, state: CompensatorState, place: int | None = None) -> Compensator:
         """Return the compensator after the passes that a state names. Raises NotRecorded.
 
         Where earlier passes are in other recordings, a method without experience continues from the reference of the
@@ -181,27 +167,21 @@ class Revisions:
         if target is None or state.method not in methods():
             reason = f"the target trajectory {state.target} of the compensator is not in the recording"
             raise NotRecorded(reason if target is None else f"the method {state.method} is not known")
-        numbers = [self._number(named, index) for named in state.learned]
         rebuilt = compensator(self.cell, target, state.method)
-        known = [number for number in numbers if number is not None]
-        if len(known) < len(numbers):
-            last = numbers[-1]
+        passes = [(self._numbers[named.fingerprint], named) for named in state.learned]
+        known = [(number, named) for number, named in passes if number is not None]
+        if len(known) < len(passes):
+            last = passes[-1][0]
             # the revision of these methods follows from all passes before
             experienced = rebuilt.repeats or rebuilt.method in ("learned", "inverse", "robust")
             if experienced or (last is None and place is None):
                 raise NotRecorded("the reference trajectory follows from passes in other recordings", elsewhere=True)
-            known = [] if last is None else [last]
+            known = known[-1:] if last is not None else []
             start = place if last is None else self._passes[last].number
-            rebuilt.resume(self.graph.published[start or 0], state.finished)
-        for number in known:
-            rebuilt.revise(self._record(self._received(number, self._state_of(number)), number))
+            rebuilt.resume(self.graph.references[start or 0], state.finished)
+        for number, named in known:
+            rebuilt.revise(self._record(number, named))
         return rebuilt
-
-    def _state_of(self, number: int) -> LearnedRecording | None:
-        """Return the statement of a state about a pass."""
-        names = [digest for digest, known in self._learned.items() if known == number]
-        stated = (named for state in self.graph.states for named in state.learned if named.fingerprint in names)
-        return next(stated, None)
 
     def revise(self, method: str | None = None) -> tuple[Compensator, Trajectory, Trajectory | None] | None:
         """Return the revision after the last complete pass, its target, and the next reference in the recording.
@@ -211,27 +191,25 @@ class Revisions:
         """
         if not self._passes:
             return None
+        states, published = self.graph.states, self.graph.references
         number = len(self._passes) - 1
         place = self._passes[number].number  # index of its reference, and of the state that was published with it
-        state = self.graph.states[min(place, len(self.graph.states) - 1)] if self.graph.states else None
+        state = states[min(place, len(states) - 1)] if states else None
         target = self._targets.get(state.target) if state else list(self._targets.values())[-1]
         if target is None:
             raise NotRecorded("the target trajectory of the compensator is not in the recording")
-        following = self.graph.states[place + 1] if place + 1 < len(self.graph.states) else None
         same = state is None or method in (None, state.method)
         if state is not None and same:
-            rebuilt = self._revised(state, place, place)
+            rebuilt = self._revised(state, place)
         else:
             rebuilt = compensator(self.cell, target, method)
-            reference = self.graph.published[place]
-            if fingerprint(reference) != fingerprint(target):
+            if fingerprint(published[place]) != fingerprint(target):
                 if method is None and rebuilt.repeats:
                     raise NotRecorded(f"{rebuilt.method} needs the passes before this one, and no state names them")
-                rebuilt.resume(reference, state is not None and state.finished)
-        last = self._received(number, following.learned[-1] if following and following.learned else None)
-        rebuilt.revise(self._record(last, number))
-        published = self.graph.published[place + 1] if same and place + 1 < len(self.graph.published) else None
-        return rebuilt, target, published
+                rebuilt.resume(published[place], state is not None and state.finished)
+        following = states[place + 1].learned[-1:] if place + 1 < len(states) else ()
+        rebuilt.revise(self._record(number, *following or (None,)))
+        return rebuilt, target, published[place + 1] if same and place + 1 < len(published) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,36 +251,31 @@ def compensate_recording(
     revised = []
     with Recording(path, remap=remap) as recording:
         cells = recorded_cells(recording, cell_file)
-        cell, _ = cells
         namespaces = robots_of(recording)
-        for number, namespace in enumerate(namespaces, 1):
-            graph = read_graph(recording, path_of(cell).clock, namespace, on_damage=pass_over)
+        for done, namespace in enumerate(namespaces, 1):
+            graph = read_graph(recording, path_of(cells[0]).clock, namespace, on_damage=costs_messages)
             with usable(recording):
-                revision = Revisions(recording, cells, graph).revise(method)
+                revision = Revisions(cells, graph).revise(method)
             if revision is not None:
-                revised.append(_revised(arm_of(cell), cell.compensation, namespace, *revision))
+                revised.append(_revised(cells[0], namespace, *revision))
             if progress:
-                progress(number, len(namespaces))
+                progress(done, len(namespaces))
         if not revised:
             raise RecordingError(recording.path, "holds no complete pass along a recorded reference trajectory")
     return revised
 
 
 def _revised(
-    arm: PlacedArm,
-    settings: CompensationSettings,
-    namespace: str,
-    compensator: Compensator,
-    target: Trajectory,
-    published: Trajectory | None,
+    cell: Cell, namespace: str, revised: Compensator, target: Trajectory, published: Trajectory | None
 ) -> Revised:
-    shift = compensator.reference.position - target.sample(compensator.reference.time_ns)
+    reference = revised.reference
+    shift = reference.position - target.sample(reference.time_ns)
     return Revised(
         namespace,
-        compensator.method,
-        compensator.reference,
-        commanded_joints(arm, settings, compensator.reference),
-        compensator.errors[-1],
+        revised.method,
+        reference,
+        commanded_joints(arm_of(cell), cell.compensation, reference),
+        revised.errors[-1],
         float(np.linalg.norm(shift, axis=1).max()),
-        None if published is None else record_difference(published, compensator.reference) is None,
+        None if published is None else record_difference(published, reference) is None,
     )

@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,6 @@ from kr270_milling.live.graph.processes import (
     RunError,
     own_graph,
     recording_parameters,
-    ros_arguments,
     stop,
 )
 from kr270_milling.live.ros import topics
@@ -103,44 +102,44 @@ class Driver:
         report = self.reports.get(node)
         return None if report is None else report.values.get(key)
 
-    def until(self, condition: Callable[[], object], what: str, deadline: float, node: str = "graph"):
-        """Wait for a condition and return its value; raises RunError after the deadline [s]."""
+    def until(self, condition: Callable[[], object], what: str | Callable, deadline: float, node: str = "graph"):
+        """Wait for a condition and return its value; raises RunError after the deadline [s].
+
+        what: words for the condition, or a function that returns the reason.
+        """
         end = time.monotonic() + deadline
         while not (value := condition()):
             self.check()
             if time.monotonic() > end:
-                raise RunError(node, f"{what} took more than {deadline:g} s")
+                raise RunError(node, what() if callable(what) else f"{what} took more than {deadline:g} s")
             self.spin()
         return value
 
     def spin(self) -> None:
         self._executor.spin_once(timeout_sec=0.02)  # then the processes are checked
 
-    def _call(self, node: str, kind: type, service: str, request, what: str, deadline: float) -> Callable:
-        """Call a service of a node; return a function that waits for the response and returns it.
+    def _call(self, nodes: Sequence[str], kind: type, service: str, request, what: str, deadline: float) -> dict:
+        """Call a service of several nodes at once and return the responses by node.
 
         what: words for the call, for the error after the deadline [s].
         """
-        name = f"{self.name_of(node)}/{service}"
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, name)
-        client = self._clients[name]
-        self.until(client.service_is_ready, f"discovery of the service {service}", deadline, node)
-        future = client.call_async(request)
-
-        def response():
+        futures = {}
+        for node in nodes:
+            name = f"{self.name_of(node)}/{service}"
+            if name not in self._clients:
+                self._clients[name] = self.node.create_client(kind, name)
+            self.until(self._clients[name].service_is_ready, f"discovery of the service {service}", deadline, node)
+            futures[node] = self._clients[name].call_async(request)
+        for node, future in futures.items():
             self.until(future.done, what, deadline, node)
-            return future.result()
-
-        return response
+        return {node: future.result() for node, future in futures.items()}
 
     def transition(self, name: str, *nodes: str, deadline: float) -> None:
         """Request a lifecycle transition of several nodes at once; raises RunError where it fails."""
         change = Transition(id=getattr(Transition, f"TRANSITION_{name.upper()}"), label=name)
         request = ChangeState.Request(transition=change)
-        responses = {node: self._call(node, ChangeState, "change_state", request, name, deadline) for node in nodes}
-        for node, response in responses.items():
-            if not response().success:
+        for node, response in self._call(nodes, ChangeState, "change_state", request, name, deadline).items():
+            if not response.success:
                 self.until(lambda: self.error, f"the reason for the failed {name}", 1.0, node)
                 self.check()
 
@@ -149,7 +148,8 @@ class Driver:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParameters.Request(parameters=parameters)
         what = f"setting {', '.join(values)}"
-        for result in self._call(node, SetParameters, "set_parameters", request, what, deadline)().results:
+        (response,) = self._call([node], SetParameters, "set_parameters", request, what, deadline).values()
+        for result in response.results:
             if not result.successful:
                 raise RunError(node, result.reason)
 
@@ -247,7 +247,10 @@ class Graph:
         for nodes in (CELL, PLANNER) if self._composed else ((node,) for node in NODES):
             parameters = cuts if nodes[0] in CELL else self.out / "cell.yaml"
             more = [*(tracked if COMPENSATOR in nodes else ()), *(records if RECORDER in nodes else ())]
-            child = Child(nodes, ros_arguments(parameters, space, *more), self.out / "log")
+            if space != "/":
+                more += ["-r", f"__ns:={space}"]
+            words = ["--ros-args", "-p", f"cell_file:={json.dumps(str(parameters))}", *more]
+            child = Child(nodes, words, self.out / "log")
             for node in nodes:
                 self.children[node] = child
                 self.driver.expect(node, child.pid)
@@ -314,7 +317,8 @@ class Graph:
         until = self.driver.until
         self.begin_recording(name)
         self.driver.transition("activate", CUT, deadline=UP)
-        self._wait_until_ready()
+        waiting = "the compensator does not know the recording"
+        until(self._is_ready, lambda: self._value("waiting_for") or waiting, 30.0)  # [s] to discover each other
         revision, passes = self._value("revision"), self._value("passes", ROBOT)
         self.driver.transition("activate", ROBOT, deadline=UP)
         self._in_pass = True
@@ -327,6 +331,10 @@ class Graph:
         errors = tuple(e * 1e-6 for e in json.loads(self._value("remaining_error_um") or "[]"))
         return RunValues(self.out / name, wall, errors, self._value("finished") == "True")
 
+    def _is_ready(self) -> bool:
+        """Return whether the compensator knows the recording and reports that a pass may start."""
+        return self._value("recording") == self._recording and not self._value("waiting_for")
+
     def begin_recording(self, name: str) -> None:
         """Open the file of the recorder."""
         plant = ""
@@ -337,31 +345,17 @@ class Graph:
         self.driver.transition("activate", RECORDER, deadline=UP)
         self._recording = f"{name}/{name}.mcap"
 
-    def _wait_until_ready(self) -> None:
-        """Wait until the compensator knows the recording and reports that a pass may start."""
-        end = time.monotonic() + 30.0  # [s] for the nodes to discover each other
-        while self._value("recording") != self._recording or self._value("waiting_for"):
-            self.check()
-            self.driver.spin()
-            if time.monotonic() > end:
-                raise RunError("graph", self._value("waiting_for") or "the compensator does not know the recording")
-
     def end_recording(self) -> None:
         """Close the file of the recorder, then create the next workpiece."""
         self.driver.transition("deactivate", RECORDER, deadline=UP)
-        for node in (*CELL, RECORDER):
-            while self._value("state", node) != "inactive":
-                self.check()
-                self.driver.spin()
+        nodes = (*CELL, RECORDER)
+        self.driver.until(lambda: all(self._value("state", node) == "inactive" for node in nodes), "deactivate", UP)
+        for node in nodes:
             if NOT_COMPLETE in self.driver.reports[node].message:
                 self.warn(f"{node}: {self.driver.reports[node].message}")
         self.passes += 1
-        self.renew_workpiece()
-
-    def renew_workpiece(self) -> None:
-        """Create a fresh workpiece for the next pass."""
-        self.driver.transition("cleanup", CUT, deadline=UP)
-        self.driver.transition("configure", CUT, deadline=UP)
+        for transition in ("cleanup", "configure"):  # a fresh workpiece for the next pass
+            self.driver.transition(transition, CUT, deadline=UP)
 
     def stop(self) -> None:
         """Stop every node, the recorder last, so that it receives the last messages of the others."""

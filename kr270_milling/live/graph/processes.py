@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import math
 import os
 import shlex
@@ -14,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from kr270_milling.base.arguments import STOPS
@@ -58,16 +57,6 @@ def own_graph(domain: int, namespace: str) -> socket.socket:
     return own
 
 
-@contextlib.contextmanager
-def _signals_blocked() -> Iterator[None]:
-    """Block signals in a process that starts within, until it installs its handlers (``nodes.start``)."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 class Child:
     """A process with one node or several; its output goes to a log below ``logs``."""
 
@@ -76,16 +65,20 @@ class Child:
         self.log = logs / f"{self.name}.log"
         program = nodes if len(nodes) == 1 else ("milling_cell", *nodes)
         command = [sys.executable, "-m", "kr270_milling.live.nodes", *program, *arguments]
-        with open(self.log, "ab") as stream, _signals_blocked():
-            self.process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                cwd=logs,
-                env=child_environment(),
-                start_new_session=True,
-            )
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)  # until the child has its handlers, see nodes.start
+        try:
+            with open(self.log, "ab") as stream:
+                self.process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=stream,
+                    stderr=subprocess.STDOUT,
+                    cwd=logs,
+                    env=child_environment(),
+                    start_new_session=True,
+                )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         self.ended_at = math.inf  #: [s of the monotonic clock]
         threading.Thread(target=self._wait, daemon=True).start()
 
@@ -136,12 +129,6 @@ def stop(children: Iterable[Child], grace: float = 3.0) -> list[str]:
         child.signal(signal.SIGKILL)
         child.process.wait()
     return [child.name for child in killed]
-
-
-def ros_arguments(cell_file: Path, namespace: str, *more: str) -> list[str]:
-    """Return the arguments of a node with a cell in a namespace."""
-    space = ["-r", f"__ns:={namespace}"] if namespace != "/" else []
-    return ["--ros-args", "-p", f"cell_file:={json.dumps(str(cell_file))}", *space, *more]
 
 
 def recording_parameters(out: Path, name: str, files: Iterable[Path], plant: str = "") -> dict:

@@ -15,7 +15,7 @@ from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.node import ERROR, LOST, OK, SILENT, WARN, ManagedNode, Silence, guarded
+from kr270_milling.live.ros.node import ERROR, LOST, OK, SILENT, WARN, ManagedNode, Silence
 from kr270_milling.live.ros.readiness import Report, read_reports
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import COMPENSATOR, ROBOT
@@ -92,7 +92,6 @@ class CompliantRobot(ManagedNode):
             return False
         return True
 
-    @guarded
     def _watch_answer(self) -> None:
         """Start the pass when the graph is ready; give up when no wrench arrives."""
         protocol, silent = self.protocol, self._silence.seconds()
@@ -104,7 +103,13 @@ class CompliantRobot(ManagedNode):
             infos = self.get_publishers_info_by_topic(self._reference.topic_name)
             planned = any(info.node_name == COMPENSATOR for info in infos)
             usable = cut and protocol.reference is not None and (self._ready or not planned)
-            if usable and not self.used("reference_trajectory", self._start):
+            outputs = self.used("reference_trajectory", protocol.start) if usable else None
+            if outputs:
+                self._given_up = False
+                self._started = time.monotonic()
+                self.report(OK, "pass running")
+                self._answer(outputs)
+            elif usable:
                 protocol.reference = None  # a pass cannot follow it
             return
         if not cut or silent > LOST:
@@ -114,14 +119,6 @@ class CompliantRobot(ManagedNode):
         elif self._silence.is_due(silent):
             self.report(WARN, f"no wrench for {SILENT:g} s from the cutting process")
 
-    def _start(self) -> bool:
-        outputs = self.protocol.start()
-        self._given_up = False
-        self._started = time.monotonic()
-        self.report(OK, "pass running")
-        self._answer(outputs)
-        return True
-
     def _on_wrench(self, sample: WrenchSample) -> None:
         if not self.active or self._given_up or self.protocol.finished:
             return
@@ -130,7 +127,11 @@ class CompliantRobot(ManagedNode):
             return  # not the awaited wrench
         self._answer(outputs)
         if self.protocol.finished:
-            self._finish()
+            wall = time.monotonic() - self._started
+            values = {"largest_correction_um": f"{self.protocol.correction * 1e6:.6f}", "wall_s": repr(wall)}
+            large = self.protocol.large_correction
+            but = ", but the corrections are large: shorten exchange.period_ms" if large else ""
+            self.report(WARN if large else OK, f"pass complete{but}", **values)
 
     def _answer(self, outputs) -> None:
         """Publish the outputs; delay the next tool pose to the wall clock of a pace, or for readers that are late."""
@@ -146,7 +147,6 @@ class CompliantRobot(ManagedNode):
                 self._pace_timer = self.create_timer(ahead, self._ask_late)
         self.send(outputs)
 
-    @guarded
     def _ask_late(self) -> None:
         if self._pace_timer is not None:
             self.destroy_timer(self._pace_timer)
@@ -158,16 +158,5 @@ class CompliantRobot(ManagedNode):
         if self.protocol.started:
             self.send(late)
 
-    def _finish(self) -> None:
-        wall = time.monotonic() - self._started
-        values = {"largest_correction_um": f"{self.protocol.correction * 1e6:.6f}", "wall_s": repr(wall)}
-        if self.protocol.large_correction:
-            self.report(WARN, "pass complete, but the corrections are large: shorten exchange.period_ms", **values)
-        else:
-            self.report(OK, "pass complete", **values)
-
     def watch(self) -> dict:
-        return {
-            "passes": self.protocol.passes,
-            "pass_time_s": f"{self.protocol.time_ns * 1e-9:.6f}",
-        }
+        return {"passes": self.protocol.passes, "pass_time_s": f"{self.protocol.time_ns * 1e-9:.6f}"}

@@ -8,7 +8,7 @@ from kr270_milling.base.samples import PoseSample
 from kr270_milling.cell.models import cut_of
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
+from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.messages.topics import CUT
 
@@ -74,7 +74,6 @@ class CuttingProcess(ManagedNode):
         self.protocol.reference(reference)
         self.set_values(reference=f"{fingerprint(reference)} at {reference.start_ns}")
 
-    @guarded
     def _watch_robot(self) -> None:
         silent = self._silence.seconds()
         if self.active and not self._mapped and self.protocol.at_end and silent > LOOK:
@@ -90,7 +89,7 @@ class CuttingProcess(ManagedNode):
             self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: is the robot gone?")
 
     def _publish_map(self) -> str:
-        self.send(self.protocol.workpiece())
+        self.send([("workpiece", self.protocol.map_of_part())])
         self._mapped = True
         return "workpiece published"
 

@@ -15,12 +15,12 @@ from rosgraph_msgs.msg import Clock
 
 from kr270_milling.base.arguments import PLAY, end_process
 from kr270_milling.base.errors import RecordingError, one_line
-from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
+from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
 from kr270_milling.live.ros.topics import NameRefused, message_class
-from kr270_milling.recordings.bag.files import read_qos
+from kr270_milling.recordings.bag.files import is_latched, read_qos
 from kr270_milling.recordings.bag.mcap_file import RawMessage
-from kr270_milling.recordings.bag.reader import Recording, is_latched, playback, span
+from kr270_milling.recordings.bag.reader import Recording, playback, span
 
 DEPTH = 1000  # messages that may wait for a slow reader
 
@@ -93,37 +93,30 @@ class Player(ReportingNode):
             self.get_logger().warning(one_line(f"{topic} is not played: {error}"))
             return None
 
-    @guarded
     def _tick(self) -> None:
-        try:
-            self._play_on(time.monotonic())
-        except RecordingError as error:  # nothing can be read after a damage
-            self.end(str(error))
-            self.report(ERROR, str(error))
-
-    def _play_on(self, now: float) -> None:
         if self.finished or self._pace.paused:
             return
-        position = self._pace.position(now)
+        position = self._pace.position(time.monotonic())
         for _ in range(500):  # signals and services are handled in between
-            if self._next is None:
-                self._next = next(self._messages, None)
+            try:
+                self._next = self._next or next(self._messages, None)
+            except RecordingError as error:  # nothing can be read after a damage
+                self.end(str(error))
+                self.report(ERROR, str(error))
+                return
             if self._next is None:
                 self.end()
                 return
             if self._next.log_time > position:
                 break
-            self._publish(self._next)
-            self._next = None
+            message, self._next = self._next, None
+            self._outlets[message.topic].publish(message.data)
+            self.count += 1
+            if self._progress is not None:
+                self._progress(max(message.log_time - self._start, 0), max(self._end - self._start, 1))
         if self._clock_publisher is not None and position >= self._clock_due:
             self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
             self._clock_due += self._clock_period * ((position - self._clock_due) // self._clock_period + 1)
-
-    def _publish(self, message) -> None:
-        self._outlets[message.topic].publish(message.data)
-        self.count += 1
-        if self._progress is not None:
-            self._progress(max(message.log_time - self._start, 0), max(self._end - self._start, 1))
 
     def _set_paused(self, wanted: bool | None) -> str:
         """Pause or resume, and return the state; wanted: None toggles."""
@@ -151,7 +144,7 @@ def qos_of(about) -> QoSProfile:
     Discovery does not report the depth; an unknown depth becomes 1 for latched topics, else ``DEPTH``.
     """
     profiles = read_qos(about.metadata.get("offered_qos_profiles", ""))
-    latched = is_latched(about)
+    latched = is_latched(about.metadata)
     reliable = all(p.get("reliability") in ("reliable", "system_default", 1, 0) for p in profiles)
     depths = [p["depth"] for p in profiles if isinstance(p.get("depth"), int) and 0 < p["depth"] <= DEPTH]
     return QoSProfile(

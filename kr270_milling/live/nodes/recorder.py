@@ -54,9 +54,6 @@ class RecordingSession:
             if publishers:
                 self._subscriptions[topic] = self._node.used(topic, self._subscribe, topic, types, publishers)
         self._write(self.writer.tick, time.monotonic())
-        self._check_publishers()
-
-    def _check_publishers(self) -> None:
         published = {t for t, s in self._subscriptions.items() if s is not None and s.get_publisher_count()}
         before, self._left = self._left, (self._left | self._published) - published
         self._published = published
@@ -159,22 +156,18 @@ class RecordingSession:
         failed, self._stopped = self._stopped, True
         if not failed:
             self.writer.close()
-            self._log()
+            logger = self._node.get_logger()
+            for topic, entry in self.writer.report().items():
+                if missing := entry.get("missing"):
+                    logger.warning(f"{topic}: {missing} of {entry['count'] + missing} messages are missing")
+                if entry.get("refused"):
+                    logger.warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
+            logger.info(f"{self.writer.count} messages in {self.writer.path}")
         return self._missing
 
     @property
     def _missing(self) -> int:
         return sum(entry.get("missing", 0) for entry in self.writer.report().values())
-
-    def _log(self) -> None:
-        logger = self._node.get_logger()
-        for topic, entry in self.writer.report().items():
-            if entry.get("missing"):
-                missing, total = entry["missing"], entry["count"] + entry["missing"]
-                logger.warning(f"{topic}: {missing} of {total} messages are missing")
-            if entry.get("refused"):
-                logger.warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
-        logger.info(f"{self.writer.count} messages in {self.writer.path}")
 
 
 def _derived(scene: Scene, topic: str, data: bytes) -> list[tuple[str, bytes]]:
@@ -239,7 +232,11 @@ class Recorder(ManagedNode):
     def activate(self) -> None:
         command = self.get_parameter("command").value or shlex.join(sys.argv)
         metadata = {"command": command, "seed": self.get_parameter("seed").value}
-        attachments = self._read(_split(self.get_parameter("attach").value))
+        try:
+            names = _split(self.get_parameter("attach").value)
+            attachments = {Path(name).name: Path(name).read_bytes() for name in names}
+        except OSError as error:
+            raise InputError(self._where, f"attach: {error.filename} cannot be read ({error.strerror})") from None
         writer = BagWriter(self.get_parameter("directory").value, attachments=attachments, metadata=metadata)
         self.session = RecordingSession(self, writer, self._topics, self._viewers)
         self.session.discover()
@@ -258,12 +255,6 @@ class Recorder(ManagedNode):
     def _publish_name(self, name: str) -> None:
         self.set_values(recording=name)
         self.send([("recording", Text(name))])
-
-    def _read(self, names: list[str]) -> dict[str, bytes]:
-        try:
-            return {Path(name).name: Path(name).read_bytes() for name in names}
-        except OSError as error:
-            raise InputError(self._where, f"attach: {error.filename} cannot be read ({error.strerror})") from None
 
     def watch(self) -> dict:
         return {} if self.session is None else self.session.watch()

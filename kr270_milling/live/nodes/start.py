@@ -49,20 +49,15 @@ def start(name: str | None = None) -> int:
     if name == "milling_cell":
         return run_nodes([_node_class(node) for node in _chosen_nodes()])
     if {"-h", "--help"} & set(sys.argv[1:]):
-        return _help(name)
+        parser = argparse.ArgumentParser(
+            prog=name,
+            usage=f"{name} --ros-args -p cell_file:=CELL.yaml [-p NAME:=VALUE] [-r NAME:=NAME]",
+            description=(_node_class(name).__doc__ or "").split("\n\n")[0],
+            epilog="ros2 param describe lists the parameters of a running node. The cell is read once.",
+        )
+        parser.print_help()
+        return 0
     return run_nodes([_node_class(name)])
-
-
-def _help(name: str) -> int:
-    """Print what a node does and how to start the node."""
-    parser = argparse.ArgumentParser(
-        prog=name,
-        usage=f"{name} --ros-args -p cell_file:=CELL.yaml [-p NAME:=VALUE] [-r NAME:=NAME]",
-        description=(_node_class(name).__doc__ or "").split("\n\n")[0],
-        epilog="ros2 param describe lists the parameters of a running node. The cell is read once.",
-    )
-    parser.print_help()
-    return 0
 
 
 def _node_class(name: str) -> type:

@@ -19,7 +19,7 @@ from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.inbox import BREAK_NS
 from kr270_milling.exchange.scene import path_bytes
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
+from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
 from kr270_milling.live.ros.readiness import WAIT_FOR, Readiness
 from kr270_milling.live.ros.topics import RosTopic, message_class, resolved_topic
 from kr270_milling.path.trajectory import Trajectory, fingerprint
@@ -143,7 +143,7 @@ class TrajectoryCompensator(ReportingNode):
     def _on_pose(self, sample: PoseSample) -> None:
         outputs = self.protocol.pose(sample)
         inbox = self.protocol.inbox
-        late = inbox.ignored == 20 and inbox.distance is None
+        late = inbox.ignored == 20 and not inbox.started and inbox.distance is None
         if late and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
@@ -159,7 +159,6 @@ class TrajectoryCompensator(ReportingNode):
         if outputs:
             self._publish(outputs, f"revised after pass {len(self.protocol.active.errors)}", self.protocol.missing)
 
-    @guarded
     def _watch_pass(self) -> None:
         """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
         silent, inbox = self._silence.seconds(), self.protocol.inbox
@@ -181,13 +180,13 @@ class TrajectoryCompensator(ReportingNode):
                 self.used(self._pose.topic_name, lambda: self._revised(self.protocol.finish()))
             return
         for what in (self._pose, self._wrench):
-            if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.has_wrench):
+            if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.wrenches):
                 self._publish(self.protocol.restart(), "restarted")
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
         limit = REPORT_AFTER if inbox.foreign else SILENT
         if inbox.foreign and silent > BREAK_NS * 1e-9:
-            inbox.give_up()
+            inbox.break_off(f"no tool_pose for {BREAK_NS * 1e-9:g} s")
         elif self._silence.is_due(silent, limit):
             self.report(WARN, f"no tool_pose for {limit:g} s in mid-pass: waiting for it")
 
@@ -207,14 +206,11 @@ class TrajectoryCompensator(ReportingNode):
                 return SetParametersResult(successful=False, reason=f"{METHOD} must be one of {', '.join(methods())}")
             if change.name != METHOD or self.protocol.compensator is None:
                 continue
-            if not self.used(METHOD, self._choose, change.value):
+            outputs = self.used(METHOD, self.protocol.choose, change.value)
+            if outputs is None:
                 return SetParametersResult(successful=False, reason=self.unusable[METHOD][1])
+            self._publish(outputs, f"method {change.value}")
         return SetParametersResult(successful=True)
-
-    def _choose(self, method: str) -> bool:
-        """Choose a method; a refused one raises MillingError."""
-        self._publish(self.protocol.choose(method), f"method {method}")
-        return True
 
     def _reset(self) -> str:
         self._publish(self.protocol.reset(), TARGET)

@@ -47,15 +47,11 @@ def keep_to_this_host() -> None:
     Raises MillingError where the nodes would wait for each other without an end.
     """
     added = this_host_only(os.environ)
-    if added:
-        _check_loopback()
     os.environ.update(added)
-
-
-def _check_loopback() -> None:
-    """Send a datagram to this host itself."""
+    if not added:
+        return
     try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:  # a datagram to this host itself
             end.bind(("127.0.0.1", 0))
             end.settimeout(2.0)  # [s]
             end.sendto(b"?", end.getsockname())

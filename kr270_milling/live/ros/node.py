@@ -1,4 +1,4 @@
-"""Base classes of all nodes: reports in /diagnostics, guarded callbacks, guarded lifecycle transitions."""
+"""Base classes of all nodes: reports in /diagnostics, guarded timers, guarded lifecycle transitions."""
 
 from __future__ import annotations
 
@@ -40,31 +40,6 @@ LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a r
 
 def stamp_from_ns(ns: int) -> Time:
     return Time(sec=ns // SECOND, nanosec=ns % SECOND)
-
-
-def guarded(callback):
-    """Report the errors of a callback: a MillingError in /diagnostics; any other ends the node with exit code 1."""
-
-    @functools.wraps(callback)
-    def wrapped(self, *args):
-        try:
-            return callback(self, *args)
-        except Exception as error:  # noqa: BLE001 - every error is reported
-            self.refused += isinstance(error, MillingError)
-            self.fail(error, callback.__name__)
-        return None
-
-    return wrapped
-
-
-def _read(read: Callable, type_name: str, topic: str, data: bytes):
-    """Return the record of a message; raises MessageError."""
-    try:
-        return read(data)
-    except MillingError as error:
-        raise MessageError(str(error)) from None
-    except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
-        raise MessageError(f"{topic}: cannot be read as {type_name.rpartition('/')[2]}: {error}") from None
 
 
 class Silence:
@@ -131,9 +106,20 @@ class ReportingNode(Node):
         return None
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
-        """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
+        """Create a timer on the monotonic clock, which continues when the wall clock is set back.
+
+        An error of the callback is reported in /diagnostics; any but a MillingError ends the node with exit code 1.
+        """
+
+        def guarded() -> None:
+            try:
+                callback()
+            except Exception as error:  # noqa: BLE001 - every error is reported
+                self.refused += isinstance(error, MillingError)
+                self.fail(error, callback.__name__)
+
         kwargs = {"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs}
-        return super().create_timer(timer_period_sec, callback, *args, **kwargs)
+        return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
 
     def declared(self, name: str, default, about: str, read_only: bool = True, **fields):
         """Declare a parameter of the node itself and return its value; fields: of its descriptor."""
@@ -154,19 +140,26 @@ class ReportingNode(Node):
         read: bytes -> record, default: as the table of topics states.
         """
         package, name = topic.type.__module__.partition(".")[0], topic.name.strip("/")
-        type_name = f"{package}/msg/{topic.type.__name__}"
-        read = functools.partial(_read, read or functools.partial(from_bytes, type_name), type_name, name)
+        read = read or functools.partial(from_bytes, f"{package}/msg/{topic.type.__name__}")
+
+        def record(data: bytes):
+            try:
+                return read(data)
+            except MillingError as error:
+                raise MessageError(str(error)) from None
+            except Exception as error:  # noqa: BLE001 - bytes of another node may be anything
+                raise MessageError(f"{name}: cannot be read as {topic.type.__name__}: {error}") from None
 
         def take(data: bytes) -> None:
-            self.used(name, lambda: use(read(data)))
+            self.used(name, lambda: use(record(data)))
 
         return self.create_subscription(topic.type, topic.name, take, topic.qos, raw=True)
 
     def used(self, source: str, use: Callable, *args):
-        """Return ``use(*args)``: the one place where a message or a request of another node is read and used.
+        """Return ``use(*args)`` for a message or request of another node; return None after an error.
 
-        An error does not end this node and returns None. It is counted under ``source``, the topic or service, and
-        reported: as a warning where the message cannot be used, as an error where the computation failed.
+        The error is counted under ``source``, the topic or service, and reported: as a warning where the message cannot
+        be used, as an error where the computation failed.
         """
         try:
             return use(*args)
@@ -293,8 +286,8 @@ class ReportingNode(Node):
 class ManagedNode(ReportingNode, LifecycleNode):
     """A lifecycle node that reports why a transition failed.
 
-    A child implements ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart``
-    the node configures and activates itself.
+    A child may have ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart`` the
+    node configures and activates itself.
     """
 
     def __init__(self, name: str, autostart: bool = False, **kwargs):
@@ -341,36 +334,21 @@ class ManagedNode(ReportingNode, LifecycleNode):
         lacking = "" if received else f"; a subscriber has not received the end of the pass; {NOT_COMPLETE}"
         self.report(OK if received else WARN, f"stopped{lacking}")
 
-    def configure(self) -> None: ...
-
-    def activate(self) -> None: ...
-
-    def deactivate(self) -> None: ...
-
-    def cleanup(self) -> None: ...
-
-    def _transition(self, step: Callable, state: str) -> TransitionCallbackReturn:
-        """Run the step of a transition; the node is in the new state during the step."""
+    def _transition(self, name: str, state: str, _) -> TransitionCallbackReturn:
+        """Run a method of the child, if it has one; the node is in the new state meanwhile."""
         before, self.state = self.state, state
         try:
-            step()
+            getattr(self, name, lambda: None)()
         except Exception as error:  # noqa: BLE001 - every error is reported
             self.state = before
-            self.fail(error, step.__name__)
+            self.fail(error, name)
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
-    def on_configure(self, state):
-        return self._transition(self.configure, "inactive")
-
-    def on_activate(self, state):
-        return self._transition(self.activate, "active")
-
-    def on_deactivate(self, state):
-        return self._transition(self.deactivate, "inactive")
-
-    def on_cleanup(self, state):
-        return self._transition(self.cleanup, "unconfigured")
+    on_configure = functools.partialmethod(_transition, "configure", "inactive")
+    on_activate = functools.partialmethod(_transition, "activate", "active")
+    on_deactivate = functools.partialmethod(_transition, "deactivate", "inactive")
+    on_cleanup = functools.partialmethod(_transition, "cleanup", "unconfigured")
 
     def on_shutdown(self, state):
         self.state = "finalized"

@@ -57,7 +57,7 @@ class Corrector:
 
     def __init__(self, table: CorrectionTable, limits: CorrectionLimits, cycle: float):
         """cycle [s]: 0.004 or 0.012."""
-        self._path = path = PathProgress(table.position, limits.reach, limits.window)
+        self.path = path = PathProgress(table.position, limits.reach, limits.window)
         self._value = np.append(table.correction[:-1][path.moved[1:]], table.correction[-1:], axis=0)  # last of a rest
         self._way = path.distance
         self.limits, self._cycle = limits, cycle
@@ -67,33 +67,23 @@ class Corrector:
         self.limited = 0  #: cycles in which a limit reduced the correction
         self._started = False
 
-    @property
-    def progress(self) -> float:
-        """Progress along the path [m]."""
-        return self._path.progress
-
-    @property
-    def length(self) -> float:
-        """Length of the path [m]."""
-        return self._path.length
-
     def step(self, point: np.ndarray, cycles: int = 1) -> np.ndarray:
         """Return the correction (6,) for the commanded point [m], (3,); cycles: since the last telegram."""
         limits = self.limits
-        distance = self._path.advance(point)
+        distance = self.path.advance(point)
         missed = cycles > limits.missed
         near = distance <= limits.reach
         if missed:
             self.share, self.reason = 0.0, f"{cycles - 1} cycles without a telegram"
         elif near:
             self._started = True
-            self.reason = "end of the path" if self.progress >= self.length else "on the path"
+            self.reason = "end of the path" if self.path.progress >= self.path.length else "on the path"
         elif self._started:
             self.reason = f"{1e3 * distance:.1f} mm from the path"
         change = self._cycle / limits.ramp
         self.share = min(max(self.share + (change if near and not missed else -change), 0.0), 1.0)
-        index = int(np.clip(np.searchsorted(self._way, self.progress, side="right") - 1, 0, len(self._way) - 2))
-        part = (self.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
+        index = int(np.clip(np.searchsorted(self._way, self.path.progress, side="right") - 1, 0, len(self._way) - 2))
+        part = (self.path.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
         self.applied = self._limit(self.share * ((1.0 - part) * self._value[index] + part * self._value[index + 1]))
         return self.applied
 

@@ -33,7 +33,7 @@ from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes, type_of
 
 
-class RsiRecording:
+class RsiRecording(BagWriter):
     """Writes the topics ``target_trajectory``, ``reference_trajectory``, ``tool_pose``, ``correction``, ``rsi_status``.
 
     The stamps are the counter of the robot since the first telegram. attachments: name -> bytes, the cell and its
@@ -48,37 +48,30 @@ class RsiRecording:
         attachments: Mapping[str, bytes | str],
         now: Callable[[], int],
     ):
+        super().__init__(directory, metadata=metadata, attachments=attachments)
         self._now = now
-        self._writer = BagWriter(directory, metadata=metadata, attachments=attachments)
         time_ns = (table.time * SECOND).round().astype("int64")
         target = Trajectory(time_ns - time_ns[0], table.position, np.array(TOOL_DOWN))
-        self._write("target_trajectory", target)
-        self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]))
+        self._add("target_trajectory", target)
+        self._add("reference_trajectory", target.with_position(table.position + table.correction[:, :3]))
 
     def add(self, stamp: int, actual: np.ndarray | None, correction: np.ndarray) -> None:
         """Record an answered cycle: stamp [ns], RIst and RKorr, (6,) [m, rad]."""
         if actual is not None:
             turn = quaternion_from_rotation(rotation_from_abc(actual[3:]))
-            self._write("tool_pose", PoseSample(stamp, WORKPIECE, actual[:3], turn))
+            self._add("tool_pose", PoseSample(stamp, WORKPIECE, actual[:3], turn))
         a, b, c = correction[3:]
-        twist = TwistSample(stamp, WORKPIECE, np.array([*correction[:3], c, b, a]))
-        self._write("correction", twist)
-        self._writer.tick(time.monotonic())
+        self._add("correction", TwistSample(stamp, WORKPIECE, np.array([*correction[:3], c, b, a])))
+        self.tick(time.monotonic())
 
-    def report(self, sentence: str) -> None:
+    def note(self, sentence: str) -> None:
         """Record a sentence of the session; where the file cannot be written, ``add`` raises the error."""
         with suppress(RecordingError):
-            self._write("rsi_status", Text(sentence))
+            self._add("rsi_status", Text(sentence))
 
-    def _write(self, topic: str, record) -> None:
-        self._writer.add_topic(f"/{topic}", type_of(record))
-        self._writer.write(f"/{topic}", to_bytes(record), self._now())
-
-    def __enter__(self) -> RsiRecording:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._writer.close()
+    def _add(self, topic: str, record) -> None:
+        self.add_topic(f"/{topic}", type_of(record))
+        self.write(f"/{topic}", to_bytes(record), self._now())
 
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
@@ -204,7 +197,7 @@ class RsiSession:
         self._record(self._elapsed * SECOND // 1000, telegram.actual, correction)
         if self.corrector.reason != self._reason:
             self._reason = self.corrector.reason
-            self.report(f"{self._reason}, {1e3 * self.corrector.progress:.1f} mm of the path")
+            self.report(f"{self._reason}, {1e3 * self.corrector.path.progress:.1f} mm of the path")
 
     def _correction(self, telegram: RobotTelegram, point: np.ndarray) -> np.ndarray:
         """Return the correction of a cycle, and count the cycles before it that have no answer."""
@@ -223,15 +216,13 @@ class RsiSession:
         elif elements.actual:
             name, place = elements.actual, telegram.actual
         else:
-            name, place = elements.joints, self._place_of(telegram.joints)
+            name, place = elements.joints, None
+            if self.arm is not None and telegram.joints is not None:
+                tool = pose(self.arm.arm, self.arm.mount, telegram.joints).position
+                place = self.arm.place.inverse().apply(tool)
         if place is None or (elements.of_joints and telegram.joints is None):
             raise MessageError(f"a telegram has no {elements.joints if place is not None else name}")
         return place[:3] - self.corrector.applied[:3] * corrected
-
-    def _place_of(self, joints: np.ndarray | None) -> np.ndarray | None:
-        if self.arm is None or joints is None:
-            return None
-        return self.arm.place.inverse().apply(pose(self.arm.arm, self.arm.mount, joints).position)
 
     def _joint_correction(self, joints: np.ndarray, correction: np.ndarray) -> np.ndarray:
         """Return the change of the joints [rad], (6,), that moves the tool by a correction, (6,) [m, rad].

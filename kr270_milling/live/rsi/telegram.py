@@ -104,13 +104,13 @@ def read_telegram(data: bytes, elements: Elements = Elements()) -> RobotTelegram
         raise MessageError(f"a telegram is not XML ({error})") from None
     if root.tag != "Rob":
         raise MessageError(f"a telegram begins with <{root.tag[:20]}> instead of <Rob>")
-    delay = root.find("Delay")
+    delay, joints = root.find("Delay"), _numbers(root, elements.joints, JOINTS)
     return RobotTelegram(
         _counter(root.findtext("IPOC"), "IPOC"),
         _pose(root, elements.actual),
         _pose(root, elements.commanded),
         0 if delay is None else _counter(delay.get("D"), "Delay"),
-        _joints(root, elements.joints),
+        None if joints is None else np.radians(joints),
     )
 
 
@@ -141,11 +141,6 @@ def _pose(root: ElementTree.Element, name: str) -> np.ndarray | None:
     if np.abs(pose[:3]).max() > FARTHEST:
         raise MessageError(f"{name} of a telegram is farther than {FARTHEST:g} m")
     return pose
-
-
-def _joints(root: ElementTree.Element, name: str) -> np.ndarray | None:
-    values = _numbers(root, name, JOINTS)
-    return None if values is None else np.radians(values)
 
 
 def write_answer(ipoc: int, correction: np.ndarray, elements: Elements = Elements()) -> bytes:

@@ -83,19 +83,14 @@ def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, 
         for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
             if len(files) == MAX_FILES:
                 raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-            files.append(_free_path(directory, topic, kind, [*taken, *files]))
+            number, file = 1, directory / f"{_word(topic)}.{kind}"
+            while file in (*taken, *files):  # another topic has this name
+                number += 1
+                file = directory / f"{_word(topic)}_{number}.{kind}"
+            files.append(file)
             with open(draft / files[-1].name, "xb") as stream:
                 write(stream, columns, (cells for _, cells in alike))
     return files
-
-
-def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> Path:
-    """Return ``directory/topic.suffix``, with a number if another topic has this name."""
-    number, path = 1, directory / f"{_word(topic)}.{suffix}"
-    while path in taken:
-        number += 1
-        path = directory / f"{_word(topic)}_{number}.{suffix}"
-    return path
 
 
 def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
@@ -146,8 +141,9 @@ def rows(recording: Recording, topic: str) -> Iterator[Row]:
             yield from _trajectory_rows(recording, topic)
         else:
             cells_of = _joint_cells if kind == "sensor_msgs/msg/JointState" else lambda message: _flat(plain(message))
-            for message, decoded in recording.decoded([topic]):
-                cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
+            decode = recording.decoder(topic)
+            for message in recording.messages([topic]):
+                cells = {"log_time_ns": message.log_time, **cells_of(decode(message.data))}
                 yield list(cells), list(cells.values())
     except ValueError as error:
         raise RecordingError(recording.path, f"a message on {topic} is not a {kind}: {error}") from error

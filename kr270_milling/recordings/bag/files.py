@@ -93,58 +93,26 @@ def _unpacked(path: Path, packed: IO[bytes]) -> IO[bytes]:
 
 
 INFINITE = 2**63 - 1  # [ns]; rosbag2's duration without limit
-#: the default profile of a topic; the order is rosbag2's
-DEFAULT_QOS = dict(
-    history="keep_last",
-    depth=10,
-    reliability="reliable",
-    durability="volatile",
-    deadline=INFINITE,
-    lifespan=INFINITE,
-    liveliness="automatic",
-    liveliness_lease_duration=INFINITE,
-    avoid_ros_namespace_conventions=False,
-)
-
-
-def describe_qos(profile) -> dict:
-    """Return one QoS profile in the form of rosbag2.
-
-    profile: an object with the attributes of rclpy's QoSProfile, or a mapping; its missing keys take the default, its
-    durations are in ns or {sec, nsec}.
-    """
-    if isinstance(profile, Mapping):
-        unknown = sorted(set(profile) - set(DEFAULT_QOS))
-        if unknown:
-            raise KeyError(f"{', '.join(unknown)} is not part of a QoS profile")
-        values = {**DEFAULT_QOS, **profile}
-    else:
-        values = {key: getattr(profile, key) for key in DEFAULT_QOS}
-    return {key: _plain(key, values[key]) for key in DEFAULT_QOS}
-
-
-def _plain(key: str, value):
-    if key in ("deadline", "lifespan", "liveliness_lease_duration") and not isinstance(value, Mapping):
-        seconds, nanoseconds = divmod(int(getattr(value, "nanoseconds", value)), SECOND)
-        return dict(sec=seconds, nsec=nanoseconds)
-    return value.name.lower() if hasattr(value, "name") else value
+#: parts of a profile in the order of rosbag2
+QOS = ("history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness",
+       "liveliness_lease_duration", "avoid_ros_namespace_conventions")  # fmt: skip
 
 
 def qos_text(profiles: Iterable) -> str:
-    """Return the channel metadata ``offered_qos_profiles``: a YAML list of profiles."""
-    return yaml_text([describe_qos(p) for p in profiles]).strip()
+    """Return the channel metadata ``offered_qos_profiles``: a YAML list of rclpy profiles, in the form of rosbag2."""
+
+    def plain(value):
+        if hasattr(value, "nanoseconds"):
+            return dict(zip(("sec", "nsec"), divmod(value.nanoseconds, SECOND), strict=True))
+        return value.name.lower() if hasattr(value, "name") else value
+
+    return yaml_text([{key: plain(getattr(profile, key)) for key in QOS} for profile in profiles]).strip()
 
 
 def yaml_text(value) -> str:
     """Return YAML without anchors, which are legal but which other readers may not know."""
     repeated = json.loads(json.dumps(value))  # equal parts are separate objects
     return yaml.dump(repeated, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False)
-
-
-def all_latched(profiles: list[dict]) -> bool:
-    """Return whether every profile of a topic is that of a latched publisher."""
-    # rosbag2 writes words since Jazzy and the numbers of the middleware before
-    return bool(profiles) and all(profile.get("durability") in ("transient_local", 1) for profile in profiles)
 
 
 @functools.lru_cache(maxsize=32)
@@ -155,6 +123,13 @@ def read_qos(text: str) -> list[dict]:
     except ConfigError:
         return []
     return profiles if isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles) else []
+
+
+def is_latched(metadata: Mapping[str, str]) -> bool:
+    """Return whether every publisher of a channel repeats its last message for late subscribers."""
+    profiles = read_qos(metadata.get("offered_qos_profiles", ""))
+    # rosbag2 writes words since Jazzy and the numbers of the middleware before
+    return bool(profiles) and all(profile.get("durability") in ("transient_local", 1) for profile in profiles)
 
 
 def bag_information(file_name: str, channels: Iterable, start: int, end: int, custom: dict[str, str]) -> dict:

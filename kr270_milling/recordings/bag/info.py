@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import bisect
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from kr270_milling.base.errors import one_line
-from kr270_milling.recordings.bag.reader import Recording, is_latched
+from kr270_milling.recordings.bag.files import is_latched
+from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import starts_with_stamp
 
 #: types of topics with many publishers: their stamps are several series
 SHARED = frozenset(["diagnostic_msgs/msg/DiagnosticArray"])
-
-
-class PassStarts:
-    """Starts of passes [ns], which the reference trajectories of each namespace state in their headers."""
-
-    def __init__(self):
-        self._starts: dict[str, list[int]] = {}
-
-    def of(self, topic: str) -> list[int]:
-        """Return the starts in the namespace of a topic, ascending; the list grows with each reference."""
-        return self._starts.setdefault(topic.rpartition("/")[0], [])
-
-    def take(self, topic: str, stamp: int | None) -> None:
-        """Take the stamp of the next message of a topic."""
-        starts = self.of(topic) if topic.endswith("/reference_trajectory") else None
-        if starts is not None and stamp is not None and stamp not in starts:
-            bisect.insort(starts, stamp)
 
 
 class GapCounter:
@@ -40,11 +24,14 @@ class GapCounter:
     start, or when the stamp returns to 0. Other backward stamps and repeated stamps are counted separately, and so a
     second publisher shows.
 
-    starts: of the passes; latched: a late subscriber receives the last message again, which is no repeated stamp.
+    starts: namespace -> starts of its passes, which the reference trajectories state in their headers. A late
+    subscriber receives a latched message again, which is no repeated stamp.
     """
 
-    def __init__(self, starts: Sequence[int] = (), latched: bool = False):
-        self._starts, self._latched = starts, latched
+    def __init__(self, topic: str = "", starts: dict[str, list[int]] | None = None, latched: bool = False):
+        namespace, _, name = topic.rpartition("/")
+        self._starts: list[int] = [] if starts is None else starts.setdefault(namespace, [])
+        self._latched, self._is_reference = latched, name == "reference_trajectory"
         self.period_ns: int | None = None  #: 0: the series has no period
         self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None  #: last stamp [ns]
@@ -52,6 +39,8 @@ class GapCounter:
 
     def add(self, stamp: int) -> None:
         last = self.last
+        if self._is_reference and stamp not in self._starts:
+            bisect.insort(self._starts, stamp)
         difference = 0 if last is None else stamp - last
         if last is None or self._begins(last, stamp):
             self.last = stamp
@@ -61,7 +50,12 @@ class GapCounter:
             self.backwards += 1
         elif difference < 365 * 86_400 * 10**9:  # a year; larger differences come from another clock
             self.last = stamp
-            self._take(difference)
+            if self.period_ns is not None:
+                self._count(difference)
+            else:
+                self._differences.append(difference)
+                if len(self._differences) == 20:
+                    self._learn()
 
     def _begins(self, last: int, stamp: int) -> bool:
         """Return whether a pass begins between two stamps."""
@@ -70,14 +64,6 @@ class GapCounter:
         return bisect.bisect_right(self._starts, stamp) > bisect.bisect_right(self._starts, last) or (
             stamp == 0 == self._starts[0] and last > 0
         )
-
-    def _take(self, difference: int) -> None:
-        if self.period_ns is not None:
-            self._count(difference)
-            return
-        self._differences.append(difference)
-        if len(self._differences) == 20:
-            self._learn()
 
     def _count(self, difference: int) -> None:
         period = self.period_ns
@@ -112,16 +98,18 @@ class GapCounter:
 
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Return duration, counts, rates, sizes, gaps, metadata and attachments of a recording; read all its messages."""
-    known, starts = recording.topics(), PassStarts()
+    known = recording.topics()
+    starts: dict[str, list[int]] = {}
     stamped = {n for n, t in known.items() if t.schema_encoding == "ros2msg" and starts_with_stamp(t.schema)}
     gaps = {
-        name: GapCounter(starts.of(name), is_latched(known[name])) for name in stamped if known[name].type not in SHARED
+        name: GapCounter(name, starts, is_latched(known[name].metadata))
+        for name in stamped
+        if known[name].type not in SHARED
     }
     sizes: Counter[str] = Counter()
     times: dict[str, tuple[int, int]] = {}  # topic -> first and last log time [ns]
     for number, message in enumerate(recording.messages()):
         name, stamp = message.topic, stamp_of(message.data)
-        starts.take(name, stamp)
         if name in gaps and stamp is not None:
             gaps[name].add(stamp)
         sizes[name] += len(message.data)
@@ -171,16 +159,13 @@ def info_text(data: dict) -> str:
     lines.append(f"written by {data['library'] or 'unknown'}, profile {data['profile'] or 'none'}")
     width = max((len(name) for name in data["topics"]), default=0)
     for name, topic in data["topics"].items():
+        counts, gaps = topic["gaps"] or {}, ""
+        if any(counts.get(key) for key in ("missing", "repeated", "backwards")):
+            gaps = "; {missing} missing in {gaps} gaps, {repeated} repeated, {backwards} back".format(**counts)
         rate = f"{topic['rate_hz']:10.1f} Hz" if topic["rate_hz"] else " " * 13
-        lines.append(f"  {name:{width}}  {topic['count']:8d} {rate}  {topic['type']}{_gap_text(topic['gaps'])}")
+        lines.append(f"  {name:{width}}  {topic['count']:8d} {rate}  {topic['type']}{gaps}")
     for name, entries in data["metadata"].items():
         lines += [f"  {name}: {key} = {value}" for key, value in entries.items()]
     lines += [f"  attached: {a['name']} ({a['size_bytes']} bytes)" for a in data["attachments"]]
     # text in a file must not control the terminal
     return "\n".join(map(one_line, lines))
-
-
-def _gap_text(gaps: dict | None) -> str:
-    if not gaps or not (gaps["missing"] or gaps["repeated"] or gaps["backwards"]):
-        return ""
-    return f"; {gaps['missing']} missing in {gaps['gaps']} gaps, {gaps['repeated']} repeated, {gaps['backwards']} back"

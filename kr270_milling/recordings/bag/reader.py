@@ -6,9 +6,7 @@ A definition in a file is not trusted: its size and its arrays are limited.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -19,8 +17,8 @@ from mcap.records import Channel, Schema
 
 from kr270_milling.base.errors import InputError, RecordingError, nearest
 from kr270_milling.base.units import SECOND
-from kr270_milling.recordings.bag.files import all_latched, find_recording, is_rosbag, read_qos, yaml_text
-from kr270_milling.recordings.bag.mcap_file import LATEST, Attached, Damage, McapFile, OnDamage, RawMessage
+from kr270_milling.recordings.bag.files import find_recording, is_latched, is_rosbag, yaml_text
+from kr270_milling.recordings.bag.mcap_file import LATEST, Attached, McapFile, OnDamage, RawMessage
 from kr270_milling.recordings.messages.definitions import (
     RecordedTopic,
     definition,
@@ -30,7 +28,7 @@ from kr270_milling.recordings.messages.topics import TOPICS
 
 
 class RosbagFile:
-    """The content of a recording, with the attributes of an ``McapFile``. Raises Damage."""
+    """The content of a recording, with the attributes of an ``McapFile``. Raises RecordingError."""
 
     cut_off = False
     profile = "ros2"
@@ -38,20 +36,25 @@ class RosbagFile:
 
     def __init__(self, path: Path):
         from rosbags.rosbag2 import Reader
+        from rosbags.rosbag2.metadata import dump_qos_v9
 
-        self._faults = _faults()
+        self.path = path
         try:
             self._reader = Reader(path)
             self._reader.open()
-        except self._faults as error:
-            raise Damage(f"cannot be read: {error}", 0) from error
+        except Exception as error:
+            raise RecordingError(path, f"cannot be read: {error}") from error
         self._connections = list(self._reader.connections)
         files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
         self.size = sum(file.stat().st_size for file in files)
         self.library = f"rosbag2 {self._reader.ros_distro or ''}".strip()
         self.counts = Counter({c.id: c.msgcount for c in self._connections})
         self.schemas = {c.id: Schema(c.id, *_definition_of(c)) for c in self._connections}
-        self.channels = {c.id: Channel(c.id, c.topic, "cdr", _qos_metadata(c), c.id) for c in self._connections}
+        self.channels = {}
+        for c in self._connections:  # metadata as rosbag2 writes them into an MCAP file
+            profiles = yaml_text(dump_qos_v9(c.ext.offered_qos_profiles)).strip()  # type: ignore[union-attr]
+            about = {"offered_qos_profiles": profiles, "topic_type_hash": c.digest}
+            self.channels[c.id] = Channel(c.id, c.topic, "cdr", about, c.id)
         custom = self._reader.storage.metadata.custom or {}
         self.metadata = {"custom_data": {str(key): str(value) for key, value in custom.items()}} if custom else {}
         count = self._reader.message_count
@@ -62,32 +65,20 @@ class RosbagFile:
         self._reader.close()
 
     def attachment(self, about: Attached) -> bytes:
-        raise Damage(f"has no attachment {about.name!r}", 0)
+        raise RecordingError(self.path, f"has no attachment {about.name!r}")
 
     def messages(self, names: Mapping[int, str], on_damage: OnDamage | None = None) -> Iterator[RawMessage]:
-        """Yield the messages on some channels in the order of their times in each file. Raises Damage."""
+        """Yield the messages on some channels in the order of their times in each file. Raises RecordingError."""
         chosen = [c for c in self._connections if c.id in names]
         try:
             for c, time, data in self._reader.messages(chosen) if chosen else ():
                 if not 0 <= time < LATEST:
                     raise ValueError(f"a time of {time} ns is not between 1970 and 2262")
                 yield RawMessage(names[c.id], time, time, bytes(data), c.id)
-        except self._faults as error:
-            damage = Damage(f"cannot be read to its end: {error}", 0)
-            if on_damage is None:
-                raise damage from error
-            on_damage(damage, 0)
-
-
-def _faults() -> tuple[type[BaseException], ...]:
-    """Return the errors of rosbags and of the libraries that rosbags uses, for a damaged recording."""
-    import apsw
-    from rosbags.rosbag2 import ReaderError, reader
-
-    # code that meets a field of another type in a damaged file, SQLite, the decompressors
-    code = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, struct.error)
-    system = (OSError, RuntimeError, EOFError, MemoryError)
-    return (*code, *system, ReaderError, apsw.Error, reader.zstd.ZstdError)
+        except Exception as error:
+            reason = f"cannot be read to its end: {error}"
+            if on_damage is None or on_damage(reason, 0, 0):
+                raise RecordingError(self.path, reason) from error
 
 
 def _definition_of(connection) -> tuple[bytes, str, str]:
@@ -102,14 +93,6 @@ def _definition_of(connection) -> tuple[bytes, str, str]:
     return text.encode(), encoding, connection.msgtype
 
 
-def _qos_metadata(connection) -> dict[str, str]:
-    """Return the metadata of a channel as rosbag2 writes them into an MCAP file."""
-    from rosbags.rosbag2.metadata import dump_qos_v9
-
-    profiles = yaml_text(dump_qos_v9(connection.ext.offered_qos_profiles)).strip()
-    return {"offered_qos_profiles": profiles, "topic_type_hash": connection.digest}
-
-
 OWN = tuple(topic.name for topic in TOPICS if not topic.name.startswith("/"))
 
 
@@ -117,8 +100,8 @@ class Recording:
     """An open recording: an MCAP file, or what rosbag2 wrote. Raises RecordingError where it cannot be read.
 
     ``cut_off``: its writer did not finish the file; the file is read up to its last whole chunk.
-    progress: called with (bytes read, bytes in all) where the file has no summary. on_damage: receives each damage and
-    the bytes that are lost with it; reading continues after them. By default the first damage raises RecordingError.
+    progress: called with (bytes read, bytes in all) where the file has no summary. on_damage: receives each damage, see
+    ``OnDamage``; by default the first damage raises RecordingError.
     remap: our names -> recorded names, see ``remapping``.
     """
 
@@ -131,9 +114,8 @@ class Recording:
     ):
         self.path = find_recording(path)
         self.remap = remap
-        with self._damage_as_error():
-            bag = is_rosbag(self.path)
-            self._file = RosbagFile(self.path) if bag else McapFile(self.path, progress, on_damage)
+        bag = is_rosbag(self.path)
+        self._file = RosbagFile(self.path) if bag else McapFile(self.path, progress, on_damage)
         self.size, self.cut_off = self._file.size, self._file.cut_off
         self.profile, self.library = self._file.profile, self._file.library
         self.channels, self.schemas, self.counts = self._file.channels, self._file.schemas, self._file.counts
@@ -145,14 +127,6 @@ class Recording:
             self.close()
             raise
         self._topics = self._list_topics()
-
-    @contextlib.contextmanager
-    def _damage_as_error(self) -> Iterator[None]:
-        try:
-            yield
-        except Damage as damage:
-            hint = "; recover may save the rest" if damage.offset else ""
-            raise RecordingError(self.path, damage.reason + hint, damage.offset) from damage
 
     def _rename(self) -> None:
         """Give the channels our names of their topics."""
@@ -205,8 +179,7 @@ class Recording:
         """The bytes of an attachment. Raises RecordingError."""
         for about in self.attachments:
             if about.name == name:
-                with self._damage_as_error():
-                    return self._file.attachment(about)
+                return self._file.attachment(about)
         raise RecordingError(self.path, f"has no attachment {name!r}")
 
     def messages(
@@ -217,16 +190,7 @@ class Recording:
         on_damage: receives each damage, and reading continues after the damage. Raises RecordingError.
         """
         names = {n: c.topic for n, c in self.channels.items() if topics is None or c.topic in topics}
-        with self._damage_as_error():
-            yield from self._file.messages(names, on_damage)
-
-    def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
-        """Messages with their fields as attributes: slow, but for any type of the "ros2msg" kind."""
-        decoders = {}
-        for message in self.messages(topics):
-            if message.topic not in decoders:
-                decoders[message.topic] = self.decoder(message.topic)
-            yield message, decoders[message.topic](message.data)
+        return self._file.messages(names, on_damage)
 
     def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """A function from the bytes of a topic's messages to an object. Raises RecordingError."""
@@ -278,11 +242,6 @@ def namespaces_of(topics: Iterable[str]) -> set[str]:
     return {space for space, _, name in (topic.rpartition("/") for topic in topics) if name in OWN}
 
 
-def is_latched(about: RecordedTopic) -> bool:
-    """Return whether every publisher of a recorded topic repeats its last message for late subscribers."""
-    return all_latched(read_qos(about.metadata.get("offered_qos_profiles", "")))
-
-
 def span(recording: Recording, start_offset: float, duration: float | None) -> tuple[int, int]:
     """Return first and last log time [ns] of a playback; offset and duration (None: to the end) in s."""
     first = next((message.log_time for message in recording.messages()), 0)
@@ -306,6 +265,6 @@ def playback(recording: Recording, topics: Collection[str], start: int, end: int
             yield from before.values()
             before.clear()
             yield message._replace(log_time=latest)
-        elif is_latched(known[message.topic]):
+        elif is_latched(known[message.topic].metadata):
             before[message.topic] = message
     yield from before.values()

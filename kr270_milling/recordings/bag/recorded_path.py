@@ -11,11 +11,13 @@ import numpy as np
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE
+from kr270_milling.base.units import SECOND
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.messages.cdr import TRAJECTORY, Cursor, TrajectoryRecord, read_trajectory
+from kr270_milling.recordings.messages.cdr import TRAJECTORY, TrajectoryRecord, read_trajectory
+from kr270_milling.recordings.messages.definitions import deserialise
 
 PATH = "nav_msgs/msg/Path"
 
@@ -26,43 +28,34 @@ def read_recorded(path, topic: str = "", feed: float = 0.0) -> Toolpath | TimedP
     Raises RecordingError if there is none, if there are several, or if it cannot be run.
     """
     with Recording(path) as recording:
-        topic, kind = _topic(recording, topic)
+        fits = {name: t.type for name, t in recording.topics().items() if t.type in (PATH, TRAJECTORY) and t.count}
+        listed = ", ".join(f"{name} ({kind})" for name, kind in fits.items())
+        if topic and topic not in fits:
+            raise RecordingError(path, f"has no path on path.topic {topic!r}, but on: {listed or 'no topic'}")
+        if not topic and len(fits) != 1:
+            several = f"several topics have a path, name one as path.topic: {listed}"
+            raise RecordingError(path, several if fits else f"has no {PATH} and no {TRAJECTORY}")
+        topic = topic or next(iter(fits))
         try:
-            data = _message(recording, topic)
-            if kind == PATH:
-                return _toolpath(data, feed)
-            return _timed(read_trajectory(data))
+            data = b""
+            for message in recording.messages([topic]):
+                data = data or message.data
+                if message.data[12:] != data[12:]:  # a repeated message may differ only in its stamp
+                    raise ValueError("has several different paths; a recording must have one")
+            if recording.topics()[topic].encoding != "cdr":
+                raise ValueError("has no message that can be read")
+            if fits[topic] == TRAJECTORY:
+                return _timed(read_trajectory(data))
+            frames, time, position, quaternion = read_path(data)
+            _expect_frame(frames[0], *filter(None, frames[1:]))  # an empty frame is the frame of the message
+            chosen = _moving(position)
+            feeds = np.append(0.0, _feeds(time, position, chosen[1:], feed))
+            return _blocks(chosen, position, _orientations(quaternion), feeds, np.zeros(len(chosen)))
         except (ValueError, TrajectoryError) as error:
             reason = getattr(error, "reason", error)
             point = getattr(error, "index", None)
             where = "" if point is None else f"point {point + 1}: "
             raise RecordingError(path, f"{topic}: {where}{reason}") from error
-
-
-def _topic(recording: Recording, wanted: str) -> tuple[str, str]:
-    """Name and type of the topic to read."""
-    fits = {name: t.type for name, t in recording.topics().items() if t.type in (PATH, TRAJECTORY) and t.count}
-    if wanted in fits:
-        return wanted, fits[wanted]
-    listed = ", ".join(f"{name} ({kind})" for name, kind in fits.items())
-    if wanted:
-        raise RecordingError(recording.path, f"has no path on path.topic {wanted!r}, but on: {listed or 'no topic'}")
-    if len(fits) != 1:
-        reason = f"several topics have a path, name one as path.topic: {listed}" if fits else f"has no {PATH} and no "
-        raise RecordingError(recording.path, reason if fits else reason + TRAJECTORY)
-    return next(iter(fits.items()))
-
-
-def _message(recording: Recording, topic: str) -> bytes:
-    """Return the message of a topic; a repeated message may differ only in its stamp."""
-    first = b""
-    for message in recording.messages([topic]):
-        if first and message.data[12:] != first[12:]:
-            raise ValueError("has several different paths; a recording must have one")
-        first = first or message.data
-    if recording.topics()[topic].encoding != "cdr" or not first:
-        raise ValueError("has no message that can be read")
-    return first
 
 
 def read_path(data: bytes) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
@@ -71,29 +64,13 @@ def read_path(data: bytes) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.
     Returns the frame of the message and those of its poses, each once; stamps [ns], (n,) int64; positions [m], (n, 3);
     quaternions x y z w, (n, 4).
     """
-    cursor = Cursor(data)
-    cursor.number("i"), cursor.number("I")
-    frames = {cursor.string(): None}
-    count = cursor.number("I")
-    if 64 * count > len(data):  # a pose has at least a stamp and seven numbers
-        raise ValueError("the message ends too early")
-    time, numbers = np.empty(count, np.int64), np.empty((count, 7))
-    for k in range(count):
-        seconds, nanoseconds = cursor.number("i"), cursor.number("I")
-        time[k] = seconds * 10**9 + nanoseconds
-        frames[cursor.string()] = None
-        cursor.align(8)
-        numbers[k] = np.frombuffer(data, cursor.order + "f8", 7, cursor.skip(56))
-    cursor.finish()
-    return tuple(frames), time, numbers[:, :3], numbers[:, 3:]
-
-
-def _toolpath(data: bytes, feed_rate: float) -> Toolpath:
-    frames, time, position, quaternion = read_path(data)
-    _expect_frame(frames[0], *filter(None, frames[1:]))  # an empty frame is the frame of the message
-    chosen = _moving(position)
-    feed = np.append(0.0, _feeds(time, position, chosen[1:], feed_rate))
-    return _blocks(chosen, position, _orientations(quaternion), feed, np.zeros(len(chosen)))
+    message = deserialise(PATH, data)
+    headers = [pose.header for pose in message.poses]
+    frames = dict.fromkeys([message.header.frame_id, *(header.frame_id for header in headers)])
+    time = np.array([header.stamp.sec * SECOND + header.stamp.nanosec for header in headers], np.int64)
+    places = [(pose.pose.position, pose.pose.orientation) for pose in message.poses]
+    position = np.array([(p.x, p.y, p.z) for p, _ in places]).reshape(-1, 3)
+    return tuple(frames), time, position, np.array([(q.x, q.y, q.z, q.w) for _, q in places]).reshape(-1, 4)
 
 
 def _feeds(time: np.ndarray, position: np.ndarray, moves: np.ndarray, feed_rate: float) -> np.ndarray:
@@ -112,11 +89,7 @@ def _feeds(time: np.ndarray, position: np.ndarray, moves: np.ndarray, feed_rate:
     if not feed.max() <= REACH:
         k = int(np.argmax(feed))
         raise ValueError(f"by its stamps the tool would go to pose {k + 2} at {feed[k]:.3g} m/s")
-    return _six_digits(feed)
-
-
-def _six_digits(feed: np.ndarray) -> np.ndarray:
-    """Round to six digits: stamps are whole nanoseconds and would turn one feed into many."""
+    # six digits: stamps are whole nanoseconds and would turn one feed into many
     unit = 10.0 ** (np.floor(np.log10(np.where(feed > 0, feed, 1.0))) - 5)
     return np.round(feed / unit) * unit
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.files import find_recording, is_rosbag
-from kr270_milling.recordings.bag.mcap_file import Damage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
@@ -32,11 +31,6 @@ class Recovered:
     lost_messages: int | None = None  # None: the source does not contain the count
     dropped: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)  # findings in the source, also where no message is lost
-
-    def lose(self, damage: Damage, size: int) -> None:
-        """Take a damage of the data, and the bytes that are lost with it."""
-        self.lost_bytes += size
-        self.dropped.append(f"{size} bytes at byte {damage.offset}: {damage.reason}")
 
     def describe(self, recording: Recording) -> None:
         """Take the content of a whole recording."""
@@ -74,7 +68,7 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     try:
         summary: list[str] = []  # damage that costs no message
         with (
-            Recording(file, on_damage=lambda damage, _: summary.append(damage.reason)) as salvage,
+            Recording(file, on_damage=lambda reason, *_: summary.append(reason)) as salvage,
             BagWriter(part, target.name) as writer,
         ):
             if salvage.profile is None and not (salvage.count or salvage.attachments or salvage.metadata()):
@@ -108,9 +102,14 @@ def _copy(source: Recording, result: Recovered, writer: BagWriter, progress: Cal
         schema = source.schema_of(channel)
         parsed = (schema.name, schema.encoding, schema.data)
         numbers[number] = writer.add_channel(channel.topic, parsed, channel.message_encoding, channel.metadata)
+
+    def lose(reason: str, offset: int, size: int) -> None:
+        result.lost_bytes += size
+        result.dropped.append(f"{size} bytes at byte {offset}: {reason}")
+
     refused: Counter[str] = Counter()  # reason -> messages
     before = len(result.dropped)
-    for count, message in enumerate(source.messages(on_damage=result.lose)):
+    for count, message in enumerate(source.messages(on_damage=lose)):
         number = numbers[message.channel]
         try:
             writer.write_raw(number, message.data, message.publish_time, message.log_time, message.sequence)
@@ -135,8 +134,8 @@ def findings(recording: Recording, progress: Callable[[int, int], None] | None =
     sentences = ["it is cut off: its writer did not finish it"] if recording.cut_off else []
     counts: Counter[int] = Counter()
 
-    def add(damage: Damage, _: int) -> None:
-        sentences.append(f"{damage.reason} (at byte {damage.offset})")
+    def add(reason: str, offset: int, size: int) -> None:
+        sentences.append(f"{reason} (at byte {offset})")
 
     for number, message in enumerate(recording.messages(on_damage=add)):
         counts[message.channel] += 1

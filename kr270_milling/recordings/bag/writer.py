@@ -17,7 +17,7 @@ from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.version import __version__
 from kr270_milling.recordings.bag import files
-from kr270_milling.recordings.bag.info import SHARED, GapCounter, PassStarts
+from kr270_milling.recordings.bag.info import SHARED, GapCounter
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import definition, starts_with_stamp, type_hash
 
@@ -43,53 +43,39 @@ class WrittenChannel:
     count: int = 0
     refused: int = 0
 
-    def report(self) -> dict:
-        """Return the numbers of messages, of missing messages by their stamps, and of refused messages."""
-        refused = {"refused": self.refused} if self.refused else {}
-        return dict(count=self.count, **(self.gaps.as_dict() if self.stamped else {}), **refused)
 
+class RecordingFile:
+    """A new file for mcap's Writer, without a buffer: a written chunk is in the kernel and survives a SIGKILL.
 
-class Output:
-    """``directory/name.mcap`` for mcap's Writer.
-
-    There is no buffer here: a written chunk is in the kernel and survives a SIGKILL. The first error of the file system
-    ends the file, which stays readable up to its last whole chunk; every later call raises the same RecordingError.
+    The first error of the file system ends the file, which stays readable up to its last whole chunk; every later call
+    raises the same RecordingError.
     """
 
-    def __init__(self, directory: Path, name: str, chunk_size: int):
-        self.path = directory / f"{name}.mcap"
+    def __init__(self, path: Path):
+        self.path = path
         self.error: RecordingError | None = None
         self.count = self.saved = 0  #: messages given to mcap's Writer, and messages in the file
-        self._file = self._create()
-        # the checksum of the data section also covers the bytes outside of the chunks
-        self.mcap = Writer(cast(IO[bytes], self), chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
-
-    def _create(self) -> IO[bytes]:
-        folder = self.path.parent
+        folder = path.parent
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if folder.is_symlink():
                 raise RecordingError(folder, "is a symbolic link; a recording is not written through links")
             if os.path.lexists(folder / "metadata.yaml"):
                 raise RecordingError(folder, "has a recording already, which is not overwritten")
-            return cast(IO[bytes], open(self.path, "xb", buffering=0))
+            self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - closed by ``close``
+            self.tell = self._file.tell
         except FileExistsError as error:
             raise RecordingError(error.filename, "exists already and is not overwritten") from None
         except OSError as error:
-            raise RecordingError(self.path, f"cannot be created: {error.strerror}") from error
-
-    @property
-    def is_open(self) -> bool:
-        return not self._file.closed
+            raise RecordingError(path, f"cannot be created: {error.strerror}") from error
 
     def check(self) -> None:
         """Raise RecordingError after an error or after the end."""
-        if not self.is_open:
+        if self._file.closed:
             raise self.error or RecordingError(self.path, "the recording is closed")
 
-    # the stream of mcap's Writer
-
     def write(self, data) -> int:
+        """Write all bytes. Raises RecordingError."""
         self.check()
         view, written = memoryview(data), 0
         try:
@@ -105,27 +91,16 @@ class Output:
             self.saved = self.count
         return written
 
-    def tell(self) -> int:
-        return self._file.tell()
-
     def flush(self) -> None:
         """Do nothing: there is no buffer."""
-
-    # for the writer of the recording
-
-    def add_message(self, channel: int, log_time: int, data, publish_time: int, sequence: int) -> None:
-        self.check()
-        self.count += 1
-        self.mcap.add_message(channel, log_time, data, publish_time, sequence)
-
-    def close_chunk(self) -> None:
-        """Write every message into the file."""
-        if self.is_open and self.saved < self.count:
-            self.mcap.flush()
 
     def close(self) -> None:
         with suppress(OSError):
             self._file.close()
+
+    @property
+    def closed(self) -> bool:
+        return self._file.closed
 
 
 class BagWriter:
@@ -146,25 +121,25 @@ class BagWriter:
         metadata: Mapping[str, object] | None = None,
         chunk_size: int = 1024 * 1024,
     ):
-        self.directory = Path(os.path.abspath(directory))
-        name = self.directory.name if name is None else name
-        self.output = Output(self.directory, name, chunk_size)
+        folder = Path(os.path.abspath(directory))
+        self.path = folder / f"{folder.name if name is None else name}.mcap"
+        if self.path.parent != folder:
+            raise RecordingError(folder, f"{name!r} is not the name of a file in this directory")
+        self.output = RecordingFile(self.path)
+        # the checksum of the data section also covers the bytes outside of the chunks
+        self._mcap = Writer(cast(IO[bytes], self.output), chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
         self.topics: dict[str, int] = {}
         self.channels: dict[int, WrittenChannel] = {}
         self.start: int | None = None  #: [ns], smallest and largest log time
         self.end = 0
         self._last_chunk: float | None = None  # [s]
-        self._starts = PassStarts()
+        self._starts: dict[str, list[int]] = {}
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
         self._schemas: dict[tuple, int] = {}
-        self.output.mcap.start("ros2", f"kr270_milling/{__version__}")
+        self._mcap.start("ros2", f"kr270_milling/{__version__}")
         self.add_metadata("kr270_milling", self._custom)
         for attached, content in (attachments or {}).items():
             self.add_attachment(attached, content)
-
-    @property
-    def path(self) -> Path:
-        return self.output.path
 
     @property
     def count(self) -> int:
@@ -174,13 +149,13 @@ class BagWriter:
     def add_attachment(self, name: str, content: bytes | memoryview | str) -> None:
         data = content.encode() if isinstance(content, str) else bytes(content)
         kind = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
-        self.output.mcap.add_attachment(0, 0, name, kind, data)
+        self._mcap.add_attachment(0, 0, name, kind, data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        self.output.mcap.add_metadata(name, {str(k): str(v) for k, v in values.items()})
+        self._mcap.add_metadata(name, {str(k): str(v) for k, v in values.items()})
 
     def add_topic(self, topic: str, type_name: str, qos: Iterable = ()) -> int:
-        """Prepare a topic with an installed message type; qos: profiles of its publishers for ``describe_qos``.
+        """Prepare a topic with an installed message type; qos: profiles of its publishers, of rclpy.
 
         A known topic stays unchanged.
         """
@@ -196,12 +171,12 @@ class BagWriter:
         """Prepare a channel: schema (name, encoding, data), message encoding, metadata of the channel."""
         self.output.check()
         if schema not in self._schemas:
-            self._schemas[schema] = self.output.mcap.register_schema(*schema) if schema[0] else 0
-        number = self.output.mcap.register_channel(topic, encoding, self._schemas[schema], about)
+            self._schemas[schema] = self._mcap.register_schema(*schema) if schema[0] else 0
+        number = self._mcap.register_channel(topic, encoding, self._schemas[schema], about)
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = files.read_qos(about.get("offered_qos_profiles", ""))
         digest = about.get("topic_type_hash", "")
-        gaps = GapCounter(self._starts.of(topic), files.all_latched(profiles))
+        gaps = GapCounter(topic, self._starts, files.is_latched(about))
         self.channels[number] = WrittenChannel(number, topic, schema[0], encoding, profiles, digest, stamped, gaps)
         self.topics.setdefault(topic, number)
         return number
@@ -226,14 +201,14 @@ class BagWriter:
                 raise MessageRefused(self.path, f"have the time {time} ns, which is not between 1970 and 2262")
 
         channel.count += 1
-        self.output.add_message(channel.id, log_time, data, publish_time, sequence)
+        self.output.check()
+        self.output.count += 1
+        self._mcap.add_message(channel.id, log_time, data, publish_time, sequence)
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
         stamp = stamp_of(data, channel.stamped)
-        if stamp is not None:
-            self._starts.take(channel.topic, stamp)
-            if channel.type not in SHARED:
-                channel.gaps.add(stamp)
+        if stamp is not None and channel.type not in SHARED:
+            channel.gaps.add(stamp)
 
     def tick(self, now: float) -> None:
         """Close the chunk after CHUNK_PERIOD; now [s]: any clock that does not go back."""
@@ -244,15 +219,21 @@ class BagWriter:
 
     def flush(self) -> None:
         """Write all messages into the file."""
-        self.output.close_chunk()
+        if not self.output.closed and self.output.saved < self.output.count:
+            self._mcap.flush()
 
     def report(self) -> dict:
         """Return the counts of each topic: messages, missing messages by their stamps, refused messages."""
-        return {channel.topic: channel.report() for channel in self.channels.values()}
+        counts: dict[str, dict] = {}
+        for channel in self.channels.values():
+            counts[channel.topic] = {"count": channel.count, **(channel.gaps.as_dict() if channel.stamped else {})}
+            if channel.refused:
+                counts[channel.topic]["refused"] = channel.refused
+        return counts
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``; a second call, or a call after an error, does nothing."""
-        if not self.output.is_open:
+        if self.output.closed:
             return
         for channel in self.channels.values():
             channel.gaps.finish()
@@ -260,7 +241,7 @@ class BagWriter:
         self.flush()
         self.add_metadata("kr270_milling.counts", {k: json.dumps(v) for k, v in self.report().items()})
         self.add_metadata("rosbag2", {"serialized_metadata": files.yaml_text(about)})
-        self.output.mcap.finish()
+        self._mcap.finish()
         self.output.close()
         neighbour = self.path.with_name("metadata.yaml")
         text = files.yaml_text({"rosbag2_bagfile_information": about})
@@ -269,7 +250,7 @@ class BagWriter:
         except InputError as error:
             raise RecordingError(neighbour, error.reason) from error
 
-    def __enter__(self) -> BagWriter:
+    def __enter__(self):
         return self
 
     def __exit__(self, *_) -> None:

@@ -19,20 +19,6 @@ from kr270_milling.base.errors import RecordingError
 
 TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
 STAMPS = ("Header", "std_msgs/Header", "std_msgs/msg/Header", "builtin_interfaces/Time", "builtin_interfaces/msg/Time")
-#: errors of rosbags for a text that is not a definition; SyntaxError and NameError come from the code it generates
-DEFINITION_ERRORS = (
-    ValueError,
-    TypeError,
-    KeyError,
-    AssertionError,
-    AttributeError,
-    RecursionError,
-    SyntaxError,
-    NameError,
-    OverflowError,
-    MemoryError,
-)
-
 #: [bytes] of a message with lists of messages or texts: Python's objects take about twenty times as much
 MOST_OBJECTS = 4 * 1024 * 1024
 
@@ -56,7 +42,7 @@ def store_of(type_name: str):
 
 def _register(type_name: str) -> None:
     """Add a type and the types of its fields to the store, from the files of their packages."""
-    from rosbags.typesys import TypesysError, get_types_from_msg
+    from rosbags.typesys import get_types_from_msg
 
     types, waiting = {}, [type_name]
     while waiting:
@@ -65,7 +51,7 @@ def _register(type_name: str) -> None:
             continue
         try:
             types.update(get_types_from_msg(_file(name).read_text(encoding="utf-8"), name))
-        except (TypesysError, *DEFINITION_ERRORS) as error:
+        except Exception as error:
             raise RecordingError(name, "its definition cannot be used") from error
         waiting += [kind for _, is_message, kind, _ in members(types[name]) if is_message]
     jazzy_store().register(types)
@@ -73,10 +59,7 @@ def _register(type_name: str) -> None:
 
 def _file(type_name: str) -> Path:
     """The ``.msg`` file of a type: beside the Python package in a wheel, an overlay or /opt/ros."""
-    match = TYPE_NAME.fullmatch(type_name)
-    if not match:
-        raise RecordingError(type_name, "this is not the name of a message type")
-    package, name = match.groups()
+    package, _, name = type_name.split("/")
     spec = importlib.util.find_spec(package)
     roots = [root for place in (spec and spec.submodule_search_locations) or [] for root in Path(place).parents]
     roots += [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
@@ -152,27 +135,21 @@ class RecordedTopic:
 
 @functools.lru_cache(maxsize=64)
 def store_for(type_name: str, text: str):
-    """A type store that knows a type as the text of a recording defines it.
-
-    Raises ValueError for an unusable text, and the errors in DEFINITION_ERRORS.
-    """
-    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+    """A type store that knows a type as the text of a recording defines it; an unusable text raises any error."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if not TYPE_NAME.fullmatch(type_name) or len(text) > 256 * 1024:  # characters of a definition
         raise ValueError(f"{type_name[:80]!r} is not defined by {len(text)} characters")
-    try:
-        types = get_types_from_msg(text, type_name)
-        if all(jazzy_store().fielddefs.get(name) == fields for name, fields in types.items()):
-            return jazzy_store()
-        for name, is_message, kind, length in (member for fields in types.values() for member in members(fields)):
-            # rosbags generates a line of code for each item of an array of fixed length of texts or messages
-            most = 1000 if is_message or kind == "string" else 2**31
-            if length not in (None, math.inf) and not 1 <= length <= most:
-                raise ValueError(f"{name} is an array of {length} items")
-        store = get_typestore(Stores.EMPTY)
-        store.register(types)
-    except TypesysError as error:
-        raise ValueError(str(error)[:200]) from None
+    types = get_types_from_msg(text, type_name)
+    if all(jazzy_store().fielddefs.get(name) == fields for name, fields in types.items()):
+        return jazzy_store()
+    for name, is_message, kind, length in (member for fields in types.values() for member in members(fields)):
+        # rosbags generates a line of code for each item of an array of fixed length of texts or messages
+        most = 1000 if is_message or kind == "string" else 2**31
+        if length not in (None, math.inf) and not 1 <= length <= most:
+            raise ValueError(f"{name} is an array of {length} items")
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
     return store
 
 
@@ -187,7 +164,7 @@ def make_decoder(path, name: str, topic: RecordedTopic) -> Callable[[bytes], obj
     try:
         store = store_for(topic.type, topic.schema)
         store.get_msgdef(topic.type)
-    except DEFINITION_ERRORS as error:
+    except Exception as error:
         raise RecordingError(path, f"the definition of {topic.type} cannot be used") from error
     limited = _has_lists(store, topic.type)
 

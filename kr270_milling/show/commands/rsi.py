@@ -53,7 +53,7 @@ def run_rsi(args) -> Answer:
 
         def report(sentence: str) -> None:
             print(sentence, file=sys.stderr, flush=True)
-            recording.report(sentence)
+            recording.note(sentence)
 
         report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
         if args.host.startswith("127."):
@@ -75,7 +75,7 @@ def run_rsi(args) -> Answer:
                 report(refused)
             session.run()
     counts = session.counts
-    share = corrector.progress / corrector.length
+    share = corrector.path.progress / corrector.path.length
     result = {
         "answered": counts.answered,
         "late": counts.late,

@@ -23,7 +23,7 @@ from kr270_milling.live.graph.processes import Child
 from kr270_milling.live.nodes.start import NODES, start
 from kr270_milling.live.ros import spin
 from kr270_milling.live.ros.environment import PARENT
-from kr270_milling.live.ros.node import ReportingNode, guarded
+from kr270_milling.live.ros.node import ReportingNode
 from kr270_milling.recordings.bag.reader import Recording
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -173,7 +173,6 @@ class Counting(ReportingNode):
         self.calls, self.fails = 0, fails
         self.create_timer(0.0005, self.count)
 
-    @guarded
     def count(self) -> None:
         self.calls += 1
         if self.calls == 100 and self.fails:

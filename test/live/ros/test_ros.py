@@ -19,7 +19,7 @@ from kr270_milling.base.record import Record, specs
 from kr270_milling.cell.cell_file import cell_text, read_cell, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
-from kr270_milling.live.ros.node import ManagedNode, guarded
+from kr270_milling.live.ros.node import ManagedNode
 from kr270_milling.live.ros.readiness import Report, unmatched
 
 ERROR = 2
@@ -33,11 +33,9 @@ class Failing(ManagedNode):
     def configure(self) -> None:
         raise InputError("stock", "is missed by the path")
 
-    @guarded
     def refuse(self) -> None:
         raise InputError("message", "of no use")
 
-    @guarded
     def stumble(self) -> None:
         raise ZeroDivisionError("a mistake")
 
@@ -50,10 +48,12 @@ def test_failed_transition_and_unusable_input_are_reported_and_a_mistake_in_a_ca
         reports.until("/failing", "is missed by the path", ERROR)
     assert not node.active
     refused = node.refused
-    node.refuse()
+    refuse = node.create_timer(0.01, node.refuse)
     reports.until("/failing", "of no use", ERROR)
-    assert node.failure is None and node.refused == refused + 1
-    node.stumble()
+    refuse.cancel()
+    assert node.failure is None and node.refused > refused
+    node.create_timer(0.01, node.stumble)
+    world.until(lambda: node.failure)
     assert node.failure == "ZeroDivisionError in stumble: a mistake"
 
 

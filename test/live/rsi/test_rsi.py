@@ -249,7 +249,7 @@ def test_a_full_disk_is_reported_and_the_answers_continue(running, tmp_path):
         while not session.recording_failed and time.monotonic() < end:
             controller.cycle((0.0, 0.0, 0.0))
         controller.cycle((0.0, 0.0, 0.0))
-        recording.report("is not recorded, and raises no error")
+        recording.note("is not recorded, and raises no error")
     assert any(s.startswith("answers continue without a recording: ") and "are safe" in s for s in sentences)
 
 

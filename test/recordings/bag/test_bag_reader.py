@@ -20,15 +20,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import CompressionType, IndexType
+from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader, StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2 import Reader
 from samples import pass_recording as made
 from samples.recording_samples import (
     PERIOD,
-    POSE,
-    STORE,
     TOPICS,
     Whole,
     flipped,
@@ -53,20 +50,6 @@ def test_messages_come_in_the_order_of_the_file_from_every_packing(tmp_path, kin
     path = write_mcap(tmp_path / "a.mcap", messages, kind, chunk_size=20_000)
     with Recording(path) as recording:
         assert [(m.log_time, m.data) for m in recording.messages()] == messages
-
-
-def test_files_without_chunks_or_without_index_and_summary_are_read(tmp_path):
-    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/tool_pose", POSE, typestore=STORE)
-        for log_time, data in poses(range(100)):
-            writer.write(connection, log_time, data)
-    messages, cut_off = read(tmp_path / "bag")
-    assert not cut_off
-    assert [(t, d) for _, t, d in messages] == poses(range(100))
-    bare = dict(use_statistics=False, repeat_channels=False, repeat_schemas=False, use_summary_offsets=False)
-    messages = poses(range(99, -1, -1))
-    path = write_mcap(tmp_path / "a.mcap", messages, chunk_size=2000, index_types=IndexType.NONE, **bare)
-    assert [(t, d) for _, t, d in read(path)[0]] == messages
 
 
 def test_a_file_cut_off_anywhere_gives_a_beginning_of_it_or_one_sentence(tmp_path):
@@ -204,13 +187,10 @@ def test_foxglove_reads_a_cut_off_file_and_the_recovered_one(bag, tmp_path):
 # --- verifying and recovering ---
 
 
-def test_a_whole_recording_has_no_findings(bag, tmp_path):
+def test_a_whole_recording_has_no_findings(bag):
     directory, _ = bag
     assert "whole: every checksum and count fits" in ask("info", str(directory), "--verify").out
     assert answered("info", directory, "--verify")["damage"] == []
-    for index in (IndexType.ALL, IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE):  # whatever its writer wrote
-        with Recording(write_mcap(tmp_path / "b.mcap", poses(range(50)), chunk_size=500, index_types=index)) as other:
-            assert findings(other) == []
 
 
 @pytest.mark.parametrize("name", list(NAMES.values()))
@@ -340,7 +320,7 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     assert place == "type" or result.lost_bytes >= chunk.end - chunk.offset  # readers skip records of unknown types
 
 
-@pytest.mark.parametrize(("opcode", "sentence"), [(7, "checksum at their end"), (5, "to no channel")])
+@pytest.mark.parametrize(("opcode", "sentence"), [(7, "checksum at their end"), (5, "which is not defined")])
 def test_a_chunk_with_the_opcode_of_another_record_is_not_passed_over(source, tmp_path, opcode, sentence):
     data, _, chunks = source
     chunk, count = chunks[len(chunks) // 2]

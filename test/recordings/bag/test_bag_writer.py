@@ -29,13 +29,14 @@ from samples.recording_samples import (
     make,
     path,
     pose,
+    profile,
     raw,
     record,
 )
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
-from kr270_milling.recordings.bag.files import DEFAULT_QOS, describe_qos, qos_text, read_qos
+from kr270_milling.recordings.bag.files import QOS, qos_text, read_qos
 from kr270_milling.recordings.bag.info import GapCounter, info, info_text
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
@@ -153,8 +154,9 @@ def test_nothing_is_written_elsewhere_through_a_link_or_over_a_file(tmp_path):
     for directory, name in ((tmp_path, "link"), (tmp_path, "victim"), (tmp_path / "out", None)):
         with pytest.raises(RecordingError, match="exists already|symbolic link"):
             BagWriter(directory, name)
-    with pytest.raises(RecordingError, match="cannot be created"):
-        BagWriter(tmp_path, "x" * 300)
+    for name, reason in (("x" * 300, "cannot be created"), *((n, "not the name") for n in ("../x", "a/b", "/tmp/x"))):
+        with pytest.raises(RecordingError, match=reason):
+            BagWriter(tmp_path, name)
     writer = BagWriter(tmp_path / "a")
     (tmp_path / "a" / "metadata.yaml").symlink_to(victim)
     writer.close()
@@ -262,20 +264,15 @@ ONE_LATCHED = Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurabilit
                   QosLiveliness.AUTOMATIC, FOREVER, False)  # fmt: skip
 
 
-def test_a_profile_is_what_rosbags_writes_and_reads_and_a_misspelt_policy_is_refused():
-    profile = {"depth": 1, "durability": "transient_local"}
-    assert [describe_qos(profile)] == dump_qos_v9([ONE_LATCHED])
-    assert parse_qos(qos_text([profile])) == [ONE_LATCHED]
-    for duration, seconds in ((1_500_000_000, (1, 500_000_000)), (dict(sec=2, nsec=3), (2, 3))):
-        assert tuple(describe_qos({"deadline": duration})["deadline"].values()) == seconds
-    with pytest.raises(KeyError, match="durabilty"):
-        describe_qos({"durabilty": "volatile"})
+def test_a_profile_is_what_rosbags_writes_and_reads():
+    assert read_qos(qos_text([profile(1, "TRANSIENT_LOCAL")])) == dump_qos_v9([ONE_LATCHED])
+    assert parse_qos(qos_text([profile(1, "TRANSIENT_LOCAL")])) == [ONE_LATCHED]
 
 
 def test_a_profile_object_of_rclpy_is_described():
     qos = pytest.importorskip("rclpy.qos", reason="rclpy is not installed")
-    actual = describe_qos(qos.QoSProfile(depth=7, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL))
-    assert list(actual) == list(DEFAULT_QOS) and actual["deadline"] == dict(sec=0, nsec=0)
+    (actual,) = read_qos(qos_text([qos.QoSProfile(depth=7, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)]))
+    assert list(actual) == list(QOS) and actual["deadline"] == dict(sec=0, nsec=0)
     assert (actual["history"], actual["depth"], actual["durability"]) == ("keep_last", 7, "transient_local")
 
 

@@ -304,7 +304,7 @@ def remapped(tmp_path_factory):
     names, directory = {"wrench": "force/measured"}, tmp_path_factory.mktemp("remapped") / "r"
     with BagWriter(directory, attachments={"cell.yaml": made.cell_text()}) as writer:
         for name, kind in made.TYPES.items():
-            profiles = [made.LATCHED] if name in made.LATCHED_TOPICS else [{}]
+            profiles = [made.LATCHED] if name in made.LATCHED_TOPICS else ()
             writer.add_topic(f"/left/{names.get(name, name)}", kind, profiles)
         for name in ("/left/wrench", "/old/force/measured"):
             writer.add_topic(name, made.WRENCH)
@@ -332,7 +332,7 @@ def test_compare_takes_the_wrench_next_to_the_reference_of_several(tmp_path):
     (tmp_path / "cell.yaml").write_text(made.cell_text())
     with BagWriter(tmp_path / "r", attachments={"cell.yaml": made.cell_text()}) as writer:
         for name, kind in made.TYPES.items():
-            writer.add_topic(f"/{name}", kind, [made.LATCHED] if name in made.LATCHED_TOPICS else [{}])
+            writer.add_topic(f"/{name}", kind, [made.LATCHED] if name in made.LATCHED_TOPICS else ())
         writer.add_topic("/ft/wrench", made.WRENCH)
         for k, message in enumerate(made.one_pass()):
             writer.write(f"/{message.topic}", message.data, 10**9 + k)

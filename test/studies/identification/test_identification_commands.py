@@ -31,7 +31,7 @@ OFFSET = np.array([12.0, -7.0, 440.0])  # of the sensor: drift and the weight on
 def record(directory, forces, rate: float, topic: str = "/plate/wrench") -> None:
     """A recording of forces (n, 3) [N] in the sensor's axes, from 100 s on."""
     with BagWriter(directory) as writer:
-        writer.add_topic(topic, WRENCH, [{}])
+        writer.add_topic(topic, WRENCH)
         for k, force in enumerate(forces):
             sec, nanosec = divmod(round(100e9 + k * 1e9 / rate), 10**9)
             vector = dict(zip("xyz", force.tolist(), strict=True))
