@@ -148,7 +148,7 @@ def _meet_tilted(
     bodies: list[tuple[str, np.ndarray]],
     met: np.ndarray,
 ) -> None:
-    """Fill ``met`` with what a tilted tool meets on the way to each pose (m, 6), on the map of its own cut.
+    """Fill ``met`` with what a tilted tool meets on the way to each pose (m, 6), on the map of its cut.
 
     A series of rapid moves is compared with the material before the series. The flutes are compared with the material
     before the tool cuts it, shank and holder with what the tool leaves; at corners and at every eighth place.
@@ -156,7 +156,6 @@ def _meet_tilted(
     depth, inner, volume, sunk, shank, holder = met
     cut, tool, top = cut_of(cell, rigid=True), cell.tool, float(cell.stock.max[2])
     cutter, position, axes = cutter_of(tool), poses[:, :3], poses[:, 3:]
-    hollow = cut.params.profile.hollow
     if core:
         bodies = [("core", cylinder(core, 0.0)), *bodies]
     near = [position[:, 2] + lowest_point(body[:1, 2:4], axes) < top for _, body in bodies]
@@ -172,11 +171,11 @@ def _meet_tilted(
     stops[-1] = True
     meets_core = np.zeros(len(poses), bool)
     first = 0
-    for last in np.flatnonzero(stops[1:]) + 1:
+    for last in (np.flatnonzero(stops[1:]) + 1).tolist():
         part = slice(first + 1, last + 1)
         if series[last] and series[last] != series[first] * (first > 0):
             rows = np.flatnonzero((series == series[last]) & rapid)
-            inner[rows] = contact(cut, cutter, poses[rows], *margins[:, rows], hollow=hollow)[:, 0]
+            inner[rows] = contact(cut, cutter, poses[rows], *margins[:, rows])[:, 0]
         for early in (True, False):
             for (name, body), close in zip(bodies, near, strict=True):
                 if close[last] and early == (name in ("core", "flutes")):
@@ -417,10 +416,12 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Findin
             )
     if flutes:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
-    bodies = (("shank", met.shank, "the flutes need"), ("holder", met.holder, "the tool must stick out"))
-    for body, depth, need in bodies:
+    for name, depth, need in (
+        ("shank", met.shank, "the flutes need"),
+        ("holder", met.holder, "the tool must stick out"),
+    ):
         over = depth > ROUNDING
-        results += violations("tool body", depth, 0.0, over, points=points, block=met.block, subject=body, need=need)
+        results += violations("tool body", depth, 0.0, over, points=points, block=met.block, subject=name, need=need)
     results += _feed(cell, met, points) + _plunges(cell, met, points)
     return rapid_violations(run, met), results
 

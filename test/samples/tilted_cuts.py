@@ -111,6 +111,32 @@ def measured(tool: Tool, cutting: Cutting, tilt, sides, depth=2e-3, dt=4e-3, gri
     return (wrench[chosen, :3].mean(axis=0), torque[chosen].mean()), exact
 
 
+def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float) -> float:
+    """Return the error of the mean force, a share of its size, of a slot that falls by a slope [deg]; 90: a plunge.
+
+    The lowest point of the tool is within 1 mm of a depth of 2 mm.
+    """
+    axis, n, side = axis_of(tilt), round(SPEED * 4e-3 / MICRO_STEP), 12e-3
+    stock = Stock(min=np.array([0.0, -side, -14e-3]), max=np.array([40e-3, side, 0.0]), grid_step=1e-4)
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=True)
+    step = (
+        VELOCITY * n * MICRO_STEP / SPEED * np.array([math.cos(math.radians(slope)), 0, -math.sin(math.radians(slope))])
+    )
+    way = np.arange(-12e-3, 1e-3, np.linalg.norm(step))
+    path = np.array([20e-3, 0.0, -2e-3 - lowest(tool, axis)]) + way[:, None] * step / np.linalg.norm(step)
+    wrench, _, _ = cut.along(path, n * np.arange(way.size), axes=np.tile(axis, (way.size, 1)))
+    chosen, exact = np.flatnonzero(way > -1e-3), []
+    for tip in (path - 0.5 * step)[chosen[:: len(chosen) // 4]]:
+
+        def inside(places, z=tip[2]):
+            return (places[..., 2] + z < 0.0) & (np.abs(places[..., 1]) < side)
+
+        passes = n * MICRO_STEP * TEETH / (2 * math.pi)
+        exact.append(quadrature(tool, cutting, axis, step, passes, -tip[2], inside, turns=720)[0])
+    force, mean = wrench[chosen, :3].mean(axis=0), np.mean(exact, axis=0)
+    return float(np.abs(force - mean).max() / np.linalg.norm(mean))
+
+
 def error(*arguments, **options) -> float:
     """Return the error of the mean force, a share of its size."""
     (force, _), (exact, _) = measured(*arguments, **options)

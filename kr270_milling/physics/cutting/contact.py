@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled
-from kr270_milling.physics.cutting.cut import EngagementCut
+from kr270_milling.physics.cutting.cut import CutModel
 from kr270_milling.physics.cutting.engagement import RIM
 from kr270_milling.physics.cutting.profile import RUN, cylinder, lines
 from kr270_milling.physics.cutting.tilted import FLAT, MISSED, inside, shadow_rows, touch, turned_axis
@@ -60,15 +60,16 @@ def lowest_point(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
     return np.min([h * axes[:, 2] - r * across for r, h in points], axis=0)
 
 
-def contact(cut: EngagementCut, body: np.ndarray, poses: np.ndarray, wide=0.0, deep=0.0, hollow=False) -> np.ndarray:
+def contact(cut: CutModel, body: np.ndarray, poses: np.ndarray, wide=0.0, deep=0.0) -> np.ndarray:
     """Return how deep a body is in the workpiece along its normal and along its axis at poses (n, 6) [m], (n, 2).
 
-    wide, deep [m], numbers or (n,): contacts that are no wider or no deeper are left out; hollow: it is not convex.
+    wide, deep [m], numbers or (n,): contacts that are no wider or no deeper are left out.
     """
     p, depth = cut.params, np.zeros((len(poses), 2))
     grid = Grid(p.origin_x, p.origin_y, p.spacing, p.nx, p.ny, p.top, p.level_step)
     inset = np.broadcast_to(wide + RIM * p.spacing, len(poses))
     least = np.broadcast_to(np.maximum(deep, 2.0 * p.level_step), len(poses))
+    hollow = bool((np.diff(np.arctan2(body[:, 5], body[:, 6])) < -1e-9).any())
     highest = cut.state.edge.highest  # type: ignore[union-attr]  # a tool that tilts has an edge
     _contact(cut.state.pool, cut.state.table, highest, grid, body, poses, inset, least, hollow, depth)
     return depth
