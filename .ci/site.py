@@ -1,17 +1,19 @@
 """Make the sources of the site in a folder: the pages, a gallery of the examples, the report of the demo.
 
 usage: python .ci/site.py FOLDER
-       python .ci/site.py --picture    writes the picture of the README, kr270_milling/guide/slot.svg
+       python .ci/site.py --picture    writes the pictures of the pages, slot.svg and surfaces.svg
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import re
 import runpy
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import plotly.io
@@ -19,7 +21,7 @@ import plotly.io
 TOP = Path(__file__).resolve().parents[1]
 GUIDE = "kr270_milling/guide"
 GROUPS = {
-    "First steps": "tutorial several_tools decision glossary",
+    "First steps": "tutorial surfaces several_tools decision glossary",
     "Your cell": "real_cell identification ../../config/README tool_paths",
     "Studies and Python": "maps from_python examples/README report ../../demo ../../api/kr270_milling.api",
     "ROS and controller": "nodes recordings rsi",
@@ -68,8 +70,8 @@ def write_gallery(page: Path) -> None:
     page.write_text(text, encoding="utf-8")
 
 
-def write_picture(path: Path) -> None:
-    """Write the deviation of the slot of the paper as programmed and with two corrections."""
+def write_pictures(folder: Path) -> None:
+    """Write the deviation of the slot of the paper and of the surfaces, as programmed and corrected."""
     from kr270_milling import compensate, read_cell
     from kr270_milling.show.report.study_page import points
 
@@ -79,7 +81,21 @@ def write_picture(path: Path) -> None:
     frames |= {f"corrected, {method}": result.written.to_frame() for method, result in results.items()}
     lines = {name: (frame["time_s"], frame["path_deviation_um"]) for name, frame in frames.items()}
     title = "Slot of the paper: deviation of the tool from its path"
-    pictures({path: points(title, "time [s]", "deviation [um]", lines, tuple(lines))})
+    figures: dict[Path, object] = {folder / "slot.svg": points(title, "time [s]", "deviation [um]", lines, tuple(lines))}
+    page, lines = (folder / "surfaces.md").read_text(encoding="utf-8"), {}
+    programs = re.findall(r"<<'EOF'\n(.*?)^EOF$", page, re.MULTILINE | re.DOTALL)
+    settings = ["stock.min_mm=[-25,-10,-8]", "stock.max_mm=[25,10,0]", "tool.diameter_mm=10", "timing.jerk_m_per_s3=27"]
+    for name, program in zip(("upright", "leaning"), programs, strict=True):
+        with tempfile.TemporaryDirectory() as made:
+            (Path(made) / "part.nc").write_text(program, encoding="utf-8")
+            result = compensate(read_cell("test_piece.yaml", *settings, f"path.file={made}/part.nc"), "inverse")
+        for word, run in (("as programmed", result.original), ("corrected", result.written)):
+            frame = run.to_frame()
+            first = frame["time_s"] < frame["time_s"].max() / 3.0  # of three rows
+            lines[f"{name}, {word}"] = frame["time_s"][first], frame["path_deviation_um"][first]
+    title = "First row of a wave: deviation of a ball-end mill to the side"
+    figures[folder / "surfaces.svg"] = points(title, "time [s]", "deviation [um]", lines, tuple(lines))
+    pictures(figures)
 
 
 def write_sources(folder: Path) -> None:
@@ -111,6 +127,6 @@ def write_sources(folder: Path) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1] == "--picture":
-        write_picture(TOP / GUIDE / "slot.svg")
+        write_pictures(TOP / GUIDE)
     else:
         write_sources(Path(sys.argv[1]))

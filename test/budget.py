@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 
+LONG = bool(os.environ.get("KR270_MILLING_LONG_TESTS"))
+
 
 def budget(examples: int) -> int:
     """Of a long run; a fifth of it, but 20 at least, in a usual one."""
-    return examples if os.environ.get("KR270_MILLING_LONG_TESTS") else min(examples, max(examples // 5, 20))
+    return examples if LONG else min(examples, max(examples // 5, 20))

@@ -32,6 +32,7 @@ from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
 
+FEW_PERIODS = 500_000  #: exchange periods of a pass that is not long, some 200 bytes each: 33 min at 4 ms
 PLANNED = 16  #: simulated robots for which ``robust`` plans
 
 
@@ -180,7 +181,7 @@ def robot_passes(
             return None
         return robot_response(robot, target), PassRecord(result.time_ns, result.actual)
 
-    with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
+    with ThreadPoolExecutor(at_once(path_of(model))) as pool:
         return [result for result in pool.map(run, drawn) if result is not None]
 
 
@@ -265,8 +266,15 @@ def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
 
 def long_pass(path: CellPath) -> bool:
     """Return whether the series of a pass along a path fill so much memory that few of them are stored."""
-    few_periods = 500_000  # exchange periods of a pass, some 200 bytes each: 33 min at 4 ms
-    return path.clock.steps(path.target.duration_ns) > few_periods
+    return path.clock.steps(path.target.duration_ns) > FEW_PERIODS
+
+
+def at_once(path: CellPath) -> int:
+    """Return how many simulated robots run at the same time: one for each core, with 1 GB of series in all.
+
+    A robot needs 0.5 GB an hour at 4 ms.
+    """
+    return max(1, min(cores(), 4 * FEW_PERIODS // path.clock.steps(path.target.duration_ns)))
 
 
 def compensated(

@@ -18,7 +18,8 @@ from kr270_milling.cell.models import cut_of, path_of
 from kr270_milling.decide.findings import Finding, stretches, violation, violations
 from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map, with_profile
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.cutting.profile import outline
+from kr270_milling.physics.cutting.contact import below_top, bodies_of, contact, lowest_point
+from kr270_milling.physics.cutting.profile import cutter_of, cylinder, outline
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.stability import has_uniform_pitch
 
@@ -54,15 +55,17 @@ class Engagement:
     """At m places along the programmed path, workpiece frame."""
 
     position: np.ndarray  #: tool tip [m], (m, 3)
+    axes: np.ndarray  #: unit vector from the tip to the holder, (m, 3)
+    lowest: np.ndarray  #: height of the lowest point of the whole tool [m], (m,)
     time: np.ndarray  #: [s], (m,)
     rapid: np.ndarray  #: on a rapid move, (m,)
     block: np.ndarray  #: block of the tool path that leads to the place, (m,)
     series: np.ndarray  #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move; (m,)
-    depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
+    depth: np.ndarray  #: deepest material within the radius of the tool above its tip, along a tilted axis [m], (m,)
     inner: np.ndarray  #: deepest material that a rapid move meets within a smaller radius, see ``engagement`` [m], (m,)
     sunk: np.ndarray  #: largest depth that material lost while it was below the core of a cutter with one [m], (m,)
-    shank: np.ndarray  #: depth of the shank in material [m], (m,)
-    holder: np.ndarray  #: depth of the holder in material [m], (m,)
+    shank: np.ndarray  #: depth of the shank in material along the axis [m], (m,)
+    holder: np.ndarray  #: depth of the holder in material along the axis [m], (m,)
     margin: np.ndarray  #: [m], (m,), up to which ``inner`` is no contact
     volume: np.ndarray  #: volume that rapid moves remove on the way to the place [m^3], (m,)
 
@@ -78,81 +81,131 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     down again along its cut, the deflection of the arm at this moment is no contact either: it is in its hole, and
     inertia may bend the arm by more than the cut did.
     """
-    if path_of(cell).tilts:
-        return _tilted_engagement(cell, margin)
-    position, time, block, step = _places(cell)
+    position, axes, time, block, step = _places(cell)
     timed = path_of(cell).timed
     rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, volume, sunk, shank, holder = met = np.zeros((6, len(position)))
     radius = float(cell.tool.radii.max())
-    moved, (sideways, lengthwise) = position, np.zeros((2, len(position)))
+    moved, lowest, (sideways, lengthwise) = position, position[:, 2], np.zeros((2, len(position)))
     if ran is not None:
         at_ns, passed, moved = 1e9 * time, ran.result, position.copy()
         for k in range(3):
             moved[:, k] += np.interp(at_ns, passed.time_ns, passed.actual[:, k] - passed.target[:, k])
-        x, y, z = (np.interp(at_ns, passed.time_ns, passed.deflection[:, k]) for k in range(3))
-        across, along = (np.maximum(d, np.r_[d[:1], d[:-1]]) for d in (np.hypot(x, y), np.abs(z)))  # at both ends
-        leaves, again = _along_axis(position, rapid, math.hypot(0.5 * step, cell.limits.rapid_contact))
+        bend = np.stack([np.interp(at_ns, passed.time_ns, passed.deflection[:, k]) for k in range(3)], axis=1)
+        across, along = (np.maximum(d, np.r_[d[:1], d[:-1]]) for d in map(np.abs, _split(bend, axes)))  # at both ends
+        leaves, again = _along_axis(position, axes, rapid, math.hypot(0.5 * step, cell.limits.rapid_contact))
         sideways, lengthwise = np.where(leaves | again, across, 0.0), np.where(leaves, along, 0.0)
-    bodies = _bodies(cell, position) if ran is None else np.zeros((0, 2))
     core = core_radius(radius) if ran is None and not cell.tool.centre_cutting else 0.0
-    grid = height_map(cell.stock, step, moved, max([radius, *bodies[:, 0]]))
-    moved = on_map(moved)
-    for removal in cell.stage.earlier if cell.stage else ():
-        way = removal.programmed if ran is None else removal.actual
-        lower_along(with_profile(grid, removal.cutter), removal.radius, on_map(way))
-    grid = with_profile(grid, cell.tool)
-    narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
-    lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
-    _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, core), narrow, bodies, lost, met)
-    return Engagement(
-        position, time, rapid, block, series, depth, inner, sunk, shank, holder, margin + lengthwise, volume
-    )
-
-
-def _tilted_engagement(cell: Cell, margin: float) -> Engagement:
-    """Run the programmed path of a tilted tool through the stock, with its own removal; depths are those of rapids.
-
-    The depth of a contact is the mean over the width of the tool; the positions are at the height of its lowest point.
-    """
-    path, clock = path_of(cell), path_of(cell).clock
-    run = path.target
-    stamps = clock.stamp(np.arange(clock.steps(run.duration_ns) + 1))
-    position, rapid = run.sample(stamps), path.rapid_at(stamps)
-    axes = tool_axis(run.sample_orientation(stamps))
-    volume = cut_of(cell, rigid=True).along(position, np.zeros(len(stamps), np.int64), axes=axes)[2]
-    way = np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1)
-    depth = volume / np.maximum(2.0 * cell.tool.radii.max() * way, 1e-12)
-    lowest = np.full(len(stamps), np.inf)
-    for radius, height in outline(cell.tool):
-        lowest = np.minimum(lowest, height * axes[:, 2] - radius * np.hypot(axes[:, 0], axes[:, 1]))
-    position[:, 2] += lowest
-    block = np.zeros(len(stamps), int) if path.timed is None else path.timed.block_at(stamps)
-    series, nothing = np.cumsum(np.diff(rapid, prepend=False) & rapid), np.zeros(len(stamps))
+    bodies = bodies_of(cell.tool) if ran is None else []
+    if path_of(cell).tilts:
+        lowest = lowest + lowest_point(outline(cell.tool), axes)
+        for _, body in bodies:
+            lowest = np.minimum(lowest, position[:, 2] + lowest_point(body[:1, 2:4], axes))
+        margins = np.stack([max(margin, ROUNDING) + sideways, margin + lengthwise])
+        _meet_tilted(cell, np.hstack([moved, axes]), series, margins, core, bodies, met)
+    else:
+        discs = _discs(bodies, float(cell.stock.max[2] - position[:, 2].min()))
+        grid = height_map(cell.stock, step, moved, max([radius, *discs[:, 0]]))
+        moved = on_map(moved)
+        for removal in cell.stage.earlier if cell.stage else ():
+            way = removal.programmed if ran is None else removal.actual
+            lower_along(with_profile(grid, removal.cutter), removal.radius, on_map(way))
+        grid = with_profile(grid, cell.tool)
+        narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
+        lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
+        _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, core), narrow, discs, lost, met)
     return Engagement(
         position,
-        1e-9 * stamps,
+        axes,
+        lowest,
+        time,
         rapid,
         block,
-        np.where(rapid, series, 0),
+        series,
         depth,
-        np.where(rapid, depth, 0.0),
-        nothing,
-        nothing,
-        nothing,
-        np.full(len(stamps), margin),
-        np.where(rapid, volume, 0.0),
+        inner,
+        sunk,
+        shank,
+        holder,
+        margin + lengthwise,
+        volume,
     )
+
+
+def _split(vectors: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the size of vectors (m, 3) across unit axes, and their part along the axes, (m,)."""
+    along = np.einsum("ij,ij->i", vectors, axes)
+    return np.linalg.norm(vectors - along[:, None] * axes, axis=1), along
+
+
+def _meet_tilted(
+    cell: Cell,
+    poses: np.ndarray,
+    series: np.ndarray,
+    margins: np.ndarray,
+    core: float,
+    bodies: list[tuple[str, np.ndarray]],
+    met: np.ndarray,
+) -> None:
+    """Fill ``met`` with what a tilted tool meets on the way to each pose (m, 6), on the map of its own cut.
+
+    A series of rapid moves is compared with the material before the series. The flutes are compared with the material
+    before the tool cuts it, shank and holder with what the tool leaves; at corners and at every eighth place.
+    """
+    depth, inner, volume, sunk, shank, holder = met
+    cut, tool, top = cut_of(cell, rigid=True), cell.tool, float(cell.stock.max[2])
+    cutter, position, axes = cutter_of(tool), poses[:, :3], poses[:, 3:]
+    hollow = cut.params.profile.hollow
+    if core:
+        bodies = [("core", cylinder(core, 0.0)), *bodies]
+    near = [position[:, 2] + lowest_point(body[:1, 2:4], axes) < top for _, body in bodies]
+    rapid = (series > 0) & (position[:, 2] + lowest_point(outline(tool), axes) < top)
+    move = np.diff(position, axis=0, prepend=position[:1])
+    across, along = _split(move, axes)
+    way = np.linalg.norm(move, axis=1)
+    every, corner = 8, 0.9  # cosine of a turn of the path
+    stops = np.arange(len(poses)) % every == 0
+    stops[:-1] |= np.einsum("ij,ij->i", move[1:], move[:-1]) < corner * way[1:] * way[:-1]
+    stops &= np.any(near, axis=0) if near else False
+    stops[:-1] |= series[1:] != series[:-1]
+    stops[-1] = True
+    meets_core = np.zeros(len(poses), bool)
+    first = 0
+    for last in np.flatnonzero(stops[1:]) + 1:
+        part = slice(first + 1, last + 1)
+        if series[last] and series[last] != series[first] * (first > 0):
+            rows = np.flatnonzero((series == series[last]) & rapid)
+            inner[rows] = contact(cut, cutter, poses[rows], *margins[:, rows], hollow=hollow)[:, 0]
+        for early in (True, False):
+            for (name, body), close in zip(bodies, near, strict=True):
+                if close[last] and early == (name in ("core", "flutes")):
+                    over = contact(cut, body, poses[last : last + 1])[0, 1]
+                    if name == "core":
+                        meets_core[part] = over > 0.0
+                    elif name == "flutes":
+                        depth[part] = over
+                    else:
+                        values = shank if name == "shank" else holder
+                        values[part] = np.maximum(values[part], over)
+            if early:
+                steps = np.zeros(last + 1 - first, np.int64)
+                volume[part] = cut.along(position[first : last + 1], steps, axes=axes[first : last + 1])[2][1:]
+        first = last
+    mean = volume / np.maximum(2.0 * float(tool.radii.max()) * way, 1e-12)
+    flutes = tool.flute_length or math.inf
+    depth[:] = np.where(depth > 0.0, flutes + depth, np.minimum(mean, flutes))
+    volume[series == 0] = 0.0
+    sinks, gone = np.cumsum(np.where(meets_core, np.maximum(-along, 0.0), 0.0)), np.cumsum(across)
+    before = np.searchsorted(gone, gone - 2.0 * core)
+    sunk[:] = np.where(meets_core, sinks - sinks[before], 0.0)
 
 
 def _tilted(cell: Cell, ran: ScoredPass) -> list[Finding]:
-    """Report the share of the volume above a leaning tool, and what is not compared with a tilted tool."""
-    subjects = ["shank", "holder", *(["fixtures"] if len(cell.workpiece.fixture_boxes) else [])]
-    degrees = math.degrees(cell.path.tilt)
-    severity = "stop" if len(cell.workpiece.fixture_boxes) else "warning"
-    words = ", ".join(subjects[:-1]) + " and " + subjects[-1]
-    results = [violation("tilted tool", 0.0, 0.0, subject=words, degrees=degrees, severity=severity)]
+    """Report the share of the volume above a leaning tool, and a holder that is not known."""
+    results = []
+    if not cell.tool.stick_out:
+        results.append(violation("holder unknown", 0.0, 0.0, degrees=math.degrees(cell.path.tilt)))
     most = 0.01  # share of the removed volume above which forces are bounds (issue: 1 %)
     share = ran.result.undercut_volume / ran.result.removed_volume
     if share > most:
@@ -160,15 +213,17 @@ def _tilted(cell: Cell, ran: ScoredPass) -> list[Finding]:
     return results
 
 
-def _along_axis(position: np.ndarray, rapid: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
+def _along_axis(
+    position: np.ndarray, axes: np.ndarray, rapid: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the places where a rapid move leaves along the tool axis, and where it returns along an earlier cut, (m,).
 
     position: of the programmed path; near [m]: from a place of the move to the places of the cut.
     """
-    move = np.diff(position, axis=0, prepend=position[:1])
-    same_axis = 1e-9  # [m], sideways, of a move along the tool axis
-    along = rapid & (np.hypot(*move[:, :2].T) < same_axis)
-    leaves, again = along & (move[:, 2] >= 0.0), np.zeros(len(rapid), bool)
+    across, up = _split(np.diff(position, axis=0, prepend=position[:1]), axes)
+    same_axis = 1e-9  # [m], sideways, of a move along the tool axis; a program rounds the move of a tilted tool
+    along = rapid & (across < np.maximum(same_axis, 1e-3 * np.abs(up)))
+    leaves, again = along & (up >= 0.0), np.zeros(len(rapid), bool)
     down, cuts = np.flatnonzero(along & ~leaves), np.flatnonzero(~rapid)
     if down.size and cuts.size:
         places = cKDTree(position[cuts]).query_ball_point(position[down], near, return_sorted=True)
@@ -181,16 +236,19 @@ def core_radius(radius: float) -> float:
     return max(min(CENTRE_SHARE * radius, CENTRE_HOLE), radius - INSERT_WIDTH)
 
 
-def _bodies(cell: Cell, position: np.ndarray) -> np.ndarray:
-    """Radius of shank and holder and their height above the tip [m], (2, 2); an infinite height: meets nothing."""
-    tool, deepest = cell.tool, float(cell.stock.max[2] - position[:, 2].min())
-    radius = (tool.shank_diameter or tool.diameter) / 2.0
-    holder_wall = 3e-3  # [m], assumed: around the shank, of a slim shrink-fit chuck; a wider holder meets more
-    bodies = np.array([[radius, tool.flute_length], [radius + holder_wall, tool.stick_out]])
-    if radius <= tool.radius:
-        bodies[0, 1] = 0.0
-    bodies[(bodies[:, 1] == 0.0) | (bodies[:, 1] >= deepest)] = 0.0, math.inf
-    return bodies
+def _discs(bodies: list[tuple[str, np.ndarray]], deepest: float) -> np.ndarray:
+    """Radius and height above the tip of discs below an upright tool's bodies [m], (n, 2), and row of ``met``.
+
+    deepest [m]: of the tip below the top of the stock. A cone has eight discs.
+    """
+    rows = []
+    for name, body in bodies:
+        (_, _, r0, z0), (_, _, r1, z1) = body[:, :4]
+        count = 8 if math.isfinite(z1) else 1
+        for share in np.arange(count) / count if name != "flutes" and z0 < deepest else ():
+            rise = share * (z1 - z0) if share else 0.0
+            rows.append([r0 + share * (r1 - r0), z0 + rise, 4 if name == "shank" else 5])
+    return np.array(rows).reshape(-1, 3)
 
 
 @njit(cache=True, nogil=True)
@@ -219,11 +277,15 @@ def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
             upright = path[k, 0] == last[0] and path[k, 1] == last[1]
             if below > bodies[n, 1] and (upright or k % body_every == 0):
                 highest = near_axis(grid, lost[:, :0, :0], bodies[n, 0], path[k], k)[1]
-                met[4 + n, k] = max(0.0, below - bodies[n, 1] - highest)
+                row = int(bodies[n, 2])
+                met[row, k] = max(met[row, k], below - bodies[n, 1] - highest)
 
 
-def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Tool tips, times and blocks half a node step apart, and the node step [m]."""
+def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """Tool tips, axes, times and blocks half a node step apart, and the node step [m].
+
+    A tilted tool has a place at each node of the map of its cut.
+    """
     target, timed = path_of(cell).target, path_of(cell).timed
     radius = float(cell.tool.radii.max())
     length = path_of(cell).length
@@ -237,15 +299,21 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         (2.0 * np.pi * length * radius**2 / most_visits) ** (1.0 / 3.0),
         math.sqrt(area / most_nodes),
     )
-    count = 2 + int(2.0 * length / step)
+    if path_of(cell).tilts:
+        step = 2.0 * cell.stock.grid_step
+    count, upright = 2 + int(2.0 * length / step), np.array([0.0, 0.0, 1.0])
     if timed is None:
         time_ns = np.linspace(0, target.duration_ns, count).astype(np.int64)
-        return target.sample(time_ns), time_ns * 1e-9, np.zeros(count, int), step
+        axes = np.broadcast_to(upright, (count, 3))
+        return target.sample(time_ns), axes, time_ns * 1e-9, np.zeros(count, int), step
     ends = np.cumsum(timed.toolpath.block_length)
     distance = np.sort(np.concatenate([np.linspace(0.0, timed.toolpath.length, count), ends[1:]]))  # every corner too
     block = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)  # where two meet, the one that ends
     time = np.interp(distance, timed.distance, target.time)
-    return timed.toolpath.position_at(distance), time, block, step
+    if path_of(cell).tilts:
+        position, _, quaternion = timed.toolpath.on_path(distance)
+        return position, tool_axis(quaternion), time, block, step
+    return timed.toolpath.position_at(distance), np.broadcast_to(upright, (distance.size, 3)), time, block, step
 
 
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding]:
@@ -301,8 +369,7 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     """
     margin, timed = cell.limits.rapid_contact, path_of(cell).timed
     contacts, results = _along_path(cell, run, margin)  # its places are released here
-    deflected = not path_of(cell).tilts
-    if ran and not contacts and deflected and timed is not None and timed.toolpath.rapid.any():
+    if ran and not contacts and timed is not None and timed.toolpath.rapid.any():
         earlier = cell.stage.earlier if cell.stage else ()
         margin += max([spring_back(cell, ran), *(removal.spring_back for removal in earlier)])
         contacts = rapid_violations(run, engagement(cell, margin, ran))
@@ -316,8 +383,9 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Findin
     met = engagement(cell, margin)
     points = _points(run, met)
     table = cell.workpiece.table_z
-    beneath = np.where(math.isnan(table) | _over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
-    under = table - met.position[:, 2]
+    beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])
+    over = math.isnan(table) | (np.hypot(*beside.T) < radius)  # the stock, seen from above
+    beneath, under = np.where(over, low[2] - met.lowest, -np.inf), table - met.lowest
     results = violations(
         "below the stock",
         beneath,
@@ -330,16 +398,29 @@ def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Findin
     results += violations(
         "below the stock", under, 0.0, under > 1e-9, points=points, block=met.block, level="the table"
     )
+    whole = [("tool", cutter_of(cell.tool)), *bodies_of(cell.tool)]
+    poses = np.hstack([met.position, met.axes]) if len(cell.workpiece.fixture_boxes) else np.zeros((0, 6))
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
-        inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
-        results += violations(
-            "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
-        )
-    if flutes and not path_of(cell).tilts:
+        for name in ("tool", "shank", "holder"):
+            inside = np.zeros(len(poses))
+            for _, body in (part for part in whole if part[0] == name):
+                below_top(body, poses, least, most, inside)
+            results += violations(
+                "in the fixture",
+                inside,
+                0.0,
+                inside > ROUNDING,
+                points=points,
+                block=met.block,
+                subject=f"fixture {number}",
+                body=name,
+            )
+    if flutes:
         results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
-    for body, depth in (("shank", met.shank), ("holder", met.holder)):
+    bodies = (("shank", met.shank, "the flutes need"), ("holder", met.holder, "the tool must stick out"))
+    for body, depth, need in bodies:
         over = depth > ROUNDING
-        results += violations("tool body", depth, 0.0, over, points=points, block=met.block, subject=body)
+        results += violations("tool body", depth, 0.0, over, points=points, block=met.block, subject=body, need=need)
     results += _feed(cell, met, points) + _plunges(cell, met, points)
     return rapid_violations(run, met), results
 
@@ -400,19 +481,13 @@ def rapid_violations(run: Trajectory, met: Engagement) -> list[Finding]:
     return contacts[::-1]
 
 
-def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> np.ndarray:
-    """Return the places where the tool is over or in a box, seen from above, (m,)."""
-    beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])
-    return np.hypot(*beside.T) < radius
-
-
 def _plunges(cell: Cell, met: Engagement, points: np.ndarray) -> list[Finding]:
     """Steep ways down into material, and ramps and helices whose core sinks deeper than makers allow.
 
     On a ramp of an angle a the core of a radius r is over a place of the floor for a way of 2 r, and sinks 2 r tan(a).
     """
-    move = np.diff(met.position, axis=0, prepend=met.position[:1])
-    steep = (-move[:, 2] > PLUNGE * np.linalg.norm(move, axis=1)) & (met.sunk > 0.0)
+    across, along = _split(np.diff(met.position, axis=0, prepend=met.position[:1]), met.axes)
+    steep = (-along > PLUNGE * np.hypot(across, along)) & (met.sunk > 0.0)
     tool, where = cell.tool, {"points": points, "block": met.block}
     results = violations("plunge", met.sunk, 0.0, steep, part="cutter plunges", most="", **where)
     core = core_radius(tool.radius)

@@ -20,9 +20,9 @@ import numpy as np
 from kr270_milling.base.column import column
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import long_pass
+from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
-from kr270_milling.cell.plant import Plant, coarser, cores, perturbed
+from kr270_milling.cell.plant import Plant, coarser, perturbed
 from kr270_milling.decide.part.surface import SLOPE
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.imperfections import Imperfections
@@ -82,7 +82,7 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
         if any(np.any(value) for value in left.values()):
             rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
             drawn += [(name, perturbed(other, rng)) for _ in range(count)]
-    with ThreadPoolExecutor(1 if long_pass(path_of(model)) else cores()) as pool:
+    with ThreadPoolExecutor(at_once(path_of(model))) as pool:
         ran_rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))
     size = {}
     for name in dict.fromkeys(name for name, _ in drawn):

@@ -17,10 +17,10 @@ from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import (
     ScoredPass,
+    at_once,
     compensated,
     compensator,
     expected_deviations,
-    long_pass,
     record_of,
     simulate,
 )
@@ -45,6 +45,8 @@ FAILING = 0.05  #: share of robots that may fail or become worse on the compensa
 SURE = 0.9  #: confidence with which more than this share do: 2 of 10, 3 of 20, 4 of 32 robots, and never 1 of 3 or more
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 CHOOSING_SEED = 1_000_003  #: of the robots that compare programs, which neither a verdict nor ``robust`` draws
+CHECKED = 2  #: robots whose quick passes are compared with full ones
+NEAR = 0.1  #: assumed: difference of both, as a share of the tolerance or of what 95 % of the robots stay below
 NO_METHOD = "none"  #: run the path as it was programmed
 
 
@@ -61,6 +63,8 @@ class Verdict:
     quantity: str = column("quantity", default=PATH_DEVIATION)  #: name of the errors
     shares: np.ndarray | None = None  #: errors of the compensated plants as shares of the tolerance, (n,); None: no
     #: tolerance is given
+    #: [m], largest difference of quick and full passes of ``CHECKED`` robots; None: all passes are full
+    shortcut: float | None = column("quick_passes_differ_um", 1e6, default=None)
 
     def __repr__(self) -> str:
         return f"<Verdict: {self.text}>"
@@ -71,18 +75,21 @@ class Verdict:
 
         "none" where no method makes the part better by 10 %.
         """
-        before = self.original
+        planned = {name: rows for name, rows in self.methods.items() if name != TRACKED}
+        count = min(map(len, planned.values()), default=0)  # robots that run all of them
+        before = self.original[:count]
         sound = {NO_METHOD: _high(before) * (1.0 - SAME)}
-        for name, rows in self.methods.items():
-            if name != TRACKED and judge_plants(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
-                sound[name] = _high(rows)
+        for name, rows in planned.items():
+            if judge_plants(before, rows[:count], 0.0)[0] != UNTRUSTED:
+                sound[name] = _high(rows[:count])
         return min(sound, key=sound.__getitem__)
 
     @property
     def text(self) -> str:
         """The word with the band of what the compensation leaves."""
         low, middle, high = (1e6 * value for value in self.band("compensated"))
-        return f"{self.word} ({len(self.original)} robots: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
+        quick = "" if self.shortcut is None else f"; quick passes, within {1e6 * self.shortcut:.2g} um of full ones"
+        return f"{self.word} ({len(self.original)} robots: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g}{quick})"
 
     @computed("within_tolerance")
     def within(self) -> int | None:
@@ -186,18 +193,12 @@ def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]
 def _each_robot(
     nominal: Cell, robots: int, seed: int, job: Callable[[int, Cell], Row], count: Callable[[int], object]
 ) -> list[Row]:
-    """Draw robots and return the result of a job for each, in the order of drawing; count(done): after each robot.
-
-    As many run at the same time as there are cores; one where a pass is long, because a robot needs 0.5 GB an hour.
-    """
+    """Draw robots and return the result of a job for each, in the order of drawing; count(done): after each robot."""
     rng, rows = np.random.default_rng(seed), []
-    drawn = [perturbed(nominal, rng) for _ in range(robots)]
-    alone = long_pass(
-        path_of(nominal)
-    )  # then in this thread, which uses the memory again that earlier passes gave back
-    pool = ThreadPoolExecutor(cores())
-    try:
-        for row in map(job, range(robots), drawn) if alone else pool.map(job, range(robots), drawn):
+    drawn, threads = [perturbed(nominal, rng) for _ in range(robots)], at_once(path_of(nominal))
+    pool = ThreadPoolExecutor(threads)
+    try:  # one after the other in this thread, which uses the memory again that earlier passes gave back
+        for row in (map if threads == 1 else pool.map)(job, range(robots), drawn):
             rows.append(row)
             count(len(rows))
     finally:  # after an interrupt only the robots that run are waited for
@@ -228,33 +229,53 @@ def monte_carlo(
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
     progress(done, total): in plants, where a plant that learns counts more.
-    method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
-    first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
-    cores; the numbers do not depend on how many.
+    method: the name of the revised trajectory; others: trajectories of other methods, to recommend one: the first 8
+    plants run them, of a straight cut all, whose first 8 also learn from their own passes. The numbers do not depend on
+    the number of threads. Along a tool path the passes are quick (``coarser``). Where the errors of ``CHECKED`` robots
+    differ from those of full passes by more than ``NEAR``, all passes are full.
     """
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     target, straight = path_of(cell).target, path_of(cell).straight
-    nominal = cell if straight else coarser(cell)
-    gauge = gauge_of(nominal)
     references = {method: revised, **(others or {})}
     learning = FEWEST if others and straight else 0  # plants that also learn
+    comparing = samples if straight else FEWEST  # plants that also run the other methods
 
     def work(number: int) -> int:
         return number + LEARNING * min(number, learning)
-
-    def run(k: int, plant: Cell) -> tuple[np.ndarray, float | None]:
-        rows = run_sample(plant, target, (target, *references.values()), gauge)
-        return rows, _tracked(cell, plant, gauge) if k < learning else None
 
     def count(done: int) -> None:
         if progress:
             progress(work(done), work(samples))
 
-    drawn = _each_robot(nominal, samples, seed, run, count)
-    rows = np.stack([row for row, _ in drawn])
-    methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
-    tracked = [value for _, value in drawn if value is not None]
+    def drawn(nominal: Cell) -> list[tuple[np.ndarray, float | None]]:
+        gauge = gauge_of(nominal)
+
+        def run(k: int, plant: Cell) -> tuple[np.ndarray, float | None]:
+            chosen = list(references.values()) if k < comparing else [revised]
+            rows = run_sample(plant, target, (target, *chosen), gauge)
+            return rows, _tracked(cell, plant, gauge) if k < learning else None
+
+        return _each_robot(nominal, samples, seed, run, count)
+
+    quick, difference = coarser(cell), None
+    robots = drawn(quick)
+    rows = np.stack([row[:2] for row, _ in robots])
+    if quick is not cell:
+        gauge = gauge_of(cell)
+
+        def full_error(_: int, robot: Cell) -> float:
+            return float(run_sample(robot, target, [revised], gauge, 1)[0, 0])
+
+        full = np.array(_each_robot(cell, min(CHECKED, samples), seed, full_error, lambda done: None))
+        both = rows[: len(full), 1, 0]
+        alike = np.isnan(full) & np.isnan(both)  # fails either way
+        difference = float(np.where(alike, 0.0, np.abs(full - both)).max())
+        if not difference <= NEAR * max(*cell.tolerances.of(), _high(rows[:, 1, 0])):
+            robots, difference = drawn(cell), None
+            rows = np.stack([row[:2] for row, _ in robots])
+    methods = {name: np.array([row[k, 0] for row, _ in robots if k < len(row)]) for k, name in enumerate(references, 1)}
+    tracked = [value for _, value in robots if value is not None]
     if tracked:
         methods[TRACKED] = np.array(tracked)
     surface = SURFACE_ERROR if flat_floors(cell) else NORMAL_ERROR
@@ -262,7 +283,7 @@ def monte_carlo(
     before, after = rows[:, 0, 0], rows[:, 1, 0]
     word, reason = judge_plants(before, after, cell.uncertainty.matters_above, quantity)
     given = bool(np.isfinite(rows[..., 1]).any())
-    return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None)
+    return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None, difference)
 
 
 def judge_plants(
@@ -326,17 +347,20 @@ def drawn_errors(
     )
 
 
-def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge) -> np.ndarray:
+def run_sample(
+    plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge, first: int = 0
+) -> np.ndarray:
     """The error [m] of one plant along k references, and its share of the tolerance, (k, 2).
 
     NaN where the plant does not survive a reference; a share is also NaN without a tolerance. The references are
-    corrections of one target: the arm's model along the target holds for all.
+    corrections of one target: the arm's model along the target holds for all. first: number of the first pass, on which
+    the repeatability depends.
     """
     rows = np.full((len(references), 2), np.nan)
     with contextlib.suppress(MillingError):
         model = arm_model_of(plant, target)
         for k, reference in enumerate(references):
-            rows[k] = _errors(plant, model, target, reference, k, gauge)
+            rows[k] = _errors(plant, model, target, reference, first + k, gauge)
     return rows
 
 

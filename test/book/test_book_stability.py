@@ -54,7 +54,7 @@ class _Run:
         tool = Tool(diameter=2 * radius, teeth=2, spindle_speed=milling.spindle_rpm * 2 * np.pi / 60)
         self.cut = Cut(tool, Cutting(law="linear_edge", linear_edge=law), stock, MICRO_STEP)
         # eq. (1) with inertia along x alone; exchange period: one micro-step
-        along_x = modes(np.diag([1.0 / (MASS * OMEGA**2)] + [1e-12] * 5), np.diag([MASS] + [0.0] * 5))
+        along_x = modes(np.diag([1.0 / (MASS * OMEGA**2)] + [1e-12] * 5)[None], np.diag([MASS] + [0.0] * 5)[None])[0]
         self.model = arm_model([along_x], ZETA, MICRO_STEP / tool.spindle_speed)
         self.turn = self.cut.params.steps
         self.feed = 2 * milling.feed  # a turn

@@ -271,9 +271,9 @@ CASES = (
     Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),
     Case("a program for a cutter of 1 inch", "tool diameter", "", comment("1 inch end mill")),
     warning("a ball-end mill of APT", "stability not judged", "", APT.format("20,10"), suffix=".apt"),
-    warning("a tool that leans by 5 deg", "tilted tool", "", SHALLOW, suffix=".apt", words="by 5 deg: flutes"),
-    Case("a tool that leans beside a fixture", "tilted tool", f"{FIXTURE}=[30,30,-10,60,60,5]", SHALLOW, suffix=".apt",
-         words="shank, holder and fixtures"),
+    warning("a tool that leans by 5 deg", "holder unknown", "", SHALLOW, suffix=".apt", words="by 5 deg, and"),
+    Case("a holder beside a clamp", "in the fixture", f"{FIXTURE}=[-9,11,-10,30,30,9.2]; tool.stick_out_mm=9",
+         words="the holder enters", value=0.7),
     warning("a wall above a leaning tool", "undercut", "tool.diameter_mm=10", DEEP, suffix=".apt", limit=1.0),
     # 0.3 times the least and 3 times the largest of config/materials.csv
     Case("forces a thousand times too small", "force coefficient", law(0.6), value=0.6, limit=0.3 * 243.77),

@@ -228,6 +228,13 @@ def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
     np.testing.assert_allclose(result.error[~below], 50 * UM, atol=1e-10)  # the far wall stays as it was roughed
 
 
+def test_a_fin_between_two_passes_that_only_touch_is_no_floor(tmp_path):
+    two = HEAD + "(one)\nG0 X-28 Y-5 Z-1\nG1 X28 F3000\nG0 Z2\n(two)\nG0 X-28 Y5 Z2\nG0 Z-1\nG1 X28\nG0 Z2\n"
+    floors, _ = errors(small_cell(tmp_path, two), [0, 100 * UM, 30 * UM], "two")
+    assert np.abs(floors.errors(1)).max() == pytest.approx(0.0, abs=1e-12)  # the fin is 1 mm high
+    assert floors.errors(2) == pytest.approx(30 * UM)
+
+
 def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put_material_back(tmp_path):
     two = HEAD + "(upper)\nG0 X-28 Y0 Z-1\nG1 X28 F3000\nG0 Z2\n(lower)\nG0 X-28 Z2\nG0 Z-2\nG1 X28\nG0 Z2\n"
     _, result = errors(small_cell(tmp_path, two), [0, 20 * UM, 0], "lower")

@@ -234,11 +234,18 @@ def surface(
         heights = machined(cut_of(cell), actual, path_of(cell).clock, path_of(cell).target).map_heights()[2]
     if not flat_floors(cell):
         return _curved(cell.stock, ideal, heights), walls
-    return _floors(cell.stock, ideal, heights, float(np.abs(actual - target)[:, :2].max(initial=0.0))), walls
+    error = actual - target
+    largest = float(np.abs(error[:, :2]).max(initial=0.0))
+    upward = float(error[target[:, 2] < cell.stock.max[2], 2].max(initial=0.0))
+    return _floors(cell.stock, ideal, heights, largest, upward), walls
 
 
-def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) -> Floors:
-    """largest: deviation in the plane [m]; nodes that are nearer to a wall may be on its other side."""
+def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float, upward: float) -> Floors:
+    """largest: deviation in the plane [m]; nodes that are nearer to a wall may be on its other side.
+
+    upward: deviation of the tool below the top of the stock [m]. The end of the tool leaves no node higher than that
+    above the floor: such a node is of a thin fin beside the rim, where two passes only touch, and its error is lateral.
+    """
     spacing = stock.grid_step * ideal.thinning
     width = 1 + 2 * int(np.ceil((largest + 2.0 * stock.grid_step) / spacing))
     rise = maximum_filter(ideal.height, width, mode="nearest") - minimum_filter(ideal.height, width, mode="nearest")
@@ -247,6 +254,7 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
         & (rise <= 2.0 * ideal.level + SLOPE * width * spacing)
         & (ideal.height < stock.max[2] - 0.5 * ideal.level)
     )
+    floor &= height - ideal.height <= upward + 2.0 * ideal.level + stock.floor_tolerance + SLOPE * largest
     error = np.where(floor, height - ideal.height, np.nan)
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner)
 

@@ -1,11 +1,15 @@
-"""The decorator of every compiled function of the cut."""
+"""The decorators of the compiled functions of a pass: of the cut, and of the arm in its innermost loop."""
 
 from numba import njit
 
 #: Without fastmath, so that a run repeats bit for bit. Without reference counting of arrays, which would take most of
 #: the time: nothing compiled here makes an array, it only works on those of its caller.
-OPTIONS: dict = dict(cache=True, error_model="numpy", _nrt=False)
+OPTIONS: dict = dict(cache=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 compiled = njit(**OPTIONS)
 
+#: For functions that compiled functions alone call: the wrapper for Python is a further copy to compile. Called from
+#: Python, such a function crashes.
+inner = njit(**OPTIONS, no_cpython_wrapper=True)
+
 #: The same for what runs in the innermost loops.
-inlined = njit(**OPTIONS, forceinline=True)
+inlined = njit(**OPTIONS, no_cpython_wrapper=True, forceinline=True)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.physics.cutting.cut_step import cut_poses, cut_step, cut_undo
+from kr270_milling.physics.cutting.cut_step import cut_poses, cut_undo
 from kr270_milling.physics.cutting.engagement import (
     BINS,
     EngagementParams,
@@ -36,13 +36,14 @@ from kr270_milling.physics.cutting.tool import Tool
 
 
 class CutModel:
-    """The cutting process: one interface for both models. Compiled loops hand ``params`` and ``state`` to ``cut_step``.
+    """The cutting process: one interface for both models. Compiled loops take ``params``, ``state``, ``model``.
 
     tool, cutting, stock: records of the parameter file; the grid of ``stock`` is that of the model.
     """
 
     params: Params | EngagementParams
     state: State | EngagementState
+    model: tuple  #: arguments ``teeth`` and ``mean`` of ``cut_step``
     tilts = False  #: poses have the axis of the tool after the position of its tip, (6,)
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
@@ -67,10 +68,12 @@ class CutModel:
                 "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
             )
         self._make_room(n, math.dist(start[:3].tolist(), end[:3].tolist()))
-        wrench = np.empty(6)
-        self.torque = cut_step(self.state, self.params, start, end, int(first), int(n), forces, wrench)
+        wrench, torque, volume = np.empty((2, 6)), np.empty(2), np.empty(2)
+        steps = np.array([first, first + n], np.int64)
+        cut_poses(self.state, self.params, *self.model, np.array([start, end]), steps, forces, wrench, torque, volume)
         self.refuse_failure()
-        return wrench
+        self.torque = float(torque[1])
+        return wrench[1]
 
     def along(
         self, positions: np.ndarray, steps: np.ndarray, predicted: bool = False, axes: np.ndarray | None = None
@@ -86,12 +89,12 @@ class CutModel:
         positions, steps = self.poses(positions, axes), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
-        cut_poses(self.state, params, positions, steps, NO_FORCES, wrench, torque, volume)
+        cut_poses(self.state, params, *self.model, positions, steps, NO_FORCES, wrench, torque, volume)
         self.refuse_failure()
         return wrench, torque, volume
 
     def poses(self, positions: np.ndarray, axes: np.ndarray | None) -> np.ndarray:
-        """Return the rows that ``cut_step`` takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
+        """Return the rows that ``cut_poses`` takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
         if not self.tilts:
             return np.ascontiguousarray(positions, float)
         upright = np.broadcast_to([0.0, 0.0, 1.0], np.shape(positions))
@@ -124,7 +127,7 @@ class CutModel:
 
     def restore(self) -> None:
         """Take the last sweep back, once. Raises MillingError."""
-        self.refuse_failure(cut_undo(self.state))
+        self.refuse_failure(cut_undo(self.state, *self.model))
 
     def refuse_failure(self, undone: bool = True) -> None:
         """Raise MillingError where no tile of the grid is left; undone: whether all could be taken back."""
@@ -196,6 +199,7 @@ class Cut(CutModel):
 
     params: Params
     state: State
+    model = (True, None)
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int | None = None):
         super().__init__(tool, cutting, stock)
@@ -230,6 +234,7 @@ class EngagementCut(CutModel):
 
     params: EngagementParams
     state: EngagementState
+    model = (None, True)
 
     def __init__(
         self,

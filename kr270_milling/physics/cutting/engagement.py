@@ -41,8 +41,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
@@ -111,7 +109,8 @@ class EngagementParams(NamedTuple):
     cosines: np.ndarray  # (ahead,): C_k
     directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
-    profile: Profile | None  # None: a flat end, which is compiled without ``revolution``
+    flat: bool | None  # True: a flat end and no profile, compiled without ``revolution``
+    profile: Profile | None  # None: a flat end
     tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
 
 
@@ -164,6 +163,7 @@ def make_engagement_params(
         lag=math.pi / tool.teeth,
         twist=math.tan(tool.helix) / widest,
         give=give,
+        flat=flat_end or None,
         profile=profile,
         tilts=tilts or None,
         **tables(widest, stock.grid_step, bins),
@@ -239,83 +239,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
 
 
 @inlined
-def engage(s, p, pose_from, pose_to, n, wrench):
-    """Move the tool tip straight from one position to another while the spindle turns by n micro-steps.
-
-    s: state, changed; p: params; positions (3,) [m], workpiece frame, or (6,) with the axis after them; wrench: (6,),
-    filled with the mean force and moment about the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
-    """
-    for j in range(s.ints.size):
-        s.saved_ints[j] = s.ints[j]
-    for j in range(s.floats.size):
-        s.saved_floats[j] = s.floats[j]
-    follows = True  # the tool comes from its last place
-    for j in range(s.last.size):
-        s.saved_last[j] = s.last[j]
-        follows = follows and s.last[j] == pose_from[j]
-    for j in range(s.load.size):
-        s.saved_load[j] = s.load[j]
-    s.ints[LOGGED] = 0
-    s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
-    if not follows:
-        s.ints[FLOOR_LEVEL] = -1  # what the footprint of the tool has cut is not known
-        s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
-        s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.end_radius
-    for j in range(6):
-        wrench[j] = 0.0
-    dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
-    tilted, way = False, math.sqrt(dx * dx + dy * dy)
-    if is_tilted(p, pose_from, pose_to):
-        tilted, dz = True, pose_to[2] - pose_from[2]
-        ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
-        way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
-    parts = 1 + int(way / (LONGEST * p.radius))
-    passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
-    if tilted:
-        s.load[RISE] = 0.0
-    start = pose_from[2] + s.load[RISE]
-    s.ints[FLOOR_NEAR] = _floor_near(s, p, pose_from) if p.give > 0.0 and not tilted else -1
-    s.load[RISE] = _rise(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
-    dz = pose_to[2] + s.load[RISE] - start
-    torque = height = thrust = 0.0
-    for k in range(parts):
-        a, b = k / parts, (k + 1.0) / parts
-        if tilted:
-            part = cut_tilted(s, p, pose_from, pose_to, a, b, passes, wrench)
-        else:
-            part = cut_part(
-                s,
-                p,
-                pose_from[0] + a * dx,
-                pose_from[1] + a * dy,
-                start + a * dz,
-                pose_from[0] + b * dx,
-                pose_from[1] + b * dy,
-                start + b * dz,
-                passes,
-                wrench,
-            )
-        torque += part[0]
-        height += part[1]
-        thrust += part[2]
-    for j in range(6):
-        wrench[j] /= parts
-    torque /= parts
-    if p.moments and not tilted:
-        wrench[5] = -p.sense * torque
-    for j in range(s.last.size):
-        s.last[j] = pose_to[j]
-    fresh = turn / (turn + p.lag + p.twist * height / parts)
-    for j in range(6):
-        s.load[j] += fresh * (wrench[j] - s.load[j])
-        wrench[j] = s.load[j]
-    s.load[6] += fresh * (torque - s.load[6])
-    s.load[THRUST] += fresh * (thrust / parts - s.load[THRUST])
-    return s.load[6]
-
-
-@inlined
-def _floor_near(s, p, tip):
+def floor_near(s, p, tip):
     """Deepest known level of a footprint near the tip; -1: none is known."""
     near = 0.1  # assumed, of the radius: a floor as far away is below nearly the whole tool
     for k in range(s.ints[FLOORS_KNOWN]):
@@ -326,7 +250,7 @@ def _floor_near(s, p, tip):
 
 
 @inlined
-def _rise(s, p, z, passes, give):
+def rise_of_step(s, p, z, passes, give):
     """Height of the tip above the predicted z at the end of a step [m]; give: of the tip for the whole thrust [m/N]."""
     if passes == 0.0 or s.ints[FLOOR_NEAR] < 0:
         return 0.0
@@ -348,42 +272,8 @@ def slant(pose):
     return pose[3] * pose[3] + pose[4] * pose[4]
 
 
-def cut_tilted(s, p, pose_from, pose_to, a, b, passes, wrench):
-    """Plain form of compiled code: the part of a step of a tilted tool, see ``revolution``."""
-    raise NotImplementedError
-
-
-def cut_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    """Plain form of compiled code: the part of a step of this state, see ``_part``."""
-    raise NotImplementedError
-
-
-def has_profile(s, field: str = "edge") -> bool:
-    """Return whether a state, its type in compiled code, is that of a tool with a profile, or a record has a field."""
-    return s.types[s.fields.index(field)] != types.none
-
-
-def is_tilted(p, pose_from, pose_to):
-    """Plain form of compiled code: whether the axis leaves z of the workpiece in a step."""
-    raise NotImplementedError
-
-
-@overload(is_tilted, inline="always")
-def _is_tilted_of(p, pose_from, pose_to):
-    if has_profile(p, "tilts"):
-        return lambda p, pose_from, pose_to: max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT
-    return lambda p, pose_from, pose_to: False
-
-
-@overload(cut_part, inline="always")
-def _cut_part_of(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    if not has_profile(s):
-        return lambda s, p, x0, y0, z0, x1, y1, z1, passes, wrench: _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
-    return None
-
-
 @inlined
-def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
+def flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     """Cut along a straight move of at most a quarter of the radius: down, then level; return torque, height, thrust.
 
     A tool that sinks is as low as at the end, a tool that rises as high as in the middle of the move.
@@ -715,9 +605,13 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
 
 
 @inlined
-def undo_engagement(s):
-    """Take the last step back; False where the log was too small and nothing was done."""
+def undo_engagement(s, edge):
+    """Take the last step back; False where the log was too small and nothing was done. edge: that of the state."""
     logged = s.ints[LOGGED]
+    if edge is not None:
+        for k in range(min(logged, s.log_place.size)):
+            run = s.log_place[k] // RUN
+            edge.highest[run] = min(edge.highest[run], s.log_level[k])
     if logged >= s.log_place.size:
         return False
     for k in range(logged - 1, -1, -1):

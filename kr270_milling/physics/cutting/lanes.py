@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.physics.cutting.compiled import compiled
 
 LANES = 16  #: nodes; grid and log reach that far beyond their last one
 NODE, INDEX = ir.IntType(16), ir.IntType(32)
@@ -52,7 +52,7 @@ def _lower_lanes(typing_context, pool, start, log, place, count, level):
     return types.void(pool, types.uint64, log, types.uint64, types.uint16, types.uint16), codegen
 
 
-@inlined
+@compiled
 def lower_one_by_one(pool, start, log, place, count, level):
     """The same as ``_lower_lanes`` in a plain loop, of the counted nodes alone."""
     for n in range(count):

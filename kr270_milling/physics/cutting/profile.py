@@ -61,29 +61,40 @@ def edge_parts(tool: Tool) -> np.ndarray:
     """
     radius, corner = float(tool.radii.max()), tool.corner_radius
     if tool.type == "points":
-        return _lines(tool.profile.reshape(-1, 2))
+        return lines(tool.profile.reshape(-1, 2))
     if tool.type == "ball":
         return np.array([[0.0, 0.0, radius, radius, radius, 1.0, 0.0]])
     if tool.type == "bull_nose":
         arc = np.array([[radius - corner, 0.0, radius, corner, corner, 1.0, 0.0]])
-        return np.vstack([_lines(np.array([[radius - corner, 0.0]])), arc])
+        return np.vstack([lines(np.array([[radius - corner, 0.0]])), arc])
     if tool.type != "tapered":
-        return _lines(np.array([[radius, 0.0]]))
+        return lines(np.array([[radius, 0.0]]))
     turn = 0.5 * math.pi - tool.taper
     tip = tool.tip_diameter / 2 or corner * math.tan(0.5 * turn)  # of the cone at the height of the tip
     start = np.array([[tip - corner * math.tan(0.5 * turn), 0.0]])
     end = start + corner * np.array([[math.sin(turn), 1.0 - math.cos(turn)]])
     top = [radius, end[0, 1] + (radius - end[0, 0]) / math.tan(tool.taper)]
     arc = np.hstack([start, end, [[corner, math.sin(turn), math.cos(turn)]]])
-    return np.vstack([_lines(start), arc[: int(corner > 0.0)], _lines(np.vstack([end, top]))[-1:]])
+    return np.vstack([lines(start), arc[: int(corner > 0.0)], lines(np.vstack([end, top]))[-1:]])
 
 
-def _lines(points: np.ndarray) -> np.ndarray:
+def lines(points: np.ndarray) -> np.ndarray:
     """Return the lines through points (radius, height) [m] as rows of ``edge_parts``; the first starts on the axis."""
     points = points if points[0, 0] == 0.0 else np.vstack([[0.0, points[0, 1]], points])
     step = np.diff(points, axis=0)
     length = np.hypot(*step.T)[:, None]
     return np.hstack([points[:-1], points[1:], 0.0 * length, step[:, ::-1] / length])
+
+
+def cylinder(radius: float, height: float) -> np.ndarray:
+    """Return the rows of ``edge_parts`` of a cylinder from a height above the tip upwards without end [m], (2, 7)."""
+    return np.vstack([lines(np.array([[radius, height]])), [radius, height, radius, math.inf, 0.0, 1.0, 0.0]])
+
+
+def cutter_of(tool: Tool) -> np.ndarray:
+    """Return ``edge_parts`` of a tool and the cylinder above them, (m, 7)."""
+    rows = edge_parts(tool)
+    return np.vstack([rows, cylinder(float(tool.radii.max()), rows[-1, 3])[1:]])
 
 
 def outline(tool: Tool) -> np.ndarray:
@@ -138,7 +149,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     lead[0] = lead[1]
     piece = np.clip(np.searchsorted(edges[:, 0], distance, side="right") - 1, 0, total.size - 1)
     piece[ENTRIES:] = total.size
-    parts = np.vstack([edge_parts(tool), [radius, edges[-1, 1], radius, math.inf, 0.0, 1.0, 0.0]])
+    parts = cutter_of(tool)
     names = ("length", "bend", "lever", "middle", "sine", "cosine", "sine_area", "cosine_area")
     columns: Any = {
         name: np.append(values, last) for name, values, last in zip(names, (total, bend, *means), cylinder, strict=True)

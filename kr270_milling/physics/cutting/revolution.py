@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba.extending import overload
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.engagement import (
@@ -34,13 +33,9 @@ from kr270_milling.physics.cutting.engagement import (
     FLOOR_NEAR,
     RIM,
     SINES,
-    cut_part,
-    cut_tilted,
-    has_profile,
     outside,
     remember,
     take_tile,
-    undo_engagement,
 )
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import LEVELS
@@ -52,17 +47,8 @@ from kr270_milling.physics.cutting.tilted import lower_tilted
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 
-@overload(cut_tilted, inline="always")
-def _cut_tilted_of(s, p, pose_from, pose_to, a, b, passes, wrench):
-    if has_profile(p, "tilts"):
-        return lambda s, p, pose_from, pose_to, a, b, passes, wrench: _tilted_part(
-            s, p, pose_from, pose_to, a, b, passes, wrench
-        )
-    return lambda s, p, pose_from, pose_to, a, b, passes, wrench: (0.0, 0.0, 0.0)
-
-
 @inlined
-def _tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
+def tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
     """Cut along the part of a step from the share a to b; pose_from, pose_to: tip and axis, (6,)."""
     first, second = _pose(pose_from, pose_to, a), _pose(pose_from, pose_to, b)
     _empty(s)
@@ -116,15 +102,8 @@ def _pose(pose_from, pose_to, share):
     )
 
 
-@overload(cut_part, inline="always")
-def _cut_part_of(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    if has_profile(s):
-        return lambda s, p, x0, y0, z0, x1, y1, z1, passes, wrench: _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
-    return None
-
-
 @inlined
-def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
+def upright_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
     """Cut along a straight move of at most a quarter of the radius; return torque, height above the tip, thrust."""
     deepest, levels = p.top - min(z0, z1), 1.0 / p.level_step
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
@@ -383,12 +362,3 @@ def _load(s, p, motion, frame, passes, wrench):
         for j in range(3):
             wrench[3 + j] += frame[j] * moment_x + frame[3 + j] * moment_y
     return torque, raised / total if total > 0.0 else 0.0, thrust
-
-
-@inlined
-def undo_revolution(s):
-    """Take the last step back; False where the log was too small and nothing was done."""
-    for k in range(min(s.ints[LOGGED], s.log_place.size)):
-        run = s.log_place[k] // RUN
-        s.edge.highest[run] = min(s.edge.highest[run], s.log_level[k])
-    return undo_engagement(s)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.physics.cutting.compiled import inlined, inner
 from kr270_milling.physics.cutting.fill import clear_quad, clear_sector, tally_log
 from kr270_milling.physics.cutting.load import end_force, load
 from kr270_milling.physics.cutting.state import (
@@ -28,7 +28,7 @@ TURN = 1.26  # a point beyond ``near`` seen from a centre that moves by x turns 
 JUMP = 0.125  # share of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
-@compiled
+@inner
 def sweep(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Move the tool centre straight from one position to another in n micro-steps of the spindle angle.
 
@@ -75,7 +75,7 @@ def sweep(s, p, pose_from, pose_to, first, n, forces, wrench):
     return sum_torque / n
 
 
-@compiled
+@inner
 def undo(s):
     """Take the last sweep back; False if its log overflowed and nothing was done."""
     if s.ints[LOG_LOST]:
@@ -96,19 +96,19 @@ def undo(s):
     return True
 
 
-@compiled
+@inner
 def _copy(source, target):
     for i in range(target.size):
         target[i] = source[i]
 
 
-@compiled
+@inner
 def _clear(target):
     for i in range(target.size):
         target[i] = 0.0
 
 
-@compiled
+@inner
 def _open(s, p, pose_from, first, n):
     """Save the state, empty the log, and forget the history if this sweep does not continue the last one."""
     s.ints[LOGGED] = s.ints[LOGGED_RUNS] = s.ints[LOG_LOST] = s.ints[TALLIED] = 0
@@ -207,7 +207,7 @@ def _tooth(s, p, i, step, turn, x0, y0, x1, y1, moved, depth, level, whole, path
     return _chip(s, p, i, turn, x1 - x0, y1 - y0, depth, level, layer)
 
 
-@compiled
+@inner
 def _end(s, p, i, step, turn, x, y, depth, level):
     """Add the load of the end edge of tooth i, which lowers the floor below a sinking tool; the volume cut so [m^3].
 
@@ -292,7 +292,7 @@ def _inner_radius(s, p, i, now, x, y, c, d, moved, path):
     return p.radii[ahead] - back - 2.0 * (stray + moved) - path * turn - 0.02 * p.spacing
 
 
-@compiled
+@inner
 def _jump(s, p, u0, v0, a, b, u1, v1, r, level):
     """Clear what the tooth line passes over while its centre goes a long way: in parts, each a quadrilateral."""
     length = math.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))

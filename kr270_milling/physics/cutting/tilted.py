@@ -37,7 +37,7 @@ FLAT = 1e-9  # [m] and sine of an angle below which a length and a tilt are none
 
 
 @inlined
-def _turned(x, y, z):
+def turned_axis(x, y, z):
     """Return the frame of an axis: direction of its tilt in the plane (2), sine and cosine of the tilt."""
     s = math.sqrt(x * x + y * y)
     if s < FLAT:
@@ -52,7 +52,7 @@ def _normal(x, v, rho, sine, cosine, s, c):
 
 
 @compiled
-def _touch(parts, u, v, s, c):
+def touch(parts, u, v, s, c):
     """Return the lowest point of the tool at (u, v) from its tip and its outward normal along u, v, z; or MISSED."""
     for k in range(parts.shape[0]):
         r0, z0, r1, z1, corner = parts[k, 0], parts[k, 1], parts[k, 2], parts[k, 3], parts[k, 4]
@@ -125,7 +125,7 @@ def _radius_at(parts, h):
 
 
 @compiled
-def _inside(parts, u, v, s, c):
+def inside(parts, u, v, s, c):
     """Return how far a node is inside the shadow of the tool [m], and the direction out of it along u and v."""
     best, best_u, best_v = -1e9, 1.0, 0.0
     for k in range(parts.shape[0]):
@@ -149,6 +149,24 @@ def _inside(parts, u, v, s, c):
 
 
 @inlined
+def shadow_rows(x, start_u, end_u, ux, uy, reach):
+    """Return the least and largest y of the stadium of a radius ``reach`` about (start_u..end_u) (ux, uy), at one x."""
+    low_y, high_y = 1e9, -1e9
+    for end in (start_u, end_u):
+        half = reach * reach - (x - end * ux) * (x - end * ux)
+        if half >= 0.0:
+            root = math.sqrt(half)
+            low_y, high_y = min(low_y, end * uy - root), max(high_y, end * uy + root)
+    if abs(ux) > FLAT and end_u > start_u:  # its sides, |v| <= reach
+        for side in (-reach, reach):
+            y = (side + x * uy) / ux
+            u = x * ux + y * uy
+            if start_u <= u <= end_u:
+                low_y, high_y = min(low_y, y), max(high_y, y)
+    return low_y, high_y
+
+
+@inlined
 def _look(p, step, t, x, y):
     """Return the height of the tool above a node at the share t of the step, its rate over the step and its slope.
 
@@ -161,9 +179,9 @@ def _look(p, step, t, x, y):
     if turning and t < 1.0:
         a, b, e = ax - back * bx, ay - back * by, az - back * bz
         scale = 1.0 / math.sqrt(a * a + b * b + e * e)
-        ux, uy, s, c = _turned(a * scale, b * scale, e * scale)
+        ux, uy, s, c = turned_axis(a * scale, b * scale, e * scale)
     u, v = x * ux + y * uy, y * ux - x * uy
-    z, nu, nv, nz = _touch(p.profile.parts, u, v, s, c)
+    z, nu, nv, nz = touch(p.profile.parts, u, v, s, c)
     if z == MISSED:
         return z, 0.0, 0.0
     nx, ny = nu * ux - nv * uy, nu * uy + nv * ux
@@ -181,7 +199,7 @@ def _behind(p, step, x, y, rim):
     if z == MISSED or rate < 0.0:
         return False
     x, y, ux, uy = x + step[0], y + step[1], step[12], step[13]
-    return _inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, step[14], step[15])[0] > rim
+    return inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, step[14], step[15])[0] > rim
 
 
 @inlined
@@ -228,7 +246,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
     tip_x, tip_y, tip_z = tip
     ax, ay, az = axis
     dx, dy, dz = move
-    ux, uy, sine, cosine = _turned(ax, ay, az)
+    ux, uy, sine, cosine = turned_axis(ax, ay, az)
     bx, by, bz = ax - axis_from[0], ay - axis_from[1], az - axis_from[2]
     wx, wy, wz = frame[7] * bz - frame[8] * by, frame[8] * bx - frame[6] * bz, frame[6] * by - frame[7] * bx
     step = (dx, dy, dz, wx, wy, wz, ax, ay, az, bx, by, bz, ux, uy, sine, cosine)
@@ -255,18 +273,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
     shift_y = tip_y - p.origin_y
     for i in range(first_i, last_i + 1):
         x = p.origin_x + i * p.spacing - tip_x
-        low_y, high_y = 1e9, -1e9
-        for end in (start_u, end_u):  # both ends of the stadium that holds the shadow
-            half = reach * reach - (x - end * ux) * (x - end * ux)
-            if half >= 0.0:
-                root = math.sqrt(half)
-                low_y, high_y = min(low_y, end * uy - root), max(high_y, end * uy + root)
-        if abs(ux) > FLAT and end_u > start_u:  # its sides, |v| <= reach
-            for side in (-reach, reach):
-                y = (side + x * uy) / ux
-                u = x * ux + y * uy
-                if start_u <= u <= end_u:
-                    low_y, high_y = min(low_y, y), max(high_y, y)
+        low_y, high_y = shadow_rows(x, start_u, end_u, ux, uy, reach)
         if low_y > high_y:
             continue
         low = max(int(math.ceil((shift_y + low_y) / p.spacing)), 0)
@@ -321,8 +328,8 @@ def _lower_run(s, p, step, frame, tip_z, i, low, high, base, x, shift_y, plane):
     near = False
     for j in (low, high):
         y = j * p.spacing - shift_y
-        inside, _, _ = _inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
-        near = near or inside < rim
+        within, _, _ = inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
+        near = near or within < rim
     for j in range(low, high + 1):
         y, at_x = j * p.spacing - shift_y, x
         place = np.uint64(base + j)
@@ -331,13 +338,13 @@ def _lower_run(s, p, step, frame, tip_z, i, low, high, base, x, shift_y, plane):
         if (plane[0] - plane[1] * (y - plane[2])) * levels < rest + 0.5 and not near:
             continue
         if near:
-            inside, out_u, out_v = _inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
-            if inside < rim:
+            within, out_u, out_v = inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
+            if within < rim:
                 out_x, out_y = out_u * ux - out_v * uy, out_u * uy + out_v * ux
-                part = min(0.5 + inside / (p.spacing * (abs(out_x) + abs(out_y))), 1.0)
+                part = min(0.5 + within / (p.spacing * (abs(out_x) + abs(out_y))), 1.0)
                 if part <= 0.0:
                     continue
-                pull = max(0.02 * p.spacing - inside, 0.0)
+                pull = max(0.02 * p.spacing - within, 0.0)
                 at_x, y = x - pull * out_x, y - pull * out_y
         z, rate, _ = _look(p, step, 1.0, at_x, y)
         if z == MISSED:

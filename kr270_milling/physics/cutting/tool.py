@@ -112,6 +112,14 @@ class Tool(Record):
     shank_diameter: float = parameter(
         0.0, unit="mm", low=0.0, high=200.0, text="above the flutes, from 0.001; 0: diameter"
     )
+    holder: np.ndarray = parameter(
+        [],
+        unit="mm",
+        low=0.0,
+        high=1000.0,
+        text="radius, height, radius, height, ... of holder and spindle nose, from the end of stick_out upwards; "
+        "the last radius has no end; empty: 3 mm wider than the shank",
+    )
     # assumed: cemented carbide; high-speed steel has 210
     modulus: float = parameter(600e9, unit="gpa", above=0.0, high=1000.0, text="Young's modulus")
     # [Kops1990]: the equivalent diameter of end mills, from their measured compliance
@@ -141,6 +149,11 @@ class Tool(Record):
         if self.radii.min() <= 0.0:
             raise ParameterError("runout_um", (1e6 * self.runout).tolist(), "less than the radius of the cutter")
 
+        if self.holder.size:
+            rows = self.holder.reshape(-1, 2) if self.holder.size % 2 == 0 else np.full((1, 2), np.nan)
+            if not (np.diff(rows, axis=0) >= 0.0).all() or not rows[0, 0] > 0.0 or not self.stick_out:
+                allowed = "pairs of radius and height that do not fall, with tool.stick_out_mm above 0"
+                raise ParameterError("holder_mm", (1e3 * self.holder).tolist(), allowed)
         self._check_profile()
 
     def _check_profile(self) -> None:

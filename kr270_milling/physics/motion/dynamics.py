@@ -20,11 +20,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import ModelError
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
 Side = Literal["left", "right"]
@@ -126,35 +126,44 @@ def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]
     """Static condensation of (1) to the components with inertia: (index, K (r, r), force (r, 6), P (6, r), Q (6, 6)).
 
     With ``delta = C (w - M a)``: K = inv(C_ii), the wrench on the other components m acts through C_im, and these
-    follow delta_m = C_mi K delta_i + (C_mm - C_mi K C_im) w_m.
+    follow delta_m = C_mi K delta_i + (C_mm - C_mi K C_im) w_m. Both matrices may be stacks, (..., 6, 6).
     """
-    inertial = np.flatnonzero(np.diag(mass) > 0.0)
-    free = np.setdiff1d(np.arange(6), inertial)
-    if inertial.size == 0 or np.any(mass[free]) or np.linalg.eigvalsh(mass[np.ix_(inertial, inertial)])[0] <= 0.0:
+    carries = np.diagonal(mass, axis1=-2, axis2=-1).reshape(-1, 6) > 0.0
+    inertial, free = np.flatnonzero(carries[0]), np.flatnonzero(~carries[0])
+    own, other = np.ix_(inertial, inertial), np.ix_(inertial, free)
+    inert = inertial.size and (carries == carries[0]).all() and not np.any(mass[..., free, :])
+    if not inert or np.linalg.eigvalsh(mass[(..., *own)])[..., 0].min() <= 0.0:
         raise ModelError("the mass matrix must be symmetric and positive definite in the components with inertia")
-    softness = compliance[np.ix_(inertial, inertial)]
-    if not (np.isfinite(softness).all() and np.linalg.cond(softness) < 1e12):
+    softness = compliance[(..., *own)]
+    if not (np.isfinite(softness).all() and (np.linalg.cond(softness) < 1e12).all()):
         raise ModelError("the compliance matrix is singular or not finite where there is inertia")
     stiffness = np.linalg.inv(softness)
-    stiffness = 0.5 * (stiffness + stiffness.T)  # rounding only: K_C is symmetric under link weights
-    force, output, feedthrough = np.zeros((inertial.size, 6)), np.zeros((6, inertial.size)), np.zeros((6, 6))
-    force[:, inertial] = output[inertial] = np.eye(inertial.size)
+    stiffness = 0.5 * (stiffness + stiffness.swapaxes(-1, -2))  # rounding only: K_C is symmetric under link weights
+    shape = compliance.shape[:-2]
+    force, output, feedthrough = (
+        np.zeros((*shape, *size)) for size in ((inertial.size, 6), (6, inertial.size), (6, 6))
+    )
+    force[..., inertial] = output[..., inertial, :] = np.eye(inertial.size)
     if free.size:
-        coupling = stiffness @ compliance[np.ix_(inertial, free)]
-        force[:, free], output[free] = coupling, coupling.T
-        rest = compliance[np.ix_(free, free)] - compliance[np.ix_(free, inertial)] @ coupling
-        feedthrough[np.ix_(free, free)] = rest
+        coupling = stiffness @ compliance[(..., *other)]
+        force[..., free], output[..., free, :] = coupling, coupling.swapaxes(-1, -2)
+        rest = compliance[(..., *np.ix_(free, free))] - compliance[(..., *np.ix_(free, inertial))] @ coupling
+        feedthrough[(..., *np.ix_(free, free))] = rest
     return inertial, stiffness, force, output, feedthrough
 
 
-def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
-    """Modes of (1) from the 6x6 compliance [m, rad per N, N m] and mass matrix in the same axes."""
-    inertial, stiffness, force, output, feedthrough = condense(compliance, mass)
-    mass_i = mass[np.ix_(inertial, inertial)]
-    squared, shape = eigh(stiffness, mass_i)
-    if not squared[0] > 0.0:
+def modes(compliance: np.ndarray, mass: np.ndarray) -> list[ModalModel]:
+    """Modes of (1) at n postures, from compliance [m, rad per N, N m] and mass matrices in the same axes, (n, 6, 6)."""
+    inertial, stiffness, *rest = condense(compliance, mass)
+    mass_i = mass[(..., *np.ix_(inertial, inertial))]
+    root = np.linalg.cholesky(mass_i)  # M = L L^T: the symmetric problem of L^-1 K L^-T has the same eigenvalues
+    half = np.linalg.solve(root, stiffness)
+    squared, turned = np.linalg.eigh(np.linalg.solve(root, half.swapaxes(-1, -2)))
+    if not squared.min() > 0.0:
         raise ModelError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
-    return ModalModel(inertial, np.sqrt(squared), shape, mass_i, force, output, feedthrough, np.eye(6)[inertial])
+    shape = np.linalg.solve(root.swapaxes(-1, -2), turned)
+    columns = zip(np.sqrt(squared), shape, mass_i, *rest, strict=True)
+    return [ModalModel(inertial, *values, np.eye(6)[inertial]) for values in columns]
 
 
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
@@ -304,7 +313,7 @@ def advance(step, state, wrench, push, arrays, new_state, deflection):
     drive(step, free, state, wrench, push, arrays, new_state, deflection)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
+@inlined
 def _between(step, steps_per_knot, n):
     """Postures k and m about a step, and the share of m."""
     place = step / steps_per_knot
@@ -313,7 +322,7 @@ def _between(step, steps_per_knot, n):
     return k, m, min(place - k, 1.0) if m > k else 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
+@inlined
 def swing_freely(step, state, arrays, free):
     """Fill ``free`` (2r,): A x, the part of ``advance`` that is the same under every wrench."""
     transition = arrays[0]
@@ -326,7 +335,7 @@ def swing_freely(step, state, arrays, free):
         free[i] = total
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, nogil=True)
+@inlined
 def drive(step, free, state, wrench, push, arrays, new_state, deflection):
     """The part of ``advance`` that follows ``swing_freely``."""
     _, driven, output, feedthrough, steps_per_knot, gaps = arrays

@@ -17,8 +17,9 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import tool_axis
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
-from kr270_milling.physics.cutting.cut_step import cut_step, cut_undo
+from kr270_milling.physics.cutting.cut_step import cut_undo, engage
 from kr270_milling.physics.cutting.state import LEVEL_SUM
+from kr270_milling.physics.cutting.sweep import sweep
 from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
 from kr270_milling.physics.motion.periods import Clock
 
@@ -142,22 +143,25 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _exchange(window, first, last, iterations, reference, silent, arm, state, wrench, cut, micro_steps, out):
+def _exchange(
+    window, first, last, iterations, reference, silent, arm, state, wrench, cut, teeth, mean, micro_steps, out
+):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large.
 
-    window: the period from which ``reference``, ``silent``, the pushes and ``out`` begin.
+    window: the period from which ``reference``, ``silent``, the pushes and ``out`` begin; cut: state
+    and params; teeth, mean: see ``cut_step``.
     """
     tool, deflections, wrenches, corrections, torques, volumes = out
     pushes, arrays = arm
-    cut_state, cut_params = cut
-    per_node = cut_params.spacing * cut_params.spacing
+    s, p = cut
+    per_node = p.spacing * p.spacing
     scratch, free = np.zeros(state.size), np.zeros(arrays[0].shape[1])
     deflection, answer = np.zeros(6), wrench.copy()
     no_forces, no_push = np.empty((0, 3)), np.zeros(0)
     for n in range(first, last):
         row = n - window
         push = pushes[row] if len(pushes) else no_push
-        before, torque = cut_state.floats[LEVEL_SUM], 0.0
+        before, torque = s.floats[LEVEL_SUM], 0.0
         swing_freely(n, state, arrays, free)
         for k in range(iterations):
             drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot predicts
@@ -168,11 +172,12 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
                 tool[row + 1, j] = reference[row + 1, j]
             if not max(abs(deflection[0]), abs(deflection[1]), abs(deflection[2])) <= FLIGHT:
                 return True  # a sweep over metres would not end; the caller refuses this deflection
-            if k > 0 and not cut_undo(cut_state):
+            if k > 0 and not cut_undo(s, teeth, mean):
                 return False
-            torque = cut_step(  # the cut answers
-                cut_state, cut_params, tool[row], tool[row + 1], n * micro_steps, micro_steps, no_forces, answer
-            )
+            if teeth is not None:  # the cut answers
+                torque = sweep(s, p, tool[row], tool[row + 1], n * micro_steps, micro_steps, no_forces, answer)
+            if mean is not None:
+                torque = engage(s, p, p.flat, p.profile, p.tilts, tool[row], tool[row + 1], micro_steps, answer)
             if silent[row + 1]:
                 answer[:], torque = 0.0, 0.0
         drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot corrects
@@ -186,7 +191,7 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
         corrections[row + 1] = np.sqrt(away)
         torques[row + 1] = torque
         if not silent[row + 1]:
-            volumes[row + 1] = (cut_state.floats[LEVEL_SUM] - before) * per_node
+            volumes[row + 1] = (s.floats[LEVEL_SUM] - before) * per_node
     for j in range(6):
         wrench[j] = answer[j]
     return True
@@ -251,6 +256,7 @@ def run_pass(
             state,
             wrench,
             (cut_state, cut.params),
+            *cut.model,
             clock.micro_steps,
             out,
         )
@@ -294,8 +300,8 @@ def _combined(every: int, first: int, series: tuple[np.ndarray, ...]) -> tuple[n
         return tuple(values[first:] for values in series)
     size = np.linalg.norm(series[4][1:, :3], axis=1)
     starts = np.arange(0, size.size, every)
-    largest = [begin + int(np.argmax(size[begin : begin + every])) for begin in starts.tolist()]
-    rows = np.append(np.zeros(1 - first, int), np.array(largest, int) + 1)
+    padded = np.append(size, np.full(-size.size % every, -1.0)).reshape(-1, every)
+    rows = np.append(np.zeros(1 - first, int), starts + padded.argmax(1) + 1)
     counts = np.diff(np.append(starts, size.size))[:, None]
     combined = [values[rows] for values in series]
     for k, values in enumerate((np.add, np.maximum, np.maximum, np.add), 5):  # wrench, correction, torque, volume

@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import long_pass
+from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import arm_model_of, cut_of, path_of
-from kr270_milling.cell.plant import coarser, cores, imperfect_arm, imperfect_course, perturbed
+from kr270_milling.cell.plant import coarser, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.part.stations import stations_of
 from kr270_milling.decide.part.surface import ideal_part, remaining_walls, tooth_tips
 from kr270_milling.path.trajectory import Trajectory
@@ -179,7 +179,7 @@ def robot_errors(
         except MillingError:
             return np.full(sum(places.normal.shape[0] for _, places in parts), np.nan)
 
-    with ThreadPoolExecutor(1 if long_pass(path_of(cell)) else cores()) as pool:
+    with ThreadPoolExecutor(at_once(path_of(cell))) as pool:
         yield from pool.map(errors, robots)
 
 

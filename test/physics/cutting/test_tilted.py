@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 
 import numpy as np
 import pytest
+from budget import LONG
 from samples.tilted_cuts import (
     CUTTINGS,
     EDGE,
@@ -30,7 +30,6 @@ from kr270_milling.physics.cutting import EngagementCut, Stock
 ALONG = {"lead 15": (15.0, 0.0), "lead 45": (45.0, 0.0), "lean 15": (0.0, 15.0), "lean 45": (0.0, 45.0)}
 CASES = list(itertools.product(TOOLS, ALONG))
 CUTS = [("slot", 1.0), ("up", 0.7), ("down", 0.7), ("up", 0.3), ("down", 0.3)]
-WHOLE = bool(os.environ.get("KR270_MILLING_LONG_TESTS"))  # all cells of the table; otherwise one of 15
 
 
 def sides_of(name, tilt, side, share) -> tuple[float, float]:
@@ -44,7 +43,7 @@ def sides_of(name, tilt, side, share) -> tuple[float, float]:
 def test_the_mean_force_is_that_of_the_quadrature_within_two_percent(name, tilt):
     """Slot, 70 and 30 % of the width, up and down, three laws; the usual suite takes one of these 15 in turn."""
     cells, k = list(itertools.product(CUTS, CUTTINGS)), CASES.index((name, tilt))
-    for cut, law in cells if WHOLE else [cells[k % 15]]:
+    for cut, law in cells if LONG else [cells[k % 15]]:
         assert error(TOOLS[name], CUTTINGS[law], ALONG[tilt], sides_of(name, tilt, *cut)) < 0.02, (cut, law)
 
 

@@ -65,7 +65,7 @@ def system(model, zeta, more):
         ("six", 5e-4, 0.99)]),
 )  # fmt: skip
 def test_exponential(inertia, period, zeta):
-    model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
+    model = modes(COMPLIANCE[None], {"six": MASS, "three": TRANSLATIONS}[inertia][None])[0]
     r, matrix = model.frequency.size, system(model, zeta, 6)  # the constant wrench as further states
     matrix[r : 2 * r, 2 * r :] = np.linalg.inv(model.mass) @ model.force
     exact = expm(matrix * period)
@@ -77,7 +77,7 @@ def test_exponential(inertia, period, zeta):
 
 
 def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_stay_after_the_last():
-    models = [modes(COMPLIANCE * s, TRANSLATIONS) for s in (1.0, 1.3, 0.8)]
+    models = modes(COMPLIANCE * np.reshape([1.0, 1.3, 0.8], (3, 1, 1)), np.array([TRANSLATIONS] * 3))
     arm = arm_model(models, ZETA, 5e-4, 4.0)
     state, out, deflection = RANDOM.normal(size=6) * 1e-4, np.zeros(6), np.zeros(6)
     for step in range(14):
@@ -102,7 +102,7 @@ def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_s
 ])  # fmt: skip
 def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
     with pytest.raises(ModelError):
-        modes(softness, mass)
+        modes(softness[None], mass[None])
 
 
 # --- The term -M r'' against transfer functions, closed forms, exact integration and energy ---
@@ -130,7 +130,7 @@ def along_y(values):
        cases=("inertia zeta", [("six", 0.001), ("six", 0.04), ("six", 0.182), ("three", 0.04)]))  # fmt: skip
 def test_moving_reference(inertia, zeta):
     """The filter comes in along the first line, at its speed."""
-    model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
+    model = modes(COMPLIANCE[None], {"six": MASS, "three": TRANSLATIONS}[inertia][None])[0]
     reference = knots(0.02 * np.arange(21), RANDOM.normal(size=(21, 3)) * 1e-4)
     stamps = Clock(PERIOD, 1).stamp(np.arange(401))
     time = stamps * 1e-9
@@ -146,7 +146,7 @@ def test_moving_reference(inertia, zeta):
 
 def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
     """The matrix exponential of M delta'' + C delta' + K delta = -M r'' with r'' linear in each segment."""
-    model = modes(COMPLIANCE, MASS)
+    model = modes(COMPLIANCE[None], MASS[None])[0]
     times = np.arange(5) * 0.04
     positions, rates = RANDOM.normal(size=(5, 3)) * 1e-4, RANDOM.normal(size=(5, 3)) * 1e-3
     obtained, last = deflections(model, knots(times, positions, rates), 160)
@@ -165,7 +165,7 @@ def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
 
 def test_a_corner_within_a_period_costs_an_error_of_second_order_in_the_period():
     """Impulse and first moment of the corner are met; the second moment is wrong by less than dv H^2 / 4."""
-    model = modes(np.diag([1e-9, 1 / 1.4e6] + [1e-9] * 4), np.diag([0, 790.4, 0, 0, 0, 0.0]))  # only y moves
+    model = modes(np.diag([1e-9, 1 / 1.4e6] + [1e-9] * 4)[None], np.diag([0, 790.4, 0, 0, 0, 0.0])[None])[0]  # y alone
     w, gaps = np.sqrt(1.4e6 / 790.4), []
     damped = w * np.sqrt(1 - LIGHT**2)
     for period in (4e-3, 2e-3, 1e-3):
@@ -184,13 +184,13 @@ def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     turned = Rotation.from_rotvec(np.outer(angles, [1.0, 0.0, 0.0])).as_quat()
     reference = knots([0.0, 0.05, 0.1, 0.4], np.zeros((4, 3)), quaternion=turned)
     diagonal = np.diag([790.4] * 3 + [40.0] * 3)
-    model = modes(np.diag([1e-6] * 3 + [2e-6] * 3), diagonal)
+    model = modes(np.diag([1e-6] * 3 + [2e-6] * 3)[None], diagonal[None])[0]
     obtained, _ = deflections(model, reference, 100)
     w = np.sqrt(1 / (2e-6 * 40.0))
     damped, t = w * np.sqrt(1 - LIGHT**2), np.arange(101) * PERIOD - 0.05
     expected = np.where(t < 0, 0.0, -0.02 / 0.05 / damped * np.exp(-LIGHT * w * t) * np.sin(damped * t))
     np.testing.assert_allclose(obtained[:, 3], expected, atol=1e-9 * np.abs(expected).max())
-    assert not deflections(modes(np.diag([1e-6] * 6), TRANSLATIONS), reference, 100)[0].any()
+    assert not deflections(modes(np.diag([1e-6] * 6)[None], TRANSLATIONS[None])[0], reference, 100)[0].any()
 
 
 def test_the_motion_of_a_reference_is_its_corners_its_acceleration_and_that_of_its_start_and_the_paper_has_none():

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from budget import LONG
 from hostile import answered, refused, settings
 from samples.small_part import small_part
 from scipy.optimize import brentq
@@ -82,9 +82,6 @@ def random_loop(rng):
     tool = SimpleNamespace(teeth=teeth, sense=-1.0)
     cutting = SimpleNamespace(active=SimpleNamespace(slopes=lambda h: tuple(np.outer(stiffness, 1 + 0 * h))))
     return modes, tool, cutting, (entry, entry + arc, 2 * np.pi / teeth / delay), b, delay
-
-
-LONG = "KR270_MILLING_LONG_TESTS" in os.environ
 
 
 @pytest.mark.parametrize("seed", range(1000 if LONG else 8))

@@ -1,0 +1,31 @@
+"""Collisions of a tilted tool in closed form are found, and the same programs beside the collision are sound."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from samples.leaning import SHAPES, TILTS, Slot
+
+from kr270_milling.cell.models import path_of
+from kr270_milling.decide.check_cut import contact_violations
+
+WHOLE = bool(os.environ.get("KR270_MILLING_LONG_TESTS"))  # all 190 collisions; otherwise two of each tool and tilt
+SLOTS = [(shape, tilt) for k, tilt in enumerate(TILTS) for n, shape in enumerate(SHAPES) if WHOLE or (k + n) % 3 == 0]
+
+
+def contacts(cell) -> list:
+    return [finding for finding in contact_violations(cell, path_of(cell).target) if finding.severity == "stop"]
+
+
+@pytest.mark.parametrize("number", range(len(SLOTS)))
+def test_each_collision_of_a_leaning_tool_is_found_with_its_depth_and_the_sound_program_has_none(tmp_path, number):
+    """0.3 mm beside a collision is sound; depths to 0.15 mm, the width of a cell of the map."""
+    slot = Slot(*SLOTS[number])
+    rows = list(slot.collisions().items())
+    for name, row in rows if WHOLE else rows[number % 4 :: 4]:
+        named = [f for f in contacts(slot.cell(tmp_path, row.settings, row.moves)) if f.what == row.kind]
+        values = [f.value for f in named if row.words in f.sentence]
+        assert values, (name, SLOTS[number])
+        assert row.value is None or max(values) == pytest.approx(row.value, abs=0.15), (name, SLOTS[number])
+        assert not contacts(slot.cell(tmp_path, row.sound)), (name, SLOTS[number])
