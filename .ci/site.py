@@ -81,7 +81,8 @@ def write_pictures(folder: Path) -> None:
     frames |= {f"corrected, {method}": result.written.to_frame() for method, result in results.items()}
     lines = {name: (frame["time_s"], frame["path_deviation_um"]) for name, frame in frames.items()}
     title = "Slot of the paper: deviation of the tool from its path"
-    figures: dict[Path, object] = {folder / "slot.svg": points(title, "time [s]", "deviation [um]", lines, tuple(lines))}
+    slot = points(title, "time [s]", "deviation [um]", lines, tuple(lines))
+    figures: dict[Path, object] = {folder / "slot.svg": slot}
     page, lines = (folder / "surfaces.md").read_text(encoding="utf-8"), {}
     programs = re.findall(r"<<'EOF'\n(.*?)^EOF$", page, re.MULTILINE | re.DOTALL)
     settings = ["stock.min_mm=[-25,-10,-8]", "stock.max_mm=[25,10,0]", "tool.diameter_mm=10", "timing.jerk_m_per_s3=27"]
