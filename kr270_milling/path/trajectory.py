@@ -62,7 +62,6 @@ class Trajectory:
         quaternion = _rows("quaternion", np.atleast_2d(quaternion), 1 if same else time.size, 4)
         length = np.linalg.norm(quaternion, axis=1)
         _refuse(~(np.abs(length - 1) < 1e-3), "its quaternion is not of length 1")
-        length[np.abs(length - 1) < 1e-15] = 1.0  # rounding alone: the same bits come back from a message
         self._keep("time_ns", time)
         self._keep("position", _rows("position", self.position, time.size, 3))
         self._keep("quaternion", np.broadcast_to(quaternion / length[:, None], (time.size, 4)))

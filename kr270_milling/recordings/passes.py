@@ -17,7 +17,7 @@ from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.recordings.bag.mcap_file import OnDamage
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import FIXED, layout_of, unpack_alike
-from kr270_milling.recordings.messages.codec import from_bytes, type_of
+from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes, type_of
 from kr270_milling.recordings.messages.topics import TOPICS
 
 
@@ -160,6 +160,7 @@ class GraphRecord:
     namespace: str
     topics: dict[str, str] = dataclasses.field(default_factory=dict)  #: our names -> names in the recording
     references: list[Trajectory] = dataclasses.field(default_factory=list)  #: in the order of the file
+    published: list[Trajectory] = dataclasses.field(default_factory=list)  #: the same, with the bits of the messages
     targets: dict[str, Trajectory] = dataclasses.field(default_factory=dict)  #: fingerprint -> target, in this order
     states: list[CompensatorState] = dataclasses.field(default_factory=list)  #: states in the order of the file
     refused: dict[str, int] = dataclasses.field(default_factory=dict)  #: messages that cannot be read
@@ -225,16 +226,21 @@ def read_graph(
     maps: list[StockMap] = []
     walls: list[float] = []  # wall times of complete passes [s]
 
+    def add_reference(data: bytes) -> Trajectory:
+        reference = trajectory_from_bytes(data)
+        graph.published.append(trajectory_from_bytes(data, as_sent=True))
+        return reference
+
     def add_target(target: Trajectory) -> None:
         graph.targets[fingerprint(target)] = target
 
     take: dict[str, Callable] = {
         "target_trajectory": add_target,
         "compensator_state": graph.states.append,
-        "reference_trajectory": graph.references.append,
         **({"joint_states": joints.append, "workpiece": maps.append} if joint_names else {}),
     }
     others = {f"{space}/{name}": _reader(graph, name, receive) for name, receive in take.items()}
+    others[reference] = _reader(graph, "reference_trajectory", graph.references.append, add_reference)
     if "/diagnostics" in recording.topics():
         with contextlib.suppress(RecordingError):  # of another kind; only the wall times are missing then
             decode = recording.decoder("/diagnostics")
@@ -256,12 +262,12 @@ def read_graph(
     return graph
 
 
-def _reader(graph: GraphRecord, name: str, take: Callable) -> Callable[[bytes], None]:
+def _reader(graph: GraphRecord, name: str, take: Callable, read: Callable | None = None) -> Callable[[bytes], None]:
     """Return the receiver of a topic's messages; a message that the nodes refuse is counted."""
 
     def receive(data: bytes) -> None:
         try:
-            record = from_bytes(TYPES[name], data)
+            record = read(data) if read else from_bytes(TYPES[name], data)
         except (MillingError, ValueError):
             graph.refused[name] = graph.refused.get(name, 0) + 1
         else:

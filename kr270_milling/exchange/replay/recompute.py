@@ -294,7 +294,7 @@ class _Robot:
     def _compare_revisions(self, revisions: Revisions) -> None:
         """Compare each state and reference of the compensator with those that the recorded passes lead to."""
         graph = revisions.graph
-        published: dict[str, list] = {"compensator_state": graph.states, "reference_trajectory": graph.references}
+        published: dict[str, list] = {"compensator_state": graph.states, "reference_trajectory": graph.published}
         for index in range(max(map(len, published.values()))):
             names = [name for name, messages in published.items() if index < len(messages)]
             try:

@@ -178,7 +178,7 @@ class Revisions:
                 raise NotRecorded("the reference trajectory follows from passes in other recordings", elsewhere=True)
             known = known[-1:] if last is not None else []
             start = place if last is None else self._passes[last].number
-            rebuilt.resume(self.graph.references[start or 0], state.finished)
+            rebuilt.resume(self.graph.published[start or 0], state.finished)
         for number, named in known:
             rebuilt.revise(self._record(number, named))
         return rebuilt
@@ -191,7 +191,7 @@ class Revisions:
         """
         if not self._passes:
             return None
-        states, published = self.graph.states, self.graph.references
+        states, published = self.graph.states, self.graph.published
         number = len(self._passes) - 1
         place = self._passes[number].number  # index of its reference, and of the state that was published with it
         state = states[min(place, len(states) - 1)] if states else None

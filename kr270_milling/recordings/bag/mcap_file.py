@@ -21,7 +21,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.summary import Summary
 
@@ -193,9 +193,9 @@ class McapFile:
             self.attachments.append(Attached(record.name, record.media_type, len(record.data), offset, end))
         for item in _content(record):
             if isinstance(item, Schema):
-                self.schemas[item.id] = item
+                self.schemas.setdefault(item.id, item)  # a later one may be that of a damaged summary
             elif isinstance(item, Channel):
-                self.channels[item.id] = item
+                self.channels.setdefault(item.id, item)
             else:
                 channel, _, log_time, *_ = item
                 self.counts[channel] += 1
@@ -250,6 +250,8 @@ class McapFile:
                 for record in reader.records:
                     if whole.at > self._limit(at):
                         raise ValueError("the length of a record leads into the next chunk")
+                    if isinstance(record, DataEnd) and HEAD.unpack(self._read(at, HEAD.size))[1] < 4:
+                        raise ValueError("the length of the end of data is wrong")  # mcap does not use it
                     yield record, at, whole.at
                     at = whole.at
                     if at == self._end:

@@ -198,8 +198,12 @@ def _trajectory(record: Trajectory) -> dict:
     return {"header": _header(record.start_ns, record.frame), "joint_names": [TOOL], "points": points}
 
 
-def trajectory_from_bytes(data: bytes) -> Trajectory:
-    """Read a trajectory_msgs/MultiDOFJointTrajectory of the tool; raise MessageError, TrajectoryError."""
+def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
+    """Read a trajectory_msgs/MultiDOFJointTrajectory of the tool; raise MessageError, TrajectoryError.
+
+    as_sent: with the quaternions of the message. They have length 1 already, and to divide them by their length
+    again could change a last bit.
+    """
     try:
         read = read_trajectory(bytes(data))
     except ValueError:
@@ -211,7 +215,10 @@ def trajectory_from_bytes(data: bytes) -> Trajectory:
     velocity = read.velocity[:, 0, :3]
     none = np.isnan(velocity).all()
     position, quaternion = read.position[:, 0], read.quaternion[:, 0]
-    return Trajectory(read.time, position, quaternion, None if none else velocity, read.frame_id, read.stamp or 0)
+    run = Trajectory(read.time, position, quaternion, None if none else velocity, read.frame_id, read.stamp or 0)
+    if as_sent:
+        object.__setattr__(run, "quaternion", np.array(quaternion))
+    return run
 
 
 def _state(record: CompensatorState) -> dict:

@@ -389,6 +389,7 @@ def test_a_node_that_reports_an_incomplete_recording_is_named_after_the_pass(tmp
         reports=reports,
         value=lambda name, key: reports[name].values[key],
         transition=lambda *words, deadline: calls.append(words),
+        until=lambda condition, *_: condition(),
     )
     graph.warn = sentences.append
     graph.end_recording()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import re
 from pathlib import Path
 
@@ -59,7 +58,11 @@ def bits(record) -> tuple:
 
 @pytest.mark.parametrize("record", [*RECORDS, *RUNS], ids=lambda r: type(r).__name__)
 def test_a_record_comes_back_with_every_bit_also_from_the_middleware(record):
-    read, data = functools.partial(codec.from_bytes, codec.type_of(record)), to_bytes(record)
+    def read(data: bytes):
+        run = isinstance(record, Trajectory)
+        return codec.trajectory_from_bytes(data, as_sent=True) if run else codec.from_bytes(codec.type_of(record), data)
+
+    data = to_bytes(record)
     assert bits(read(data)) == bits(record)
     for end in (0, 3, 8, len(data) // 2, len(data) - 2):
         with pytest.raises((ValueError, MessageError)):
