@@ -154,7 +154,7 @@ def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]
 
 def modes(compliance: np.ndarray, mass: np.ndarray) -> list[ModalModel]:
     """Modes of (1) at n postures, from compliance [m, rad per N, N m] and mass matrices in the same axes, (n, 6, 6)."""
-    inertial, stiffness, *rest = condense(compliance, mass)
+    inertial, stiffness, force, output, feedthrough = condense(compliance, mass)
     mass_i = mass[..., inertial[:, None], inertial]
     root = np.linalg.cholesky(mass_i)  # M = L L^T: the symmetric problem of L^-1 K L^-T has the same eigenvalues
     half = np.linalg.solve(root, stiffness)
@@ -162,8 +162,11 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> list[ModalModel]:
     if not squared.min() > 0.0:
         raise ModelError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
     shape = np.linalg.solve(root.swapaxes(-1, -2), turned)
-    every = (inertial, np.sqrt(squared), shape, mass_i, *rest)
-    return [ModalModel(inertial, *(values[k] for values in every[1:]), np.eye(6)[inertial]) for k in range(len(mass))]
+    frequency, back = np.sqrt(squared), np.eye(6)[inertial]
+    return [
+        ModalModel(inertial, frequency[k], shape[k], mass_i[k], force[k], output[k], feedthrough[k], back)
+        for k in range(len(mass))
+    ]
 
 
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
