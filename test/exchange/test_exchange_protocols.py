@@ -151,6 +151,20 @@ def test_without_reference_workpiece_or_start_robot_and_cut_refuse_with_a_senten
             cut.pose(PoseSample(stamp, "workpiece", np.zeros(3), DOWN))
 
 
+def test_a_wrench_in_axes_of_the_tool_moves_the_robot_as_the_same_wrench_of_the_workpiece(short_cell):
+    turned = np.array([1, -1, -1, 1, -1, -1])  # tcp hangs down: half a turn about x
+    deflections = []
+    for frame, sign in (("workpiece", 1), ("tcp", turned)):
+        robot, _ = protocols(short_cell)
+        outputs = robot.start()
+        for force in (300.0, -200.0, 100.0):
+            wrench = np.array([force, 2 * force, -force, 5.0, 1.0, 2.0])
+            outputs = robot.wrench(WrenchSample(robot.awaited_ns, frame, sign * wrench))
+        deflections.append(records(outputs, "tool_pose")[-1].position)
+    np.testing.assert_allclose(*deflections, rtol=0, atol=1e-15)
+    assert np.abs(deflections[0] - path_of(short_cell).target.position[0]).max() > 1e-6
+
+
 def test_the_map_is_that_of_the_part_and_a_pass_ends_with_its_reference(short_cell):
     robot, cut = protocols(short_cell)
     ((_, fresh),) = cut.configure()
