@@ -137,7 +137,7 @@ def test_a_method_is_recommended_only_where_methods_were_compared():
 
 def run(directory, capsys, *words: str):
     """Run ``compensate`` once: its exit code, what it prints for a reader, its JSON, its programs and their headers."""
-    sets = settings(*assignments(directory, GCODE, *MOVING))
+    sets = settings(*assignments(directory, SHORTER, *MOVING))
     code, text, result, _ = printed(capsys, "compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words)
     programs = list((directory / "out").rglob("*.src"))
     headers = [" ".join(re.findall(r"^; (.*)$", path.read_text(), re.MULTILINE)) for path in programs]

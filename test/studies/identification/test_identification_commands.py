@@ -10,6 +10,7 @@ import re
 import numpy as np
 import pages
 import pytest
+from budget import LONG
 from hostile import answered, ask, refused, settings
 from samples.campaigns import COEFFICIENTS, TRUE, cuts, loads, measured, measured_cuts
 
@@ -293,7 +294,7 @@ def ran(tmp_path_factory) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
         patch.setattr(Answer, "print", recorded)
-        blocks = list(pages.run_page(PAGE, run))
+        blocks = list(pages.run_page(PAGE, run, release=LONG))
     wrong = [line for block, printed in blocks for shown in block.shown for line in pages.differences(shown, printed)]
     return {"place": place, "wrong": wrong, **outcome}
 
@@ -317,8 +318,12 @@ def test_the_identified_arm_coefficients_and_modes_are_those_that_the_examples_w
     assert read_cell(cell).dynamics.modes.frequency == pytest.approx([11.0, 15.0, 23.0], rel=2e-3)
 
 
-def test_the_page_shows_what_is_printed_and_the_identified_band_is_narrower(ran):
+def test_the_page_shows_what_is_printed(ran):
     assert ran["wrong"] == []
+
+
+@pytest.mark.skipif(not LONG, reason="two verdicts: two minutes; set KR270_MILLING_LONG_TESTS")
+def test_the_identified_band_is_narrower(ran):
     bands = [result(ran, "compensate", out)["verdict"]["original_um"] for out in ("--out before", "--out after")]
     before, after = ((high - low) / (high + low) for low, _, high in bands)
     assert after < 0.7 * before
