@@ -294,7 +294,8 @@ def levers(
         names, references = [name], [program]
         if not rows:
             names, references = ["nothing", name], [path_of(variant).target, program]
-        errors = drawn_errors(variant, references, robots, seed, count)
+        first = 2 - len(references)  # the program is pass 1 of a robot, as in the verdict
+        errors = drawn_errors(variant, references, robots, seed, count, first=first)
         done += 1
         seconds = path_of(variant).target.duration_ns * 1e-9
         for shown, (error, share) in zip(names, np.moveaxis(errors, 0, -1), strict=True):

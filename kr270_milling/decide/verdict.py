@@ -335,16 +335,19 @@ def drawn_errors(
     seed: int,
     count: Callable[[int], object] = lambda done: None,
     gauge: Gauge | None = None,
+    first: int = 0,
 ) -> np.ndarray:
     """Errors [m] of drawn robots along references of a program, and their shares of the tolerance, (robots, k, 2).
 
-    count(done): called after each robot; gauge: default that of the cell.
+    count(done): called after each robot; gauge: default that of the cell; first: number of the first pass of a robot.
     """
     nominal, target = coarser(cell), path_of(cell).target
     gauge = gauge or gauge_of(nominal)
-    return np.array(
-        _each_robot(nominal, robots, seed, lambda _, robot: run_sample(robot, target, references, gauge), count)
-    )
+
+    def errors(_: int, robot: Cell) -> np.ndarray:
+        return run_sample(robot, target, references, gauge, first)
+
+    return np.array(_each_robot(nominal, robots, seed, errors, count))
 
 
 def run_sample(

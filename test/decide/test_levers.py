@@ -91,6 +91,9 @@ def test_the_first_rows_are_those_of_the_verdict_and_the_cheapest_that_is_enough
     assert progress == sorted(progress) and progress[-1] <= 1.0
     enough = [row for row in rows[1:] if row.enough]
     assert chosen is (min(enough, key=lambda row: row.duration) if enough else max(rows[1:], key=lambda row: row.rank))
+    fed = chosen.cell.replace(compensation=chosen.cell.compensation.replace(feed="keep"))  # the feeds are scheduled
+    own = compensate(fed, robots=4, seed=1, motions=("SPLINE",)).decision.verdict
+    assert chosen.name not in ("nothing", "correction") and chosen.median == pytest.approx(own.band("compensated")[1])
     assert all(row.duration <= 1.5 * rows[0].duration for row in rows if not row.cell.compensation.finish)
     assert [row.name for row in rows[:2]] == ["nothing", "correction"]
     again = read_cell(find_file("paper.yaml"), [*assignments(tmp_path, GCODE), *chosen.keys])
