@@ -1,4 +1,4 @@
-"""Collisions of a tilted tool in closed form are found, and the same programs beside the collision are sound."""
+"""Each collision of a tilted tool in closed form is a stop, and the same programs beside the collision are sound."""
 
 from __future__ import annotations
 
