@@ -43,7 +43,7 @@ class CutModel:
 
     params: Params | EngagementParams
     state: State | EngagementState
-    #: arguments of ``cut_step``: True for the model of this cut, None for the other
+    #: arguments of ``cut_poses``: True for the model of this cut, None for the other
     teeth: bool | None
     mean: bool | None
     tilts = False  #: poses have the axis of the tool after the position of its tip, (6,)

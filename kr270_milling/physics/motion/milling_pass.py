@@ -149,7 +149,7 @@ def _exchange(
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large.
 
     window: the period from which ``reference``, ``silent``, the pushes and ``out`` begin; cut: state
-    and params; teeth, mean: see ``cut_step``.
+    and params; teeth, mean: see ``cut_undo``.
     """
     tool, deflections, wrenches, corrections, torques, volumes = out
     pushes, arrays = arm
