@@ -149,6 +149,14 @@ def every_json_answer():
         yield
 
 
+@pytest.fixture
+def few_robots(monkeypatch):
+    """``robust`` plans for 4 simulated robots, in a quarter of the time, where a test is not about their number."""
+    from kr270_milling.cell.jobs import robot_passes
+
+    monkeypatch.setattr(robot_passes, "__defaults__", (4,))
+
+
 @pytest.fixture(scope="session")
 def short_cell():
     from kr270_milling.base.parameter_file import find_file

@@ -160,7 +160,9 @@ def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):
 @pytest.mark.parametrize(("tolerance", "level", "method", "robots"), [
     ("600", YES, "best", "8"), ("0.2", NO, "inverse", "0"),
 ])  # fmt: skip
-def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(tmp_path, capsys, tolerance, level, method, robots):
+def test_decision_and_chatter_are_the_same_in_every_output_of_a_run(
+    tmp_path, capsys, few_robots, tolerance, level, method, robots
+):
     words = ["--method", method, "--verdict", robots, "--force", "--set", f"part.tolerance_um={tolerance}"]
     code, text, result, programs, headers = run(tmp_path, capsys, *words)
     assert code == (level == NO) and result["decision"] == level and result["may_be_run"] is True
@@ -192,7 +194,7 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
     assert done.decision.method == done.decision.recommended_method == "none"
 
 
-def test_best_takes_learned_only_with_a_tracker(tmp_path):
+def test_best_takes_learned_only_with_a_tracker(tmp_path, few_robots):
     cell = small_part(tmp_path, SHORTER, *MOVING, "compensation.method=best")
     original = simulate(cell)
     result = compare_methods(cell, original)
@@ -433,7 +435,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     assert np.quantile(verdict.methods[TRACKED], 0.95) < np.quantile(verdict.methods["inverse"], 0.95)
 
 
-def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path):
+def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path, few_robots):
     part = small_part(tmp_path, GCODE, *MOVING)
     target, original = path_of(part).target, simulate(part)
     made = {m: compensator(part, target, m).revise(record_of(part, original)) for m in ("linear", "mirror", "inverse")}

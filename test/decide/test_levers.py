@@ -25,6 +25,7 @@ from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.physics.robot.kinematics import pose
 from kr270_milling.studies.maps.along import own_turn, turned_cell
 
+pytestmark = pytest.mark.usefixtures("few_robots")
 WALL = """\
 G21 G90 S8000 M3
 G0 X{} Y40 Z5

@@ -22,6 +22,7 @@ from kr270_milling.decide.part import assess
 from kr270_milling.decide.tools import in_turn
 from kr270_milling.path.cam.gcode.reader import read_gcode
 
+pytestmark = pytest.mark.usefixtures("few_robots")
 #: a plate whose height maps have no level at half of a millimetre; a coarse and quick model
 STOCK = ("stock.min_mm=[-30,-15,-9]", "stock.max_mm=[30,15,0]")
 QUICK = (

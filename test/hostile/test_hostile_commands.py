@@ -215,7 +215,7 @@ def test_a_number_of_an_option_is_finite_within_its_bounds_and_written_in_digits
 
 @pytest.mark.parametrize("words", [
     ["stiffness", "kr270_2.yaml", "--joints-deg=721,0,0,0,0,0"],
-    ["stiffness", "kr270_2.yaml", POSTURE, "--wrench=nan,0,0,0,0,0"],
+    ["stiffness", "kr270_2.yaml", POSTURE, "--wrench=nan,0,0,0,0,0"], ["simulate", *CELL, "--noise-um=nan"],
     ["compensate", *CELL, "--verdict=-1"], ["compensate", *CELL, "--seed=1_0"], ["run", *CELL, "--passes=0"],
     ["compensate", *CELL, "--method=LINEAR"], ["run", *CELL, "--method="], ["compensate", *CELL, "--krl=PTP"],
     ["check", *CELL, "--motion=PTP"],

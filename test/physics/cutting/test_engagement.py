@@ -212,26 +212,6 @@ def test_the_thrust_of_the_swept_teeth_converges_with_the_angle_step_and_a_level
     assert np.array_equal(forces(AXIAL.replace(end_share=1.0), "half up"), forces(AXIAL, "half up"))
 
 
-@pytest.mark.parametrize("sinking", [0.0, 2e-5])
-def test_a_step_taken_back_leaves_every_bit_of_the_state(sinking):
-    cut = EngagementCut(tool(), AXIAL, block(-1.1, 1.1), MICRO_STEP)
-    path, steps = straight(4e-3, 20e-3)
-    cut.along(path, steps)
-    n = int(steps[1])
-    end = path[-1] + [0.2e-3, 0.1e-3, -sinking]
-
-    def bits():
-        tiles = cut.tiles * 256**2
-        return [a.tobytes() for a in (cut.state.pool[:tiles], cut.state.table, cut.state.floats, cut.state.last)]
-
-    before, volume = bits(), cut.removed_volume
-    first = cut.sweep(path[-1], end, int(steps[-1]), n)
-    assert cut.removed_volume > volume
-    cut.restore()
-    assert bits() == before
-    assert np.array_equal(cut.sweep(path[-1], end, int(steps[-1]), n), first)
-
-
 @pytest.mark.parametrize("iterated", [False, True])
 def test_a_sinking_tool_need_not_visit_again_what_it_has_cut(iterated):
     """A tool that swings up and down along a turning path, beside one that knows nothing of its former places."""

@@ -16,6 +16,8 @@ from kr270_milling.cli import main
 from kr270_milling.decide import levers
 from kr270_milling.decide.programs import krl
 
+pytestmark = pytest.mark.usefixtures("few_robots")
+
 
 @pytest.fixture
 def quick(monkeypatch):
