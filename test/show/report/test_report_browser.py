@@ -51,7 +51,12 @@ def shown(browser, directory, cell, passes, width: int, place: str = "", **words
 
 @pytest.fixture(scope="module")
 def visit(browser, milled, tmp_path_factory):
-    with contextlib.closing(shown(browser, tmp_path_factory.mktemp("part"), *milled, 1400, title="A part")) as page:
+    """Three passes, and a decision with three unknowns."""
+    cell, passes = milled
+    decision, checked = judged(cell, passes[:2], [judge(cell, ran) for ran in passes[:2]])
+    limits = tuple(Limit(name, share, "a test") for name, share in (("servo lag", 0.6), ("base", 0.3), ("tool", 0.001)))
+    more = dict(title="A part", decision=dataclasses.replace(decision, limits=limits), checked=checked)
+    with contextlib.closing(shown(browser, tmp_path_factory.mktemp("part"), cell, passes, 1400, **more)) as page:
         yield page
 
 
@@ -198,12 +203,18 @@ def test_the_robot_holds_the_tool_where_it_is_commanded(visit, milled):
         assert np.linalg.norm(tool - expected) < 2e-3  # [m]: postures in between are interpolated
 
 
-def test_nothing_is_wider_than_the_screen_in_light_and_dark(visit):
+def test_nothing_is_wider_than_the_screen_in_light_and_dark_and_the_bars_of_the_unknowns_have_their_shares(visit):
     for width, theme in ((1400, "light"), (390, "light"), (820, "dark")):
         visit.page.emulate_media(color_scheme=theme)
         visit.page.set_viewport_size({"width": width, "height": 900})
         visit.page.wait_for_function(f"KR.by('series')._fullLayout.width <= {width}")
         assert visit.settled_overhang() <= 0.5
+        bars = visit.ask("""() => [...document.querySelectorAll("#limits tr")].map((row) => {
+          const [bar, track] = ["rect", "svg"].map((e) => row.querySelector(e).getBoundingClientRect());
+          return [row.querySelector("th").textContent, bar.width / track.width, track.width, track.height]; })""")
+        assert [(name, round(share, 2)) for name, share, *_ in bars] == [("servo lag", 0.6), ("base", 0.3)]
+        assert min(size for row in bars for size in row[2:]) > 8
+        assert visit.page.locator("#limits .measure").first.is_visible() == (width > 600)
     dark = visit.ask("[getComputedStyle(document.body).backgroundColor, KR.by('series')._fullLayout.font.color]")
     assert sum(map(int, dark[0][4:-1].split(","))) < 200 and dark[1] == "#e8ecf0"
     assert visit.complaints == []
@@ -225,26 +236,6 @@ def test_a_phone_opened_at_the_address_of_a_place_turned_and_a_page_printed(brow
         assert phone.ask("() => KR.by('series').layout.font.color") == "#000"
         assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
         assert phone.settled_overhang() <= 0.5
-
-
-@pytest.mark.parametrize("width", [1400, 390])
-def test_the_bars_of_the_unknowns_have_their_shares(browser, milled, tmp_path, width):
-    cell, passes = milled
-    judgements = [judge(cell, ran) for ran in passes[:2]]
-    decision, checked = judged(cell, passes[:2], judgements)
-    limits = (
-        Limit("servo lag", 0.6, "a test move"),
-        Limit("base", 0.3, "3 load tests"),
-        Limit("tool", 0.001, "a load"),
-    )
-    more = dict(title="Bars", decision=dataclasses.replace(decision, limits=limits), checked=checked)
-    with contextlib.closing(shown(browser, tmp_path, cell, passes[:2], width, **more)) as page:
-        sizes = page.ask("""() => [...document.querySelectorAll("#limits tr")].map((row) => {
-          const [bar, track] = ["rect", "svg"].map((e) => row.querySelector(e).getBoundingClientRect());
-          return [row.querySelector("th").textContent, bar.width / track.width, track.width, track.height]; })""")
-        assert [(name, round(share, 2)) for name, share, *_ in sizes] == [("servo lag", 0.6), ("base", 0.3)]
-        assert min(size for row in sizes for size in row[2:]) > 8 and page.settled_overhang() <= 0.5
-        assert page.page.locator("#limits .measure").first.is_visible() == (width > 600) and page.complaints == []
 
 
 def test_the_page_of_a_study_loads_plotly_from_its_folder_or_names_the_missing_file(browser, tmp_path):
