@@ -120,7 +120,7 @@ def test_the_notebooks_run_in_an_empty_folder_and_are_stored_without_outputs(tmp
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_runs_and_prints_numbers(example, capsys):
+def test_an_example_runs_and_prints_numbers(example, capsys, few_robots):
     runpy.run_path(str(example), run_name="__main__")
     assert re.search(r"\d", capsys.readouterr().out)
 

@@ -421,7 +421,7 @@ def test_the_method_whose_95_percent_are_least_and_that_harms_no_plant_is_recomm
     assert Verdict(HELPS, "", before, before, 1, {"linear": np.full(20, 79 * UM)}).recommended == "none"
 
 
-def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cell):
+def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cell, few_robots):
     """At the damping of measured robots the paper's methods excite the arm; "inverse" knows of it."""
     perfect = cell.uncertainty.replace(repeatability=0.0, backlash=0.0, frequency=0.03)
     dynamics = cell.dynamics.replace(damping_ratio=0.04, reference_inertia=True)

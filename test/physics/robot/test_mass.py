@@ -9,7 +9,16 @@ from arm_oracle import ARM, ON_BASE, PAPER, POSTURES, SPINDLE, TURNED, UNEVEN, p
 from book import check
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.physics.robot import BARE, beam_mass, cartesian_mass, compliance, equilibrium, forward, jacobian
+from kr270_milling.physics.robot import (
+    BARE,
+    beam_mass,
+    cartesian_mass,
+    compliance,
+    equilibrium,
+    forward,
+    jacobian,
+    pose,
+)
 from kr270_milling.physics.robot.elastostatics import stiffness
 from kr270_milling.physics.robot.errors import SingularityError
 from kr270_milling.physics.robot.mass import assembled_mass, joint_mass, mode_frequencies, rigid_joint_mass
@@ -72,10 +81,15 @@ def test_rigid_joint_mass():
 
 
 @pytest.mark.parametrize("mount", [TURNED, BARE])
-def test_the_urdf_has_the_same_joint_space_mass(mount):
+def test_the_urdf_has_the_same_tool_frame_and_joint_space_mass(mount):
     """pinocchio reads the text and computes the mass that the joints carry, by ``mass_model: rigid`` within 1e-9."""
     model = pin.buildModelFromXML(urdf(UNEVEN, mount))
-    data = model.createData()
+    data, tool = model.createData(), pose(UNEVEN, mount, POSTURES)
+    for q, position, rotation in zip(POSTURES, tool.position, tool.rotation, strict=True):
+        pin.framesForwardKinematics(model, data, q)
+        placed = data.oMf[model.getFrameId("tcp")]
+        np.testing.assert_allclose(placed.translation, position, atol=1e-8)
+        np.testing.assert_allclose(placed.rotation, rotation, atol=1e-8)
     assert pin.computeTotalMass(model) == pytest.approx(UNEVEN.link_mass.sum() + mount.mass, rel=1e-12)
     for q, ours in zip(POSTURES, rigid_joint_mass(UNEVEN, mount, POSTURES), strict=True):
         np.testing.assert_allclose(composite(model, data, q), ours, rtol=1e-9, atol=1e-9)

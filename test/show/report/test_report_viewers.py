@@ -20,7 +20,6 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.part import FeatureRow
 from kr270_milling.exchange.scene import OUTPUTS
 from kr270_milling.physics.motion.scores import Scores
-from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.physics.robot.urdf_links import links_of
 from kr270_milling.recordings.messages.topics import TOPICS
@@ -75,19 +74,6 @@ def cell(request):
 @pytest.fixture(scope="module")
 def text(cell):
     return urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)
-
-
-def test_pinocchio_puts_every_frame_of_the_urdf_where_our_kinematics_does(cell, text):
-    pin = pytest.importorskip("pinocchio", reason="needs the package pin")
-    model = pin.buildModelFromXML(text)
-    data = model.createData()
-    for q in np.random.default_rng(4).uniform(-1.5, 1.5, (5, 6)):
-        pin.framesForwardKinematics(model, data, q)
-        ours = forward(cell.arm, cell.mount, q)
-        for name, pose in (("flange", ours.flange), ("tcp", ours.tool), ("workpiece", cell.workpiece.pose)):
-            placed = data.oMf[model.getFrameId(name)]
-            np.testing.assert_allclose(placed.translation, pose.position, atol=1e-8)
-            np.testing.assert_allclose(placed.rotation, pose.rotation, atol=1e-8)
 
 
 def test_the_solids_of_every_link_are_closed_and_the_tool_ends_in_the_tip(cell, text):

@@ -189,7 +189,9 @@ def test_a_program_stays_where_the_robots_gain_less_than_a_tenth(cell, monkeypat
     assert "as programmed is better" in compensation.better_program(cell, worse, other)[1]
 
 
-def test_the_command_learns_keeps_its_result_in_a_file_and_refuses_what_it_cannot_use(cell, measured, tmp_path, capsys):
+def test_the_command_learns_keeps_its_result_in_a_file_and_refuses_what_it_cannot_use(
+    cell, measured, tmp_path, capsys, few_robots
+):
     first = measured[0]
     rows = zip(1e3 * first.place, 1e6 * first.error, first.floor, strict=True)
     lines = [f"{x},{y},{e:.2f},1,{'floor' if floor else ''}" for (x, y), e, floor in rows]
