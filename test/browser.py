@@ -1,7 +1,5 @@
 """A browser for the tests of pages: Debian's Chromium through playwright; without Chromium the tests are skipped."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """How many examples hypothesis tries: few in the suite, all of them where KR270_MILLING_LONG_TESTS is set."""
 
-from __future__ import annotations
-
 import os
 
 LONG = bool(os.environ.get("KR270_MILLING_LONG_TESTS"))

@@ -1,7 +1,5 @@
 """A robot and a force sensor with their own clocks: wall-clock stamps, jitter, losses, an untared sensor."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

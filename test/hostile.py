@@ -1,7 +1,5 @@
 """Helpers of the tests with hostile input: commands run in this process, and the checks of every answer."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """The table of JSON keys, ``guide/contributing/json.md``: keys of answers and columns of records that have no row."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import typing

@@ -1,7 +1,5 @@
 """Runs our own KRL as a controller would, which must know every line: where it goes, how fast, in which order."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Each mutation goes into a copy of the package; the tests of that part run until 
 the mutations whose equation or file contains it. Exit code 1 if one survives. Takes about ten minutes.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -18,8 +18,6 @@ each shown line the one that resembles it most, and names the lines that no prin
 is written from the records that check a cell.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import io

@@ -1,7 +1,5 @@
 """A ROS domain id that no other process on this machine uses, another id for every test; messages as records."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import itertools

@@ -4,8 +4,6 @@
 how many answers arrived within their cycle.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import socket

@@ -1,7 +1,5 @@
 """The front door: what a script or a notebook imports."""
 
-from __future__ import annotations
-
 import pydoc
 import re
 import runpy

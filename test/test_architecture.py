@@ -1,7 +1,5 @@
 """What neither ruff nor the import contracts of ``pyproject.toml`` can say; the gate checks both."""
 
-from __future__ import annotations
-
 import ast
 import pkgutil
 import subprocess

@@ -1,7 +1,5 @@
 """The recipes of the extension guide, each applied to a copy of the package and run there."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """The pages are true: their commands, the output that they show, their tables and numbers."""
 
-from __future__ import annotations
-
 import pkgutil
 import re
 import shlex

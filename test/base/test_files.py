@@ -1,7 +1,5 @@
 """Output directories and text files appear as a whole or not at all; input that is no text is refused with its line."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Parameter records and parameter files: values, units, includes, assignments; any other text ends in one sentence."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

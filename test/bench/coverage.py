@@ -3,8 +3,6 @@
 Run it in ``test/``; it takes some minutes. The exit code is 1 where a share is outside of 92 to 97 %.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

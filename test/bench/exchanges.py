@@ -8,8 +8,6 @@ A bare trip: a pose as bytes from one process (``bench.exchanges ask COUNT``), a
 (``bench.exchanges answer``), the executor, the topics and the profile of the graph, nothing computed.
 """
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess

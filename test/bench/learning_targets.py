@@ -4,8 +4,6 @@ The paper's pass with the inertia of the moving arm; largest deviation [um] of t
 plant against one model. Run it in ``test/``; it takes some minutes.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ is the same on a slow or a busy machine. The yardstick of the sweep is also an i
 case.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

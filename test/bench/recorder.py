@@ -3,8 +3,6 @@
 ``python recorder.py RATE COUNT SIZE`` publishes messages of one size. RATE 0: as fast as possible. SIZE 0: poses.
 """
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -4,8 +4,6 @@ The paper's pass with the inertia of the moving arm; largest deviation [um] of t
 Prints a Markdown table. Run it in ``test/``; it takes some ten minutes.
 """
 
-from __future__ import annotations
-
 from unittest import mock
 
 from bench.learning_targets import Row

@@ -5,8 +5,6 @@ of computing, through the same engine: what a task takes of the process of the s
 are. ``rows``: a map of N million rows and the memory of its processes while they come.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

@@ -1,7 +1,5 @@
 """The arm and the postures that many tests share, and the arm in pinocchio, an oracle of its kinematics and mass."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

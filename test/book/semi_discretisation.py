@@ -5,8 +5,6 @@ discrete delay, Int. J. Numer. Meth. Eng. 61. Two teeth, one mode along the feed
 K_t = 6e8, K_n = 2e8 N/m^2.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

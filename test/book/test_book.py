@@ -1,7 +1,5 @@
 """Verdicts, the committed table, and checks against what [Klimchik2014] prints: Table 2 and section 6."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import math

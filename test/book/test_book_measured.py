@@ -3,8 +3,6 @@
 The rows run the commands and the interface that a user runs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

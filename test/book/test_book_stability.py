@@ -6,8 +6,6 @@ A_i / (R dphi_i) (Fig. 6) with the tooth's angle as seen from where the centre w
 is no chip. With the nominal angle it would be one, and damp.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

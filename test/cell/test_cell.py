@@ -1,7 +1,5 @@
 """The cell: its models, its checks between records, the paths and the effort that it refuses."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -5,8 +5,6 @@ the top of the stock at z = 0; their volumes are closed forms, with the radius R
 rapid move and the depth d.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Tolerance, decision and verdict: their levels in every output, what is drawn and run, and the recommended method."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

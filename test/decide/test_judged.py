@@ -1,7 +1,5 @@
 """Programs that must or must not be stopped: each file has the answer of ``check`` (see judged/README.md)."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

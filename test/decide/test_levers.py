@@ -1,7 +1,5 @@
 """Ramps, feeds, finishing passes and turns of the tool as levers beside the correction."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Results of each feature along a tool path, errors of walls and floors, the finished workpiece as STL."""
 
-from __future__ import annotations
-
 import dataclasses
 import struct
 from types import SimpleNamespace

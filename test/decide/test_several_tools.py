@@ -1,7 +1,5 @@
 """Several tools in one program: the stock passes from tool to tool, and there is one decision."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

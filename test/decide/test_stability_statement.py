@@ -1,7 +1,5 @@
 """The statement about chatter: depth of cut against the limit of arm, tool and spindle, the same in every output."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 

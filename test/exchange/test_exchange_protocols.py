@@ -1,7 +1,5 @@
 """The protocols of robot and cut: records in, records out, against the compiled pass."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The joint program against the spline that ros2_controllers documents between its points, and its safe start."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly

@@ -1,7 +1,5 @@
 """messages.scene: what viewers are given follows from the topics of the graph."""
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np

@@ -3,8 +3,6 @@
 Exit code 1 if a row fails, 2 with a sentence where no graph can be started.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """A long run: many passes in one graph. Memory, threads and files must not grow."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 from pathlib import Path

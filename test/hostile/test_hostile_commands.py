@@ -1,7 +1,5 @@
 """Every command with files that are none, places that must not change, impossible options, and with Ctrl-C."""
 
-from __future__ import annotations
-
 import math
 import os
 import random

@@ -1,7 +1,5 @@
 """Each key of a cell with hostile values: refused in one sentence, or an answer of finite numbers."""
 
-from __future__ import annotations
-
 import tempfile
 
 import pytest

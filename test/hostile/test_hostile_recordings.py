@@ -1,7 +1,5 @@
 """Damaged and crafted recordings against the reader: errors, memory, messages."""
 
-from __future__ import annotations
-
 import os
 import random
 import struct

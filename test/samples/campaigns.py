@@ -1,7 +1,5 @@
 """Measurements of a known arm, of known force coefficients and of known modes."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

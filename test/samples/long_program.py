@@ -4,8 +4,6 @@
 420 minutes: 66,000 points and 146 m of path.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

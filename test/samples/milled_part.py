@@ -1,7 +1,5 @@
 """A small cell that mills short tool paths quickly: shipped arm and posture, coarse grid."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from kr270_milling.cell.cell import Cell

@@ -1,7 +1,5 @@
 """Recordings of a short pass for tests: made message by message without a ROS graph, and changed afterwards."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

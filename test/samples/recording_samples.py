@@ -1,7 +1,5 @@
 """Messages of every type in the topic table, serialised by rosbags, for the other tests of recordings."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import resource

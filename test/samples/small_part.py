@@ -1,7 +1,5 @@
 """A small tool path in the paper's cell: a corner with a stop, an arc, an exit; some 1.5 s of milling."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corrected G-code, read back by our own reader: the corrected path, and all else of the source program."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Robot programs, offset tables and joint tables, read back by a reader of the tests and run on pinocchio's arm."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path

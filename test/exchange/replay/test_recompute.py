@@ -1,7 +1,5 @@
 """Recomputing recordings: of a plain exchange, of changed ones, and of what the compensator revised."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import struct

@@ -1,7 +1,5 @@
 """A pass out of its recording, for scores and reports."""
 
-from __future__ import annotations
-
 import json
 import time
 

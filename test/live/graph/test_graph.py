@@ -1,7 +1,5 @@
 """The graph as processes: its results, its messages when a node fails, and its end."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

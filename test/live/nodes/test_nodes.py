@@ -3,8 +3,6 @@
 The protocols (test/exchange) prove which samples are refused; these tests prove what only a node does.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import runpy

@@ -1,7 +1,5 @@
 """The player: which bytes it publishes when, with the options of ``ros2 bag play``."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os

@@ -1,7 +1,5 @@
 """Nodes as processes: their command lines, signals, exit codes, the shipped script."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

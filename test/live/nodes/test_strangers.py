@@ -1,7 +1,5 @@
 """Messages of strangers on every topic: each is survived, counted and named, and the pass after them is the same."""
 
-from __future__ import annotations
-
 import random
 import time
 

@@ -1,7 +1,5 @@
 """What all nodes share: reports, transitions, parameters, the environment of their processes."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

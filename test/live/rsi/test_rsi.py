@@ -1,7 +1,5 @@
 """RSI: a simulated controller over UDP receives the correction of its place on the path."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """The compensator between the passes, and learning of an arm that is not the model's."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """The lifted model: response of the arm to a correction, and the correction by dynamic programming."""
 
-from __future__ import annotations
-
 import dataclasses
 from time import process_time
 from timeit import timeit

@@ -1,7 +1,5 @@
 """Revision of the reference at the controller step and along a tool path, and the static mirror (30) to (32)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from arm_oracle import ARM, PAPER

@@ -1,7 +1,5 @@
 """Force and wrench of a rigid tool, (26) to (29): closed forms, quadratures, integrals along lagging edges."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

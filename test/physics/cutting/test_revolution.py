@@ -1,7 +1,5 @@
 """The mean force of a cutter of revolution beside a quadrature of its edge; volume, torque, undo, order."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

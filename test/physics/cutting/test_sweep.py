@@ -1,7 +1,5 @@
 """The sweep: cutter, stock, polygons, vector instructions, a brute-force oracle on small grids, and the workpiece."""
 
-from __future__ import annotations
-
 import resource
 import sys
 

@@ -1,7 +1,5 @@
 """Eq. (1) in discrete time, the modes of the arm, and measured modes."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

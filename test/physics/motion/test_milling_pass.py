@@ -1,7 +1,5 @@
 """The compiled pass, the exchange period, and the scores of a pass."""
 
-from __future__ import annotations
-
 import functools
 import tracemalloc
 

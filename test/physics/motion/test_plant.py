@@ -1,7 +1,5 @@
 """Imperfect plants: noise, repeatability, backlash, servo lag and the joining of points."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Arm records, forward and inverse kinematics, Jacobians: against pinocchio, differences and closed forms."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mass matrices (18)-(25) of beams and of rigid links, and natural frequencies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

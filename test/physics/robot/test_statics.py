@@ -1,7 +1,5 @@
 """Torques of loads, equilibria, stiffness and compliance of loaded arms: pinocchio, differences, closed forms."""
 
-from __future__ import annotations
-
 import json
 import math
 

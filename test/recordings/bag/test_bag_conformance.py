@@ -1,7 +1,5 @@
 """MCAP's conformance data and bags of rosbag2 that are not one plain MCAP file."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 import struct

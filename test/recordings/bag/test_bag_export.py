@@ -1,7 +1,5 @@
 """Export, summary and playback of recordings, also with several passes in one file."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

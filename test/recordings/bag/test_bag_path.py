@@ -1,7 +1,5 @@
 """Targets from recordings: paths and trajectories."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from budget import budget

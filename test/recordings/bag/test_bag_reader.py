@@ -1,7 +1,5 @@
 """Reading recordings, here and in readers by other people; verifying and recovering damaged recordings."""
 
-from __future__ import annotations
-
 import io
 import struct
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Writing recordings: files, log times, gaps, QoS profiles and memory."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

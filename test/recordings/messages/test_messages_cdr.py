@@ -1,7 +1,5 @@
 """Serialised bytes, in both byte orders and damaged: stamps, series, trajectories, and definitions of types."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Records to bytes and back: in a circle, against the middleware's own serialiser, and what must be refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

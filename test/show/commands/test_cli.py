@@ -1,7 +1,5 @@
 """The command line: help, errors in one sentence, and the JSON of its commands."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import json

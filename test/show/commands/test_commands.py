@@ -1,7 +1,5 @@
 """The commands about cells and recordings, as a user calls them: init, keys, info, export, recover, replay, report."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

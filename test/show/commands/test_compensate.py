@@ -1,7 +1,5 @@
 """The command compensate: what it writes and prints, and that unusable input leaves nothing behind."""
 
-from __future__ import annotations
-
 import functools
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A milled part, a straight cut and their passes, for all tests of reports."""
 
-from __future__ import annotations
-
 import pytest
 from samples.milled_part import POCKET, small_cell
 

@@ -1,7 +1,5 @@
 """The report in a real browser: no error, no request, nothing cut off, and one place marked in all pictures."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 

@@ -1,7 +1,5 @@
 """The report: the page as a whole, for short passes of the paper's cell and of others, and its series."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """What viewers show beside the page: columns of JSON and terminal, the robot, and the layout files in config."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ET

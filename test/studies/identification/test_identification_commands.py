@@ -1,7 +1,5 @@
 """The command identify, the commands of its page, errors in measurements, a measured wall beside the predicted wall."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import math

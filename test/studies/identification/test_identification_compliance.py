@@ -1,7 +1,5 @@
 """Compliances from load tests, plans of load tests, their tables, and the comparison of a measured pass."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

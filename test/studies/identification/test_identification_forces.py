@@ -1,7 +1,5 @@
 """Force coefficients from mean forces, and modes from ring-downs and impacts."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Servo lag and backlash: closed forms, coverage of the intervals, tables that must not be used, and the commands."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

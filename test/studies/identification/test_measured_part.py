@@ -1,7 +1,5 @@
 """Learn from a measured part: closed forms, coverage, places that contradict, the former program, and the command."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

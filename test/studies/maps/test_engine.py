@@ -1,7 +1,5 @@
 """The engine with the real thing: a scheduler and workers as processes, some of them killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Stability lobes against published and independent limits; symmetries; order of convergence."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

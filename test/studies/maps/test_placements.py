@@ -1,7 +1,5 @@
 """Maps of placements, turns of the tool along a path, and sweeps."""
 
-from __future__ import annotations
-
 import io
 from types import SimpleNamespace
 
