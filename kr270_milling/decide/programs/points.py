@@ -149,7 +149,9 @@ def _places(run: Trajectory) -> np.ndarray:
     if not run.turns:
         return run.position
     axes = rotation_from_quaternion(run.quaternion).reshape(-1, 9)
-    return np.hstack([run.position, LEVER / math.sqrt(2.0) * axes])
+    places = np.hstack([run.position, LEVER / math.sqrt(2.0) * axes])
+    places.setflags(write=False)  # as positions are, so that Numba compiles ``_apart`` once
+    return places
 
 
 @njit(cache=True, nogil=True)

@@ -26,6 +26,7 @@ from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.compensation import compensate
+from kr270_milling.decide.programs import points
 from kr270_milling.decide.programs.files import (
     offsets,
     program_bytes,
@@ -124,6 +125,12 @@ def test_speeds_are_those_along_the_curve_rounded_to_a_millimetre_a_second_and_n
     write(tmp_path, Program(), *2 * [Trajectory(time_ns, circle, [1.0, 0, 0, 0], tangent)])
     speeds = [speed for _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]]
     np.testing.assert_allclose(speeds, 0.05 * np.pi / 2, atol=0.5e-3)
+
+
+def test_the_points_of_a_turning_and_of_an_upright_tool_are_chosen_by_one_compiled_function():
+    for run in (*swaying(9), Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.01, 0.05, 0.05)):
+        point_numbers(Program(), run, run)
+    assert len(points._apart.signatures) == len(points._near.signatures) == 1
 
 
 def milled(tmp_path, text: str) -> Trajectory:
