@@ -264,12 +264,13 @@ def mean_thrusts(modes: tuple[np.ndarray, ...], tool: Tool, cutting: Cutting, pi
     law = length * thin, length * (thick - thin) / (9.0 * tool.edge_radius), tool.edge_radius
     stiff = math.sqrt(max(0.0, law[0] / law[2] * float(modes[2] @ modes[3])))  # [rad/s] of the free tip on the contact
     steps = int(min(max(128.0, 12.0 * pitch * max(stiff, float(modes[0].max()))), 1000.0))
-    shares = np.ones(LAYERS.size)
-    for k in range(LAYERS.size):
-        shares[k] = _bouncing(*modes, *law, LAYERS[k] * law[2] / pitch, pitch / steps, steps)
-        if k == 0 and shares[k] > 0.99:  # a layer in proportion to the force is the least stable
-            return np.ones(LAYERS.size)
-    return shares
+
+    def share(layer: float) -> float:
+        return _bouncing(*modes, *law, layer * law[2] / pitch, pitch / steps, steps)
+
+    if share(1.0) > 0.99:  # an arm bounces first where the layer is as thick as the edge is round
+        return np.ones(LAYERS.size)
+    return np.minimum(1.0, [share(layer) for layer in LAYERS.tolist()])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
