@@ -266,7 +266,8 @@ def mean_thrusts(modes: tuple[np.ndarray, ...], tool: Tool, cutting: Cutting, pi
     steps = int(min(max(128.0, 12.0 * pitch * max(stiff, float(modes[0].max()))), 1000.0))
 
     def share(layer: float) -> float:
-        return _bouncing(*modes, *law, layer * law[2] / pitch, pitch / steps, steps)
+        numbers: tuple = (*modes, *law, layer * law[2] / pitch, pitch / steps, steps)
+        return _bouncing(*numbers)
 
     if share(1.0) > 0.99:  # an arm bounces first where the layer is as thick as the edge is round
         return np.ones(LAYERS.size)
