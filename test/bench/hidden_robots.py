@@ -19,7 +19,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
-from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import coarser, perturbed
 from kr270_milling.decide.compensation import better_program
@@ -67,9 +67,9 @@ def hidden_robots(cell: Cell, count: int, seed: int) -> list[Cell]:
 
 
 def plan(cell: Cell, former: Trajectory | None = None) -> Trajectory:
-    """Return the reference of ``robust``, or the one that is better for the robots that were learned."""
-    original = simulate(cell)
-    new = compensated(cell, original, "robust", None, compensator(cell, path_of(cell).target, "robust")).reference
+    """Return the reference of ``robust`` by quick passes, or the one that is better for the learned robots."""
+    quick = coarser(cell)
+    new = compensated(quick, simulate(quick), "robust").reference
     return new if former is None else better_program(cell, former, new)[0]
 
 

@@ -241,8 +241,8 @@ class EngagementCut(CutModel):
 
     stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
     the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep``
-    gets predicted poses. ``along`` gets final poses. A tool whose end is not flat takes the part of ``revolution``;
-    tilts: the axis of the tool leaves z of the workpiece.
+    gets predicted poses. ``along`` gets final poses. bounce: ``mean_thrusts`` of the arm, default: the tip is steady. A
+    tool whose end is not flat takes the part of ``revolution``; tilts: the axis of the tool leaves z of the workpiece.
     """
 
     params: EngagementParams
@@ -258,10 +258,11 @@ class EngagementCut(CutModel):
         bins: int = BINS,
         give: float = 0.0,
         tilts: bool = False,
+        bounce: np.ndarray | None = None,
     ):
         super().__init__(tool, cutting, stock)
         self.tilts = tilts
-        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce)
         self.state = make_engagement_state(self.params, stock)
 
     def continue_from(self, before: CutModel) -> None:

@@ -32,6 +32,13 @@ than the arm moves in a step. Therefore the step ends where the corrected tip wi
     rise = give theta / (theta + T) (thrust(floor - z - rise) - last thrust)
 
 give: the displacement of the tip along z after a step under a unit force, which the cell computes from the arm.
+
+End edges that press over a large share make an arm bounce: a tooth meets the floor of the lowest tooth before it,
+
+    h(t) = min_k z(t - k pitch) - z(t),   thrust = N s R F_r(h)
+
+and the tip lifts off for a part of each bounce of some milliseconds. ``mean_thrusts`` integrates this at constant axial
+feeds; the mean thrust, as a share of that of an even layer, multiplies the thrust of a step.
 """
 
 from __future__ import annotations
@@ -41,6 +48,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
@@ -65,6 +73,9 @@ RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a cover
 BLOCK = 16  # nodes, a power of two
 LOG_LOST = 1 << 62  # in place of the number of logged nodes: the log had no room for all
 FLOORS = 64  # places that a state remembers
+#: axial feeds per tooth, in edge radii, of the mean thrusts: a thinner layer is as the first, a thicker one as the last
+LAYERS = np.geomspace(0.125, 8.0, 13)
+LOWEST, SPACING = float(LAYERS[0]), math.log(LAYERS[1] / LAYERS[0])
 # Places in EngagementState.ints
 FLOOR_LEVEL = 5  # the whole footprint is cut at least to this level (-1: not known)
 FLOORS_KNOWN = 6  # rows in use of ``floors``
@@ -99,6 +110,7 @@ class EngagementParams(NamedTuple):
     end_share: float  # share of the end edge that presses on the floor
     edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
     give: float  # compliance of the predicted tip along z in a step [m/N]; 0: poses are not predicted
+    bounce: np.ndarray  # mean thrust of a bouncing tip, as a share of that of an even layer of LAYERS, (LAYERS.size,)
     moments: bool  # forces turn the tool about its tip
     front: np.ndarray  # int16, (SINES + 2 BEYOND,): front bin by BEYOND + SINES (1 + sin(phi)) / 2
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
@@ -146,10 +158,12 @@ def make_engagement_params(
     bins: int = BINS,
     give: float = 0.0,
     tilts: bool = False,
+    bounce: np.ndarray | None = None,
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
-    bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give: as in the record.
+    bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give, bounce: as in the
+    record; None: the tip does not bounce.
     tilts: poses have an axis, and a flat end has a profile, too.
     """
     widest = float(tool.radii.max())
@@ -163,6 +177,7 @@ def make_engagement_params(
         lag=math.pi / tool.teeth,
         twist=math.tan(tool.helix) / widest,
         give=give,
+        bounce=np.ones(LAYERS.size) if bounce is None else bounce,
         flat=flat_end or None,
         profile=profile,
         tilts=tilts or None,
@@ -238,6 +253,65 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
     )
 
 
+def mean_thrusts(modes: tuple[np.ndarray, ...], tool: Tool, cutting: Cutting, pitch: float) -> np.ndarray:
+    """Mean thrust of the end edges as a share of that of an even layer, at the axial feeds LAYERS, (LAYERS.size,).
+
+    modes: frequencies [rad/s], damping ratios, motion of the tip along z by each mode, and its answer to a unit force
+    along z, (r,) each; pitch [s]: time from tooth to tooth. Above the edge radius the thrust is a straight line.
+    """
+    thin, thick = (float(cutting.active.per_depth(k * tool.edge_radius)[1]) for k in (1.0, 10.0))
+    length = tool.teeth * float(tool.radii.max()) * cutting.end_share
+    law = length * thin, length * (thick - thin) / (9.0 * tool.edge_radius), tool.edge_radius
+    stiff = math.sqrt(max(0.0, law[0] / law[2] * float(modes[2] @ modes[3])))  # [rad/s] of the free tip on the contact
+    steps = int(min(max(128.0, 12.0 * pitch * max(stiff, float(modes[0].max()))), 1000.0))
+
+    def share(layer: float) -> float:
+        numbers: tuple = (*modes, *law, layer * law[2] / pitch, pitch / steps, steps)
+        return _bouncing(*numbers)
+
+    if share(1.0) > 0.99:  # an arm bounces first where the layer is as thick as the edge is round
+        return np.ones(LAYERS.size)
+    return np.minimum(1.0, [share(layer) for layer in LAYERS.tolist()])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _bouncing(frequency, damping, moved, answer, thin, slope, edge, rate, step, steps):
+    """Mean thrust of a tip that sinks at ``rate`` [m/s], from the air, as a share of that of an even layer."""
+    turns = 200  # pitches; the means are those of the second half, in which a soft arm may still rise
+    half = turns * steps // 2
+    place, speed = np.zeros(frequency.size), np.zeros(frequency.size)
+    floor, thrust, total, middle, z = np.zeros(steps), 0.0, 0.0, 0.0, 0.0
+    for n in range(2 * half + 1):
+        z = -rate * step * n
+        for m in range(frequency.size):
+            push = answer[m] * thrust - 2.0 * damping[m] * frequency[m] * speed[m] - frequency[m] ** 2 * place[m]
+            speed[m] += step * push
+            place[m] += step * speed[m]
+            z += moved[m] * place[m]
+        h, thrust = floor[n % steps] - z, 0.0
+        if h > 0.0:
+            floor[n % steps] = z
+            thrust = min(h / edge, 1.0) * thin + slope * max(h - edge, 0.0)
+        if n == half:
+            middle = z
+        elif n > half:
+            total += thrust
+    h = (middle - z) / half * steps
+    even = min(h / edge, 1.0) * thin + slope * max(h - edge, 0.0)
+    return total / half / even if even > 0.0 else 1.0
+
+
+@inlined
+def layer_force(p, h):
+    """``end_force`` of an axial feed per tooth h [m], with the mean thrust of a tip that may bounce."""
+    f_t, f_r = end_force(p, h)
+    last = p.bounce.size - 1
+    at = math.log(max(h / max(p.edge_radius, 1e-12), 1e-9) / LOWEST) / SPACING
+    k = min(max(int(at), 0), last - 1)
+    part = min(max(at - k, 0.0), 1.0)
+    return f_t, f_r * (p.bounce[k] + part * (p.bounce[k + 1] - p.bounce[k]))
+
+
 @inlined
 def floor_near(s, p, tip):
     """Deepest known level of a footprint near the tip; -1: none is known."""
@@ -258,7 +332,7 @@ def rise_of_step(s, p, z, passes, give):
     low, high = -give * s.load[THRUST], sinks
     for _ in range(20 if low < high else 0):  # halve the interval of the rise from 1 mm to 1 nm
         rise = 0.5 * (low + high)
-        thrust = s.load[CONTACT] * end_force(p, (sinks - rise) / passes)[1]
+        thrust = s.load[CONTACT] * layer_force(p, (sinks - rise) / passes)[1]
         if rise < give * (thrust - s.load[THRUST]):
             low = rise
         else:
@@ -583,7 +657,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
     for k in range(SECTORS if sinking else 0):
         volume, nodes = s.sunk[k, 0], s.sunk[k, 1]
         if volume > 0.0:  # each tooth takes a layer with its end edge: N / 2 pi int int dr dphi, and int int r dr dphi
-            f_t, f_r = end_force(p, volume / nodes * p.level_step / passes)
+            f_t, f_r = layer_force(p, volume / nodes * p.level_step / passes)
             length = share * s.sunk[k, 2] * p.spacing * p.spacing / p.radius
             moment = share * nodes * p.spacing * p.spacing
             c, d = p.turns[k, 0], p.turns[k, 1]

@@ -33,13 +33,13 @@ from kr270_milling.physics.cutting.engagement import (
     FLOOR_NEAR,
     RIM,
     SINES,
+    layer_force,
     outside,
     remember,
     take_tile,
 )
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import LEVELS
-from kr270_milling.physics.cutting.load import end_force
 from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
 from kr270_milling.physics.cutting.tilted import lower_tilted
@@ -341,7 +341,7 @@ def _load(s, p, motion, frame, passes, wrench):
                 normal = area / shape.lever[b]
             lever, edge, h = area / normal, teeth * share * room, normal / passes
             if shape.cosine[b] > 1.0 - LEVEL:
-                f_t, f_r = end_force(p, h)
+                f_t, f_r = layer_force(p, h)
                 f_a = 0.0
                 contact += edge
                 thrust += f_r * edge
