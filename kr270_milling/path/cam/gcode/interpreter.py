@@ -101,18 +101,17 @@ class Interpreter(Machine):
         self.pattern = []
         if not self.kinematics.letters and self.tilt is None and any(axes.get(letter) == 0.0 for letter in "ABC"):
             self.program.turn(TOOL_DOWN)
+        unit = self.unit
         if not groups.keys() <= MOVES:
             self._set(groups, axes)
         if "F" in axes:
-            self.set_feed(axes.pop("F"), self.unit)
+            self.set_feed(axes.pop("F"), unit)  # before G20 and G21: NIST RS274/NGC 3.8
         if "S" in axes or "spindle" in groups:
             self._turn(groups, axes)
-        if "unclear" in groups:
-            feed, unit = word_of("F", self.feed_word or 0.0), word_of("G", groups["unit"])
-            self.feed = None
-            self.no_feed = (
-                f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
-            )
+        if self.unit != unit and self.feed_word is not None:
+            feed, length = word_of("F", self.feed_word), "mm" if unit == MM else "inches"
+            program.silent[f"{feed} in {length}, the unit before {word_of('G', groups['unit'])}"] += 1
+            self.feed_word *= unit / self.unit
         self._take_vector(axes, groups)
         if self.kinematics.letters:
             self.take_angles(axes, home=groups.get("home") in (28, 30))
@@ -234,13 +233,10 @@ class Interpreter(Machine):
     # --- what a block sets ---
 
     def _set(self, groups: dict, axes: dict) -> None:
-        unit = self.unit
         if "I" in axes and "L" in axes:
             self.pattern = self._pattern(groups, axes)
         for group in MODAL.keys() & groups.keys():
             setattr(self, group, MODAL[group][groups[group]])
-        if self.unit != unit and (self.feed_word is not None or "F" in axes):
-            groups["unclear"] = 0
         if "feed" in groups:
             self.set_feed_mode(int(groups["feed"]))
         if "claim" in groups:
@@ -400,6 +396,8 @@ class Interpreter(Machine):
             axes.clear()
         elif word == "G54.4" and axes.get("P"):
             self.program.refuse(word, advice=DATUM, lost=True)
+        elif word == "M73" and self.calls:
+            self.program.refuse(word, "M73 restores modes at the end of a sub-program", MACROS, lost=True)
         else:
             if word in ("G92.1", "G92.2", "G92.3"):
                 self._restore(value)

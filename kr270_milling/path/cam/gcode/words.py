@@ -129,7 +129,7 @@ ADVICE = {
         "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
         "leave threads out of this program; they are bound to the spindle's angle",
     ),
-    **_each("G96 G7 G32", "this is a word of lathes; post for a mill"),
+    **_each("G96 G7 G32 G71.1 G71.2 G72.1 G72.2", "this is a word of lathes; post for a mill"),
     **_each("G88", "the tool is withdrawn by hand; write G86 or G89"),
     **_each("G87 G12 G13 G150 G34 G47", POCKETS),
     **_each(
