@@ -325,6 +325,7 @@ def _random_contour(rng: random.Random) -> list[str]:
     lines = ["G90 G17", f"G0 X{x:.4f} Y{y:.4f}", rng.choice((f"G41 D{2 * radius}", f"G42 D{2 * radius}"))]
     timed = rng.random() < 0.2  # each move states its time
     lines += ["G93"] * timed
+    feed = "" if timed else " F333"
     for k in range(rng.randint(2, 9)):
         heading += 0 if not k else rng.choice((0, 90, -90, rng.uniform(-170, 170), rng.uniform(-60, 60)))
         way, before = rng.uniform(9, 50), complex(x, y)
@@ -335,10 +336,7 @@ def _random_contour(rng: random.Random) -> list[str]:
         centre = before + 1j * way * _turn(heading) * (1 if turn > 0 else -1) - before
         word = "G0" if rng.random() < 0.1 and k else "G1" if not turn else "G3" if turn > 0 else "G2"
         arc = f" I{centre.real:.5f} J{centre.imag:.5f}" if word in ("G2", "G3") else ""
-        lines.append(
-            f"{word} X{x:.5f} Y{y:.5f}{arc}"
-            + rng.choice(("", "", f" Z{rng.uniform(-3, 3):.3f}", " F333"[: 5 * (not timed)]))
-        )
+        lines.append(f"{word} X{x:.5f} Y{y:.5f}{arc}" + rng.choice(("", "", f" Z{rng.uniform(-3, 3):.3f}", feed)))
         heading += turn if arc else 0
         lines += rng.choice(([], [], [], [f"G1 Z{rng.uniform(-3, 3):.3f}"]))
     step = 2 * radius * _turn(heading)

@@ -43,6 +43,7 @@ VECTOR = ("A3", "B3", "C3")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 DATA = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  #: groups of ``_datum``
 LETTERS = {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD", "G68.2": "XYZIJKP"}
+SAVED = (*MODAL, "feed_mode", "feed", "feed_word", "no_feed", "turning", "speed")  #: modes of M70
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 
 
@@ -66,6 +67,8 @@ class Interpreter(Machine):
         self.preset = False  #: G92 gave the tool its place
         self.calls = False  #: sub-programs can be called
         self.call: tuple[str, float, float, dict[str, float]] | None = None  #: kind, name, repeats, values
+        #: of the program and of each sub-program that runs: the modes that M70 or M73 saved
+        self.modes: list[dict[str, Any] | None] = [None]
         self.radii: dict[float, float] = {0.0: 0.0}  #: number D -> radius [m] that the program states
         self.edge = math.nan  #: number of the last D
         self.end_word = 0.0  #: number of the M word that ended the program
@@ -233,6 +236,8 @@ class Interpreter(Machine):
     # --- what a block sets ---
 
     def _set(self, groups: dict, axes: dict) -> None:
+        if "modes" in groups:
+            self._save(groups["modes"])
         if "I" in axes and "L" in axes:
             self.pattern = self._pattern(groups, axes)
         for group in MODAL.keys() & groups.keys():
@@ -303,6 +308,26 @@ class Interpreter(Machine):
         if word == 72:
             return [k * cmath.rect(radius, math.radians(first)) for k in range(int(count))]
         return [cmath.rect(radius, math.radians(first + k * step)) for k in range(int(count))]
+
+    def _save(self, word: float) -> None:
+        """M70 saves the modes, M73 also for the end of the sub-program, M71 forgets them, M72 restores them."""
+        if word == 72 and self.modes[-1] is None:
+            self.program.refuse("M72", "M72 without M70", MACROS, lost=True)
+        elif word == 72:
+            self.restore(self.modes[-1] or {})
+        else:
+            saved = {name: getattr(self, name) for name in SAVED}
+            self.modes[-1] = None if word == 71 else {**saved, "offset": self.offsets.active, "at_end": word == 73}
+
+    def restore(self, modes: dict[str, Any]) -> None:
+        """Restore the modes of M70; the motion of G0 to G3 stays (LinuxCNC)."""
+        if self.side:
+            self.ends_contour("M72 or the end of a sub-program with M73")
+        for name in SAVED:
+            setattr(self, name, modes[name])
+        self.program.spindle_speed = self.turning * self.speed
+        if modes["offset"] != self.offsets.active:
+            self._use_offset(modes["offset"])
 
     def _compensate(self, word: float, axes: dict) -> None:
         """G40, G41 D, G42 D: the radius that G10 gives to D, else that of the tool; G41.1 D: half of D."""
@@ -396,8 +421,6 @@ class Interpreter(Machine):
             axes.clear()
         elif word == "G54.4" and axes.get("P"):
             self.program.refuse(word, advice=DATUM, lost=True)
-        elif word == "M73" and self.calls:
-            self.program.refuse(word, "M73 restores modes at the end of a sub-program", MACROS, lost=True)
         else:
             if word in ("G92.1", "G92.2", "G92.3"):
                 self._restore(value)
