@@ -40,7 +40,7 @@ ENDS = {
     # back along the same line: around its end
     "G41.1 D4\nX20\nX0 Y0.0000001\nG40\nX-9": [(20, 2), (20, -2), (0, -2), (-9, 0)],
     "G83 X1 Z-6.5 R2 Q1.7": [(1, 0, 0.3), (1, 0, -1.4), (1, 0, -3.1), (1, 0, -4.8), (1, 0, -6.5)],
-    "o1 sub\nM73\nG91 G20\nG55\nX1\no1 endsub\no1 call\nX9\nM70 G91\nX1\nM72\nX1": [25.4, 9, 10, 1],
+    "o1 sub\nM73\nG91 G20\nG55\nX1\no1 endsub\no1 call\nX9\nM70 G91 G20\nX1\nM72\nX1": [25.4, 9, 34.4, 1],
     "o1 sub\nM73\nG91\nM71\no1 endsub\no1 call\nX4\nX1": [4, 5],
     "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],

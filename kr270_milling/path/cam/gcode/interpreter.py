@@ -111,7 +111,7 @@ class Interpreter(Machine):
             self.set_feed(axes.pop("F"), unit)  # before G20 and G21: NIST RS274/NGC 3.8
         if "S" in axes or "spindle" in groups:
             self._turn(groups, axes)
-        if self.unit != unit and self.feed_word is not None:
+        if "unit" in groups and self.unit != unit and self.feed_word is not None:
             feed, length = word_of("F", self.feed_word), "mm" if unit == MM else "inches"
             program.silent[f"{feed} in {length}, the unit before {word_of('G', groups['unit'])}"] += 1
             self.feed_word *= unit / self.unit
