@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from kr270_milling.path.cam.contour import NEAR
+
 #: [m] how far above the last depth a peck starts again: 0.01 inch, as in LinuxCNC
 CLEARANCE = 0.254e-3
 MOST_PECKS = 10_000
-ROUNDING = 1e-9  #: [m]
 
 
 @dataclass
@@ -35,7 +36,7 @@ class Cycle:
             above = min(self.retract, depth + CLEARANCE)
             if path:
                 path += [(above, True)] if self.kind == 73 else [(self.retract, True), (above, True)]
-            depth = depth - self.peck if depth - self.peck > self.bottom + ROUNDING else self.bottom
+            depth = depth - self.peck if depth - self.peck > self.bottom + NEAR else self.bottom
             path.append((depth, False))
             if len(path) > 3 * MOST_PECKS:
                 raise ValueError(f"the hole takes more than {MOST_PECKS} pecks; wrong Q?")
