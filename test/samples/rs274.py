@@ -222,7 +222,8 @@ def difference(path) -> str:
         apart = not (_near(start.end, begin.end, near) and _near(move.end, other_move.end, near))
         # the radius of an arc has the rounding of its centre
         longer = abs(move.length - other_move.length) > (8 if move.kind == "arc" else 2) * near + 1e-4 * move.length
-        faster = abs(move.feed - other_move.feed) > 0.02 + 1e-4 * move.feed
+        # with G93 LinuxCNC moves at 0.1 mm or inches a minute at least
+        faster = abs(move.feed - other_move.feed) > 0.02 + 1e-4 * move.feed and other_move.feed > 2.55
         if not (apart or longer or faster or move.kind != other_move.kind):
             k, n = k + 1, n + 1
         elif move.length < 3 * near or other_move.length < 3 * near:  # rounding may leave nothing of the shorter one
