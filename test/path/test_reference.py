@@ -37,6 +37,11 @@ ENDS = {
     "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
     "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
+    # back along the same line: around its end
+    "G41.1 D4\nX20\nX0 Y0.0000001\nG40\nX-9": [(20, 2), (20, -2), (0, -2), (-9, 0)],
+    "G83 X1 Z-6.5 R2 Q1.7": [(1, 0, 0.3), (1, 0, -1.4), (1, 0, -3.1), (1, 0, -4.8), (1, 0, -6.5)],
+    "o1 sub\nM73\nG91 G20\nG55\nX1\no1 endsub\no1 call\nX9\nM70 G91 G20\nX1\nM72\nX1": [25.4, 9, 34.4, 1],
+    "o1 sub\nM73\nG91\nM71\no1 endsub\no1 call\nX4\nX1": [4, 5],
     "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
 }
@@ -69,6 +74,9 @@ REFUSED = {
     "o1 if [1]\nX1": "IF of 1 has no end",
     "o1 sub\no2 sub\no2 endsub\no1 endsub": "defined in another sub-program",
     "o1 break": "in no loop",
+    "M72": "M72 without M70",
+    "o1 sub\nM70\nM71\nM72\no1 endsub\no1 call": "M72 without M70",
+    "G41.1 D4\nM70\nX9\nM72": "M72 .* while G41",
     **dict.fromkeys(("X[1/0]", "X[SQRT[-1]]", "X[0**-1]", "X[ASIN[2]]", "X[9**99]"), "no result"),
     **dict.fromkeys(("X#9", "X#<a>", "#1=#0", "X#5161"), "has no value|is no parameter"),
     **dict.fromkeys(("#5220=1", "#<_x>=1"), "belongs to the control"),
@@ -78,6 +86,7 @@ REFUSED = {
     "G41.1 D4\nX2": "longer than the radius of the tool",
     "G41.1 D4\nX9\nG3 X9 Y4 J2": "not larger than the radius of the tool",
     "G41.1 D4\nX9\nX8 Y1\nX0 Y0": "does not fit into the corner",
+    "G41.1 D4\nX20\nX0 Y0.5": "almost half a turn",
     "G41.1 D4\nX9\nG28 Z0": "a move home while G41",
     "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
     "G41.1 D4\nX9\nG40\nZ5": "after the compensation is along z",
@@ -118,6 +127,22 @@ def test_a_program_whose_way_or_value_is_not_known_is_refused_with_a_sentence(tm
     with pytest.raises(InputError, match=REFUSED[lines]) as caught:
         read_gcode(program(tmp_path, lines))
     assert "\n" not in str(caught.value) and caught.value.line
+
+
+def test_g93_states_the_time_of_the_contour_and_not_of_the_tool_beside_it(tmp_path):
+    path = read_gcode(program(tmp_path, "G41.1 D4\nG93 X10 F6\nX20 F5\nG3 X30 Y10 J10 F2\nG40 G94"))
+    assert sorted(set((6e4 * path.feed[2:]).round(6))) == [round(10 * math.pi, 6), 50, 60]
+
+
+def test_the_number_of_a_main_program_may_follow_its_sub_programs(tmp_path):
+    (tmp_path / "part.ngc").write_text(f"o2 sub\nX9\no2 endsub\nO1 (main)\n{SAME_START}o2 call\nM30\n")
+    assert 1e3 * read_gcode(tmp_path / "part.ngc").position[-1, 0] == pytest.approx(9)
+
+
+def test_a_program_that_never_states_an_axis_is_refused_with_its_name(tmp_path):
+    (tmp_path / "laser.nc").write_text("G21 G0 X0 Y0\nG1 X9 F100\nM30\n")
+    with pytest.raises(InputError, match="never states Z"):
+        read_gcode(tmp_path / "laser.nc")
 
 
 def test_work_offsets_of_the_cell_place_the_moves_in_the_workpiece_frame(tmp_path):

@@ -27,9 +27,9 @@ from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.source_program import ProgramTool
 
 RS274 = os.environ.get("RS274") or shutil.which("rs274") or ""
-NEAR = 3e-3  #: [mm] rs274 writes four decimals, also in inches
+NEAR = 3e-3  #: [mm], twice that in inches: rs274 writes four decimals of a place and of each shift
 #: diameters are inches here, and D n is a tool of n mm
-TOOLS = "".join(f"T{n} P{n} D{n / 25.4:.9f} Z0\n" for n in range(1, 100))
+TOOLS = "".join(f"T{n} P{n} D{n / 25.4:.9f} Z0\n" for n in range(1, 300))
 CANON = re.compile(r"^ *\d+ +N[\d.]+ *(\w+)\((.*)\)$")
 
 
@@ -43,21 +43,19 @@ class Move(NamedTuple):
     home: bool = False
 
 
-def reference(path, trials: int = 20) -> tuple[list[Move], str]:
+def reference(path) -> tuple[list[Move], str]:
     """Return the moves that rs274 writes for a program, and its complaint."""
     library = Path(RS274).resolve().parents[1] / "lib"
     paths = os.pathsep.join(map(str, (library, library / "x86_64-linux-gnu", os.environ.get("LD_LIBRARY_PATH", ""))))
     with tempfile.TemporaryDirectory() as folder:
         table, parameters = Path(folder) / "tool.tbl", Path(folder) / "rs274.var"
         table.write_text(TOOLS)
-        command = [RS274, "-g", "-t", str(table), "-v", str(parameters), str(path)]
+        command = [RS274, "-g", "-t", str(table), "-v", str(parameters), str(Path(path).resolve())]
         ran = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=60, cwd=Path(path).resolve().parent,
-            env=os.environ | {"LD_LIBRARY_PATH": paths},
+            env=os.environ | {"LD_LIBRARY_PATH": paths, "HOME": folder},  # its tool table is in a file there
         )  # fmt: skip
-    if "TRAVERSE" not in ran.stdout and ran.stderr in ("", "executing\n") and trials:
-        return reference(path, trials - 1)  # runs at one time share the file of the tool table
-    harmless = re.compile(r"executing|.*variable file.*|File ended with no percent sign.*|")
+    harmless = re.compile(r"executing|.*variable file.*|File ended with no percent sign.*|Bad character '%' used|%|")
     complaint = [line for line in ran.stderr.splitlines() if not harmless.fullmatch(line)]
     ended = "File ended with no" in ran.stderr  # its next line is the last one of the program
     return canonical_moves(ran.stdout.splitlines()), "" if ended else " ".join(complaint)
@@ -143,7 +141,7 @@ class _Logged(Interpreter):
         self.position = [0.0] * 3
         self.to_initial = self.fixed = False  # rs274 starts in G99, and G10 sets its offsets
         self.homes = False
-        self.radii |= {float(n): 0.5e-3 * n for n in range(1, 100)}
+        self.radii |= {float(n): 0.5e-3 * n for n in range(1, 300)}
 
     def go(self, end) -> None:
         super().go(end)
@@ -166,7 +164,7 @@ class _Logged(Interpreter):
 def ours(path) -> tuple[list[Move], str, bool]:
     """Return the moves of our interpreter, the sentence of a refusal, and whether the program goes home."""
     program = ProgramBuilder(str(path), "")
-    program.known |= {f"T{n}": ProgramTool(f"T{n}", diameter=1e-3 * n) for n in range(1, 100)}
+    program.known |= {f"T{n}": ProgramTool(f"T{n}", diameter=1e-3 * n) for n in range(1, 300)}
     try:
         lines = read_lines(path)
         machine = _Logged(program, 0.0, changes_by_m6(lines), [0.0] * 27)
@@ -196,8 +194,9 @@ def _strokes(moves: list[Move], homes: bool) -> list[tuple[Move, Move]]:
 def _straight_on(start, middle, end) -> bool:
     """Return whether the tool continues in the same direction along one axis, as in a cycle."""
     first, second = ([b - a for a, b in zip(*ends, strict=True)] for ends in ((start, middle), (middle, end)))
-    axes = [axis for axis in range(3) if abs(first[axis]) > 1e-9 or abs(second[axis]) > 1e-9]
-    return len(axes) == 1 and first[axes[0]] * second[axes[0]] > 0
+    steps = ((move, min(NEAR, 0.1 * math.hypot(*move))) for move in (first, second))  # with the rounding across
+    axes = {axis for move, least in steps for axis in range(3) if abs(move[axis]) > least}
+    return len(axes) == 1 and all(first[axis] * second[axis] > 0 for axis in axes)
 
 
 def _near(one, other, tolerance: float) -> bool:
@@ -215,17 +214,24 @@ def difference(path) -> str:
     theirs, complaint = reference(path)
     if complaint:
         return f"rs274: {complaint}"
+    near = NEAR * (2 if "G20" in Path(path).read_text(errors="replace").upper() else 1)
     one, other = _strokes(moves, homes), _strokes(theirs, homes)
-    for k, ((start, move), (begin, other_move)) in enumerate(zip(one, other, strict=False)):
-        apart = not (_near(start.end, begin.end, NEAR) and _near(move.end, other_move.end, NEAR))
+    k = n = 0
+    while k < len(one) and n < len(other):
+        (start, move), (begin, other_move) = one[k], other[n]
+        apart = not (_near(start.end, begin.end, near) and _near(move.end, other_move.end, near))
         # the radius of an arc has the rounding of its centre
-        longer = abs(move.length - other_move.length) > (8 if move.kind == "arc" else 2) * NEAR + 1e-4 * move.length
-        faster = abs(move.feed - other_move.feed) > 0.02 + 1e-4 * move.feed
-        if apart or longer or faster or move.kind != other_move.kind:
+        longer = abs(move.length - other_move.length) > (8 if move.kind == "arc" else 2) * near + 1e-4 * move.length
+        # with G93 LinuxCNC moves at 0.1 mm or inches a minute at least
+        faster = abs(move.feed - other_move.feed) > 0.02 + 1e-4 * move.feed and other_move.feed > 2.55
+        if not (apart or longer or faster or move.kind != other_move.kind):
+            k, n = k + 1, n + 1
+        elif move.length < 3 * near or other_move.length < 3 * near:  # rounding may leave nothing of the shorter one
+            k, n = (k + 1, n) if move.length < 3 * near else (k, n + 1)
+        else:
             return f"differs: move {k}: {move} from {start.end}, rs274 {other_move} from {begin.end}"
-    if len(one) != len(other):
-        more = (one if len(one) > len(other) else other)[min(len(one), len(other))][1]
-        return f"differs: {len(one)} moves, rs274 {len(other)}; the first further one is {more}"
+    if more := [move for _, move in (*one[k:], *other[n:]) if not move.length < 3 * near]:
+        return f"differs: {len(one)} moves, rs274 {len(other)}; the first further one is {more[0]}"
     return ""
 
 
@@ -233,7 +239,7 @@ def random_program(rng: random.Random) -> str:
     """Return a program of moves, arcs, cycles, work offsets, parameters and loops, most of them sound."""
     unit = rng.choice((1.0, 1.0, 25.4))
     lines = ["G21" if unit == 1.0 else "G20", "G90 G17 G94 G91.1 G40 G80 G98", f"F{rng.uniform(100, 900) / unit:.1f}"]
-    lines += ["#100=1", "#<a>=2.5", f"G0 X{_number(rng)} Y{_number(rng)} Z{_number(rng)}"]
+    lines += ["#100=1", "#<_n>=2.5", f"G0 X{_number(rng)} Y{_number(rng)} Z{_number(rng)}"]
     subs = [f"O{100 + k}" for k in range(rng.choice((0, 0, 1, 2)))]
     lines = [line for sub in subs for line in (f"{sub} sub", *_blocks(rng, [], 3), f"{sub} endsub [#1+1]")] + lines
     return "\n".join([*lines, *_blocks(rng, subs, rng.randint(5, 25)), "M2", ""])
@@ -246,12 +252,12 @@ def _number(rng: random.Random) -> str:
         return f"{value:g}"
     operator, function = rng.choice("+-*"), rng.choice(("SIN", "COS", "ABS", "FIX", "FUP", "ROUND", "ATAN"))
     second = f"{function}[{value:g}]" + ("/[3]" if function == "ATAN" else "")
-    return rng.choice((f"[{value:g}{operator}#100]", f"[{second}*7]", "#<a>", f"[[{value:g} MOD 7]**2/9]", "-#100"))
+    return rng.choice((f"[{value:g}{operator}#100]", f"[{second}*7]", "#<_n>", f"[[{value:g} MOD 7]**2/9]", "-#100"))
 
 
 PLACES = ["G55", "G59.3", "G92 X{} Z{}", "G92.1", "G92.2", "G92.3", "G52 Y{}"]
 PLACES += ["G10 L2 P{} X{} Y{}", "G10 L2 P1 R30", "G10 L20 P{} X{}"]
-SETTINGS = ["G17", "G18", "G19", "G90", "G91", "G90", "G17", "F200", "#100=[#100+{}]", "#<a>=[#100/3] #100=#<a>"]
+SETTINGS = ["G17", "G18", "G19", "G90", "G91", "G90", "G17", "F200", "#100=[#100+{}]", "#<_n>=[#100/3] #100=#<_n>"]
 SETTINGS += ["G21 F300", "G20 F20", "G61", "M8", "G4 P1"]
 
 
@@ -288,7 +294,7 @@ def _blocks(rng: random.Random, subs: list[str], count: int) -> list[str]:
                 [f"{name} while [#101 LT 3]", *inside, f"{name} endwhile"],
                 [f"{name} do", *inside, f"{name} while [#101 LE 2]"],
                 [f"{name} repeat [2]", *inside, f"{name} endrepeat"],
-                [f"{name} if [#100 GT {_number(rng)}]", *inside, f"{name} elseif [#<a> LE 2]", "G1 Z1", f"{name} else",
+                [f"{name} if [#100 GT {_number(rng)}]", *inside, f"{name} elseif [#<_n> LE 2]", "G1 Z1", f"{name} else",
                  "G1 Z2", f"{name} endif"],
             ))]  # fmt: skip
     return lines
@@ -318,6 +324,9 @@ def _random_contour(rng: random.Random) -> list[str]:
     does not fit."""
     x, y, heading, radius = rng.uniform(-30, 30), rng.uniform(-30, 30), rng.uniform(-180, 180), rng.randint(1, 8)
     lines = ["G90 G17", f"G0 X{x:.4f} Y{y:.4f}", rng.choice((f"G41 D{2 * radius}", f"G42 D{2 * radius}"))]
+    timed = rng.random() < 0.2  # each move states its time
+    lines += ["G93"] * timed
+    feed = "" if timed else " F333"
     for k in range(rng.randint(2, 9)):
         heading += 0 if not k else rng.choice((0, 90, -90, rng.uniform(-170, 170), rng.uniform(-60, 60)))
         way, before = rng.uniform(9, 50), complex(x, y)
@@ -328,10 +337,13 @@ def _random_contour(rng: random.Random) -> list[str]:
         centre = before + 1j * way * _turn(heading) * (1 if turn > 0 else -1) - before
         word = "G0" if rng.random() < 0.1 and k else "G1" if not turn else "G3" if turn > 0 else "G2"
         arc = f" I{centre.real:.5f} J{centre.imag:.5f}" if word in ("G2", "G3") else ""
-        lines.append(f"{word} X{x:.5f} Y{y:.5f}{arc}" + rng.choice(("", "", f" Z{rng.uniform(-3, 3):.3f}", " F333")))
+        lines.append(f"{word} X{x:.5f} Y{y:.5f}{arc}" + rng.choice(("", "", f" Z{rng.uniform(-3, 3):.3f}", feed)))
         heading += turn if arc else 0
         lines += rng.choice(([], [], [], [f"G1 Z{rng.uniform(-3, 3):.3f}"]))
     step = 2 * radius * _turn(heading)
+    if timed:
+        lines = [line + f" F{rng.uniform(5, 90):.1f}" * (line[:3] in ("G1 ", "G2 ", "G3 ")) for line in lines]
+        lines.append("G94 F444")
     return [*lines, "G40", f"{rng.choice(('G0', 'G1'))} X{x + step.real:.4f} Y{y + step.imag:.4f}"]
 
 

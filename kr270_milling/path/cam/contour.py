@@ -18,6 +18,8 @@ STRAIGHT_ON = (
 )
 FULL = 2 * math.pi
 FIT = "the tool does not fit into the corner before this move without a gouge; take a smaller tool"
+BACK = "the path turns back by almost half a turn before this move, into a corner that is narrower than the tool"
+ROUNDING = 10e-6  #: [m] of the places of a program: a move back beside the last one by less is on the same line
 
 
 class Stroke(NamedTuple):
@@ -58,6 +60,14 @@ class Stroke(NamedTuple):
             return ((end - start) / self.direction(start)).real
         angle = cmath.phase((end - self.centre) / (start - self.centre)) * self.sense % FULL
         return (0.0 if angle > FULL - 1e-7 else angle) * abs(start - self.centre)
+
+    @property
+    def way(self) -> float:
+        """Return the way [m] along the stroke in the xy plane."""
+        if self.centre is None:
+            return abs(self.end - self.start)
+        circle = FULL * abs(self.start - self.centre)
+        return (self.length(self.start, self.end) or circle) + self.turns * circle
 
 
 def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]:
@@ -107,15 +117,20 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
             reason = "the compensation changes without G40"
         elif last is not None and radius:
             turn = cmath.phase(stroke.direction(stroke.start) / last.direction(last.end))
-            cusp = abs(turn) > math.pi - STRAIGHT_ON and -side in (last.sense, stroke.sense)
-            if cusp or side * turn > STRAIGHT_ON:
+            back = abs(turn) > math.pi - STRAIGHT_ON
+            cusp = back and -side in (last.sense, stroke.sense)
+            inside = side * turn > STRAIGHT_ON
+            if back and inside and not cusp:  # LinuxCNC goes around it, through one side of the corner
+                shorter = min(abs(move.end - move.start) for move in (last, stroke))
+                reason, inside = (BACK if shorter * abs(math.sin(turn)) > ROUNDING else ""), False
+            if cusp or inside:
                 place = _meeting(last, stroke, side, radius, begin)
                 start, reason = (first, FIT) if place is None else (place, "")
                 for k, n in tail if not reason else ():
                     row = results[k]
                     if isinstance(row, list):
                         row[n] = row[n]._replace(end=start, start=start if (k, n) > tail[0] else row[n].start)
-            elif side * turn < -STRAIGHT_ON:
+            elif back or side * turn < -STRAIGHT_ON:
                 around = Stroke(start, first, math.nan, stroke.rapid)
                 if not stroke.rapid:
                     around = around._replace(centre=stroke.start, sense=-side)

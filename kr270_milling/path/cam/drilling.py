@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from kr270_milling.path.cam.contour import NEAR
+
 #: [m] how far above the last depth a peck starts again: 0.01 inch, as in LinuxCNC
 CLEARANCE = 0.254e-3
 MOST_PECKS = 10_000
@@ -30,11 +32,11 @@ class Cycle:
             return [(self.bottom, False), (self.retract, self.kind not in (85, 89))]
         depth = self.retract
         path: list[tuple[float, bool]] = []
-        while depth > self.bottom:
+        while depth > self.bottom:  # a peck that ends at the bottom may differ from it by rounding
             above = min(self.retract, depth + CLEARANCE)
             if path:
                 path += [(above, True)] if self.kind == 73 else [(self.retract, True), (above, True)]
-            depth = max(self.bottom, depth - self.peck)
+            depth = depth - self.peck if depth - self.peck > self.bottom + NEAR else self.bottom
             path.append((depth, False))
             if len(path) > 3 * MOST_PECKS:
                 raise ValueError(f"the hole takes more than {MOST_PECKS} pecks; wrong Q?")

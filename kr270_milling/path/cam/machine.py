@@ -38,6 +38,7 @@ CLOSING = 10e-6  #: [m], rounding of a centre
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
 STEP = 1.5  #: [deg] of both axes: the shortest turn in between is within 0.01 deg of both
 NO_FEED = "a cutting move without a feed"
+NO_TIME = "G93 needs F in each line with a cutting move"
 START = "start with G0 X Y Z"
 
 
@@ -268,7 +269,7 @@ class Machine:
             alone = way or holder if self.feed_mode == 93 else degrees * self.unit
             feed *= (way or holder) / (length or alone)
         if self.feed_mode == 93:
-            self.feed, self.no_feed = None, "G93 needs F in each line with a cutting move"
+            self.feed, self.no_feed = None, NO_TIME
         if feed:
             self.program.cut(first, places, feed, 0.0, turned)
         else:
@@ -422,23 +423,28 @@ class Machine:
         elif stroke is None or result is None:
             self._plain(start, end, arc, axes)
             if not first and self.side:
-                reason = "G41 and G42 take straight moves and arcs in the xy plane from a known place, without G93"
+                reason = "G41 and G42 take straight moves and arcs in the xy plane from a known place"
                 self.program.refuse("G41", reason, derived=True)
         else:
             mode, height = self.mode, start[2]
+            timed = self.feed_mode == 93 and mode != 0
+            if timed:  # the tool beside the contour has the speed of the stated move: LinuxCNC
+                self.feed, self.feed_mode = self._feed_rate(math.hypot(stroke.way, end[2] - start[2])), 94
             try:
                 for part in result:
                     height = self._run_stroke(part, height)
             except ArcError as error:
                 self.program.refuse(f"G{mode}", str(error), derived=True)
             self.mode = mode
+            if timed:
+                self.feed, self.feed_mode, self.no_feed = None, 93, NO_TIME
             self.beside = result[-1].end - stroke.end
 
     def _stroke(self, start, end, arc: dict, axes: dict) -> Stroke | None:
         """Return a move in the xy plane; None for another one, and for one that cannot be run."""
         corner = next(((letter, axes[letter] * self.unit) for letter in CORNERS if letter in axes), None)
         known = all(map(math.isfinite, (*start, *end))) and start[2] != TOP
-        if self.mode not in (0, 1, 2, 3) or self.plane != 17 or not known or (self.side and self.feed_mode == 93):
+        if self.mode not in (0, 1, 2, 3) or self.plane != 17 or not known:
             return None
         side = -self.side if self.radius < 0 else self.side  # a negative radius is on the other side
         stroke = Stroke(complex(*start[:2]), complex(*end[:2]), end[2], self.mode == 0, side=side, corner=corner)
@@ -566,7 +572,7 @@ class Machine:
         curvature = 0.0 if self.skew else curvature
         feed = self._feed_rate(length if math.isfinite(length) else 0.0)
         if self.feed_mode == 93:
-            self.feed, self.no_feed = None, "G93 needs F in each line with a cutting move"
+            self.feed, self.no_feed = None, NO_TIME
         if feed:
             if self.shift is not None or self.skew:
                 start, ends = self.on_path(start), [self.on_path(end) for end in ends]
@@ -740,6 +746,11 @@ class Machine:
         cycle = self.cycle = self.cycle or Cycle(0, self.position[across], self.position[across])
         if kind is not None:
             cycle.kind = int(kind)
+        if cycle.kind == 76 and not axes.keys().isdisjoint("IJ"):
+            reason = "G76 with I or J is a thread, or shifts the tool at the bottom of a bore"
+            self.program.refuse("G76", reason, "leave threads out; write Q for fine boring", lost=True)
+            axes.clear()
+            return
         if level is not None:
             cycle.retract = level * self.unit + (cycle.initial if self.incremental else 0.0)
         if floor is not None:

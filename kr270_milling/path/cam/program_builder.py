@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kr270_milling.base.errors import one_line
+from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.text import short
 from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
 from kr270_milling.path.source_program import ProgramError, ProgramTool, Refusal, SourceProgram
@@ -32,6 +32,7 @@ class ProgramBuilder(PathBuilder):
         self.away = False  #: True if the tool was taken away since the last move
         self.named = False  #: True if a comment named the operation since the last cut
         self.moved = False  #: True if the tool moved since then: a comment that follows is inside the operation
+        self.unknown: list[str] = []  #: axes whose place was not known at the last move without a place
         self.lost = False  #: a move was refused: the place of the tool is unknown
         self.title = ""
         self.tool = ""  #: in the spindle
@@ -62,6 +63,7 @@ class ProgramBuilder(PathBuilder):
         self.moved = True
         self._before_change = len(self.comments)
         if not self.active or any(map(math.isnan, end)):
+            self.unknown = [axis for axis, value in zip("XYZ", end, strict=True) if math.isnan(value)]
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
             turned, self.quaternion = self.quaternion, self._last_quaternion
@@ -191,6 +193,9 @@ class ProgramBuilder(PathBuilder):
         program = self._program(unit)
         if program.refused:
             raise ProgramError(self.source, program)
+        if not len(self) and self.unknown:
+            axes = " and ".join(self.unknown)
+            raise InputError(self.source, f"the tool moves, but the program never states {axes}", self.line)
         return self.build(program)
 
     def _program(self, unit: float) -> SourceProgram:

@@ -71,6 +71,7 @@ class Flow:
         self.machine = machine
         self.variables = variables
         self.run_line = run_line
+        self.called = False  #: a sub-program was run
         self.jumped = False  #: a line was not run in the order of the file
         self.lines = lines
         self.controls: dict[int, _Line] = {}
@@ -185,7 +186,8 @@ class Flow:
             self.machine.program.words["used"] += 1
             self.jumped = True
             return self._control(index, self.controls[index])
-        if index + 1 in self.heads and (self.calls or self.jumped or index + 1 != min(self.heads)):
+        title = not self.called and not (self.jumped and len(self.machine.program))  # of the main program
+        if index + 1 in self.heads and (self.calls or index + 1 != min(self.heads) or not title):
             raise _Stop("the program runs into a sub-program; end it with M30, and the sub-program with M99")
         self.run_line(self.lines[index])
         if machine.call is not None:
@@ -307,6 +309,8 @@ class Flow:
         if len(self.calls) >= DEEPEST:
             raise _Stop(f"more than {DEEPEST} sub-programs call one another")
         self.calls.append(_Call(back, start, repeats - 1, scope is not None))
+        self.machine.modes.append(None)
+        self.called = True
         if scope:
             self.variables.scopes.append(scope)
         return start
@@ -322,10 +326,13 @@ class Flow:
 
     def _leave(self) -> int:
         """Return from a sub-program, or run it once more."""
-        call = self.calls.pop()
+        call, modes = self.calls.pop(), self.machine.modes.pop()
+        if modes and modes["at_end"]:
+            self.machine.restore(modes)
         self.counters = {key: count for key, count in self.counters.items() if key[0] <= len(self.calls)}
         if call.repeats:
             self.calls.append(call._replace(repeats=call.repeats - 1))
+            self.machine.modes.append(None)
             return call.start
         if call.scoped:
             self.variables.scopes.pop()

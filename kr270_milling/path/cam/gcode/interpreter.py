@@ -43,6 +43,7 @@ VECTOR = ("A3", "B3", "C3")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 DATA = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  #: groups of ``_datum``
 LETTERS = {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD", "G68.2": "XYZIJKP"}
+SAVED = (*MODAL, "feed_mode", "feed", "feed_word", "no_feed", "turning", "speed")  #: modes of M70
 TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 
 
@@ -66,6 +67,8 @@ class Interpreter(Machine):
         self.preset = False  #: G92 gave the tool its place
         self.calls = False  #: sub-programs can be called
         self.call: tuple[str, float, float, dict[str, float]] | None = None  #: kind, name, repeats, values
+        #: of the program and of each sub-program that runs: the modes that M70 or M73 saved
+        self.modes: list[dict[str, Any] | None] = [None]
         self.radii: dict[float, float] = {0.0: 0.0}  #: number D -> radius [m] that the program states
         self.edge = math.nan  #: number of the last D
         self.end_word = 0.0  #: number of the M word that ended the program
@@ -101,18 +104,17 @@ class Interpreter(Machine):
         self.pattern = []
         if not self.kinematics.letters and self.tilt is None and any(axes.get(letter) == 0.0 for letter in "ABC"):
             self.program.turn(TOOL_DOWN)
+        unit = self.unit
         if not groups.keys() <= MOVES:
             self._set(groups, axes)
         if "F" in axes:
-            self.set_feed(axes.pop("F"), self.unit)
+            self.set_feed(axes.pop("F"), unit)  # before G20 and G21: NIST RS274/NGC 3.8
         if "S" in axes or "spindle" in groups:
             self._turn(groups, axes)
-        if "unclear" in groups:
-            feed, unit = word_of("F", self.feed_word or 0.0), word_of("G", groups["unit"])
-            self.feed = None
-            self.no_feed = (
-                f"the feed {feed} comes before or with {unit}, and controls take it in either unit; write F after it"
-            )
+        if "unit" in groups and self.unit != unit and self.feed_word is not None:
+            feed, length = word_of("F", self.feed_word), "mm" if unit == MM else "inches"
+            program.silent[f"{feed} in {length}, the unit before {word_of('G', groups['unit'])}"] += 1
+            self.feed_word *= unit / self.unit
         self._take_vector(axes, groups)
         if self.kinematics.letters:
             self.take_angles(axes, home=groups.get("home") in (28, 30))
@@ -234,13 +236,12 @@ class Interpreter(Machine):
     # --- what a block sets ---
 
     def _set(self, groups: dict, axes: dict) -> None:
-        unit = self.unit
+        if "modes" in groups:
+            self._save(groups["modes"])
         if "I" in axes and "L" in axes:
             self.pattern = self._pattern(groups, axes)
         for group in MODAL.keys() & groups.keys():
             setattr(self, group, MODAL[group][groups[group]])
-        if self.unit != unit and (self.feed_word is not None or "F" in axes):
-            groups["unclear"] = 0
         if "feed" in groups:
             self.set_feed_mode(int(groups["feed"]))
         if "claim" in groups:
@@ -307,6 +308,26 @@ class Interpreter(Machine):
         if word == 72:
             return [k * cmath.rect(radius, math.radians(first)) for k in range(int(count))]
         return [cmath.rect(radius, math.radians(first + k * step)) for k in range(int(count))]
+
+    def _save(self, word: float) -> None:
+        """M70 saves the modes, M73 also for the end of the sub-program, M71 forgets them, M72 restores them."""
+        if word == 72 and self.modes[-1] is None:
+            self.program.refuse("M72", "M72 without M70", MACROS, lost=True)
+        elif word == 72:
+            self.restore(self.modes[-1] or {})
+        else:
+            saved = {name: getattr(self, name) for name in SAVED}
+            self.modes[-1] = None if word == 71 else {**saved, "offset": self.offsets.active, "at_end": word == 73}
+
+    def restore(self, modes: dict[str, Any]) -> None:
+        """Restore the modes of M70; the motion of G0 to G3 stays (LinuxCNC)."""
+        if self.side:
+            self.ends_contour("M72 or the end of a sub-program with M73")
+        for name in SAVED:
+            setattr(self, name, modes[name])
+        self.program.spindle_speed = self.turning * self.speed
+        if modes["offset"] != self.offsets.active:
+            self._use_offset(modes["offset"])
 
     def _compensate(self, word: float, axes: dict) -> None:
         """G40, G41 D, G42 D: the radius that G10 gives to D, else that of the tool; G41.1 D: half of D."""

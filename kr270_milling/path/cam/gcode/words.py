@@ -37,7 +37,7 @@ SILENT_G: dict[float, str] = {
 #: outputs, overrides (ISO 6983-1, Haas, LinuxCNC, Sinumerik)
 SILENT_M: dict[float, str] = {
     **dict.fromkeys((0, 1, 7, 8, 9, 10, 11, 12, 18, *range(20, 29), *range(31, 46), 48, 49, *range(54, 59)), ""),
-    **dict.fromkeys((60, 70, 71, 73, *range(76, 90), *range(104, 120), 126, 127, 138, 139, 158, 159, 160, 161), ""),
+    **dict.fromkeys((60, *range(76, 90), *range(104, 120), 126, 127, 138, 139, 158, 159, 160, 161), ""),
     **dict.fromkeys((49, 50, 51, 52, 53, 59, 62, 63, 64, 65, 69, 109), "P"),
     **dict.fromkeys((67, 68), "EQ"),
     19: "RPQ",
@@ -72,6 +72,7 @@ M_GROUPS: dict[float, str] = {
     **{n: f"M{n:g}" for n in SILENT_M},
     **dict.fromkeys((2, 30, 99, 17), "end"),
     **dict.fromkeys((97, 98), "call"),
+    **dict.fromkeys((70, 71, 72, 73), "modes"),
     **dict.fromkeys((3, 4, 5, 13, 14, 19), "spindle"),
     **dict.fromkeys((6, 61), "tool"),
     **dict.fromkeys((128, 129), "tip"),
@@ -113,7 +114,7 @@ def _each(names: str, advice: str) -> dict[str, str]:
 #: words that cannot be run -> what to do
 ADVICE = {
     **_each("G141", CENTRE),
-    **_each("G66 G66.1 M96 M72 M198", MACROS),
+    **_each("G66 G66.1 M96 M198", MACROS),
     **_each(
         """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
         ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
@@ -129,7 +130,7 @@ ADVICE = {
         "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",
         "leave threads out of this program; they are bound to the spindle's angle",
     ),
-    **_each("G96 G7 G32", "this is a word of lathes; post for a mill"),
+    **_each("G96 G7 G32 G71.1 G71.2 G72.1 G72.2", "this is a word of lathes; post for a mill"),
     **_each("G88", "the tool is withdrawn by hand; write G86 or G89"),
     **_each("G87 G12 G13 G150 G34 G47", POCKETS),
     **_each(
