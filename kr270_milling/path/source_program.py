@@ -68,6 +68,10 @@ class ProgramTool:
         return dataclasses.replace(self, **{name: getattr(self, name) or getattr(other, name) for name in names})
 
 
+#: in the words of a feed that counts in the unit before G20 or G21, which other controls count in the new one
+BEFORE_UNIT = ", the unit before "
+
+
 @dataclass(frozen=True)
 class SourceProgram:
     """Statements of a program in addition to its moves; empty for a path without a program."""

@@ -36,6 +36,7 @@ from kr270_milling.path.cam.gcode.words import (
 )
 from kr270_milling.path.cam.machine import AXES, CENTRES, MM, OF_ARCS, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.source_program import BEFORE_UNIT
 from kr270_milling.path.trajectory import TOOL_DOWN
 
 FURTHER = frozenset("ABCUVW")
@@ -113,7 +114,7 @@ class Interpreter(Machine):
             self._turn(groups, axes)
         if "unit" in groups and self.unit != unit and self.feed_word is not None:
             feed, length = word_of("F", self.feed_word), "mm" if unit == MM else "inches"
-            program.silent[f"{feed} in {length}, the unit before {word_of('G', groups['unit'])}"] += 1
+            program.silent[f"{feed} in {length}{BEFORE_UNIT}{word_of('G', groups['unit'])}"] += 1
             self.feed_word *= unit / self.unit
         self._take_vector(axes, groups)
         if self.kinematics.letters:
