@@ -27,6 +27,8 @@ TOOL = """\
       teeth: {teeth}                     # {teeth_source}
       rotation: clockwise                # yours: counterclockwise, with M4, for a left-hand cutter
       {speed}                            # {speed_source}"""
+#: the line above the keys of several tools
+TOOLS = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
 #: values of the template for a slot along +x, which has no program
 STRAIGHT_TOOL = {
     "diameter": DIAMETER, "diameter_source": "yours", "end": "", "teeth": TEETH, "teeth_source": "yours",
@@ -39,6 +41,7 @@ STRAIGHT = {
     "mounted": ON_DISPLAY.format(300.0, 0.0, 140.0, 180.0, -90.0, 0.0),
     "tool_note": "yours: TOOL_DATA of the spindle from the display of the controller",
     "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]",
+    "stock_note": "yours: here the box of the path, the cutter and 5 mm",
     "name": "MILLING", "name_note": "yours: of the robot program",
     "high": "[60.0, 20.0, 0.0]", "spindle_on": "[]",
     "path": """\
@@ -62,12 +65,16 @@ class Box:
         return float(np.prod(np.maximum(self.high - self.low, 0.0)[:2]))
 
 
-def stock_of(path: Toolpath, radius: float) -> Box:
-    """A block that the path cuts: its box with cutter and allowance, without the places where the cutter comes down.
+def stock_of(paths: Sequence[Toolpath]) -> tuple[Box, list[int]]:
+    """A block that the paths of a program cut, and the lines of the rapid moves that it is cut back for.
 
-    Its top is at zero where the path cuts below zero, else where the cutter moves sideways at the highest.
+    The box of the paths with cutter and allowance, without the places where the first cutter comes down rapidly; the
+    others may go down where it has cut. Its top is at zero where a path cuts below zero, else where it moves sideways
+    at the highest.
     """
-    return _beside_rapids(_box_of(path, radius), path, radius)
+    boxes = [_box_of(path, _diameter(path) / 2e3) for path in paths]
+    whole = Box(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
+    return _beside_rapids(whole, paths[0], _diameter(paths[0]) / 2e3)
 
 
 def _box_of(path: Toolpath, radius: float) -> Box:
@@ -88,14 +95,14 @@ def _box_of(path: Toolpath, radius: float) -> Box:
     return Box(np.array([*low, base]), np.array([*high, top]))
 
 
-def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
+def _beside_rapids(box: Box, path: Toolpath, radius: float) -> tuple[Box, list[int]]:
     """The box cut back until no rapid move below the top meets it, but for holes and where the tool has cut before."""
     down = np.flatnonzero(path.rapid & ~path.drilling & (path.position[:, 2] < box.high[2] - 1e-6))
     places = 100_000  # of a path, at most
     distance, step = np.linspace(0.0, path.length, 2 + min(places, int(path.length / CLEARANCE)), retstep=True)
     tip, block = path.position_at(distance), path.block_at(distance)
     tip, block = tip[~path.rapid[block]], block[~path.rapid[block]]
-    cut = box
+    cut, lines = box, []
     _, first = np.unique(np.round(path.position[down], 5), axis=0, return_index=True)
     for number in down[first[:1000]].tolist():
         *place, height = path.position[number].tolist()
@@ -105,8 +112,9 @@ def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
         nearest = np.clip(place, cut.low[:2], cut.high[:2])
         if math.dist(nearest, place) < radius + CLEARANCE:
             cut = max(_sides(cut, place, radius + CLEARANCE), key=lambda side: side.area)
+            lines.append(int(path.line[number]))
     least_share = 0.2  # of the area that the path asks for; a stock that is cut down to less is no guess any more
-    return cut if cut.area > least_share * box.area else box
+    return (cut, lines) if cut.area > least_share * box.area else (box, [])
 
 
 def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
@@ -120,44 +128,57 @@ def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
     return sides
 
 
-def draft_text(file: str, path: Toolpath, robot: str) -> str:
-    """The YAML of a cell for a path, which ``check`` reads unchanged; raises InputError for a path without a cut."""
-    check_moves(file, path, by_teeth=False)
-    program = path.program
-    stock = stock_of(path, _diameter(path) / 2e3)
-    several = sum(bool(known.cuts) for known in program.tools) > 1
-    values = _common(file, path, stock) | {
-        "operations": _words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
-        "name": _module_name(file),
-        "tool": "    tool:\n" + TOOL.format(**_tool(path)),
-        "path": f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
-    }  # fmt: skip
-    return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
+def draft(file: str, paths: Sequence[Toolpath], robot: str) -> tuple[str, list[str]]:
+    """The YAML of a cell for the paths of all tools of a program, in its order, which ``check`` reads unchanged.
 
-
-def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
-    """The YAML of a cell with ``tools``, as ``draft_text``; paths: those of all tools of a program, in its order."""
+    Beside it warnings: guesses that hide a danger if they are wrong. Raises InputError for a path without a cut.
+    """
     for path in paths:
         check_moves(file, path, by_teeth=False)
-    boxes = [_box_of(path, _diameter(path) / 2e3) for path in paths]
-    whole = Box(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
-    stock = _beside_rapids(whole, paths[0], _diameter(paths[0]) / 2e3)  # the others may go down where it has cut
-    entries = []
-    for path in paths:
-        tool, names = path.program.current, ", ".join(path.program.operations)
-        label = _words(f"{tool.label if tool else path.program.tool}{f': {names}' if names else ''}")
-        keys = TOOL.format(**_tool(path))
-        indented = "\n".join(f"  {line}" for line in keys.splitlines())
-        entries.append(f"      {path.program.tool}:  # {label}\n{indented}")
-    tools = "    tools:  # keys of tool, and sections that differ; yours: mount: {tool_kuka: {X: ...}} for its length\n"
-    values = _common(file, paths[0], stock) | {
-        "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
-        "tool": tools + "\n".join(entries),
-        "path": f"      file: {_quoted(file)}",
-        "name": _module_name(file),
-        "name_note": "yours: of the robot programs; the name of the tool is added",
-    }  # fmt: skip
-    return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
+    program = paths[0].program
+    stock, lines = stock_of(paths)
+    warnings = [warning for path in paths for warning in _unsaid(path)]
+    values = STRAIGHT | _common(file, paths[0], stock) | {"path": f"      file: {_quoted(file)}"}
+    if lines:
+        values["stock_note"] = f"yours: ends beside the rapid move of line {lines[0]}, which goes below its top"
+        warnings.append(
+            f"line {lines[0]}: a rapid move goes below the top of the cut: the stock is taken to end beside it; put "
+            "stock.min_mm and stock.max_mm right, so that check finds a rapid move into the stock"
+        )
+    if len(paths) > 1:
+        values |= {
+            "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
+            "tool": TOOLS + "\n".join(map(_entry, paths)),
+            "name_note": "yours: of the robot programs; the name of the tool is added",
+        }
+    else:
+        several = sum(bool(known.cuts) for known in program.tools) > 1
+        values["operations"] = _words(f"operations: {', '.join(program.operations)}" if program.operations else "")
+        values["tool"] = "    tool:\n" + TOOL.format(**_tool(paths[0]))
+        values["path"] += f"\n      tool: {_quoted(program.tool)}" if several else ""
+    return _aligned(TEMPLATE.format(**values, robot=robot)), warnings
+
+
+def _entry(path: Toolpath) -> str:
+    """The lines of one of several tools."""
+    tool, names = path.program.current, ", ".join(path.program.operations)
+    label = _words(f"{tool.label if tool else path.program.tool}{f': {names}' if names else ''}")
+    keys = "\n".join(f"  {line}" for line in TOOL.format(**_tool(path)).splitlines())
+    return f"      {path.program.tool}:  # {label}\n{keys}"
+
+
+def _unsaid(path: Toolpath) -> list[str]:
+    """Warnings about a tool that mills, and whose diameter or shape the program does not state."""
+    tool = path.program.current
+    if not np.any(~path.rapid & (path.plane_length > 0.0)):  # it drills
+        return []
+    if not (tool and tool.diameter):
+        name = path.program.tool or "the tool"
+        return [f"the program does not state the diameter of {name}: {DIAMETER:g} mm are a guess (tool.diameter_mm)"]
+    if tool.shape and not tool.end(tool.diameter / 2):
+        advice = "is not stated in full: check stops its program unless tool.type of the cell gives its shape"
+        return [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}"]
+    return []
 
 
 def _module_name(file: str) -> str:
@@ -178,6 +199,7 @@ def _common(file: str, path: Toolpath, stock: Box) -> dict:
         frames |= {"mounted": ON_DISPLAY.format(*map(_number, program.tool_frame))}
         frames["tool_note"] = "[source: the program's $TOOL]; compare it with the display of the controller"
     return {
+        "name": _module_name(file),
         "spindle_on": "[HALT]" if file.lower().endswith(".src") else "[]",
         "place": ON_DISPLAY.format(*map(_number, _place(stock)), 0.0, 0.0, 0.0),
         **frames,

@@ -284,9 +284,12 @@ class Limits(Record):
     cutting_force: float = parameter(
         0.0, unit="n", low=0.0, high=1e5, text="compensation.feed: largest mean force of a period; 0: not limited"
     )
-    # assumed: a milling spindle of the size that a heavy arm carries
+    # assumed: a milling spindle of the size that a heavy arm carries; at 60,000 rpm even small ones end
     spindle_torque: float = parameter(10.0, unit="n_m", above=0.0, high=1e4, text="most that the spindle gives")
     spindle_power: float = parameter(10e3, unit="kw", above=0.0, high=1e3, text="most that the spindle gives")
+    spindle_speed: float = parameter(
+        2000.0 * math.pi, unit="rpm", above=0.0, high=2e5, text="highest speed that the spindle runs"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -334,8 +334,10 @@ def spring_back(cell: Cell, ran: ScoredPass) -> float:
 
 def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding]:
     torque = _by_points(run, ran, ran.result.torque)
-    results = violations("spindle torque", torque, cell.limits.spindle_torque)
-    return results + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
+    speed, limits = cell.tool.spindle_speed, cell.limits
+    results = [violation("spindle speed", speed, limits.spindle_speed)] if speed > limits.spindle_speed else []
+    results += violations("spindle torque", torque, limits.spindle_torque)
+    return results + violations("spindle power", torque * speed, limits.spindle_power)
 
 
 def _by_points(run: Trajectory, ran: ScoredPass, values: np.ndarray) -> np.ndarray:

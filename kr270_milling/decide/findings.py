@@ -75,6 +75,8 @@ KINDS = {
         "the robot stops at each of {value:.0f} points of LIN motions, the plan at {limit:.0f}: its times do not hold",
         "Raise program.blend_distance_mm above 0, or use SPLINE motions.", "warning"),
     "spindle torque": Kind("N m", "the spindle torque" + EXCEEDS, "Lower depth, width or feed of the cut."),
+    "spindle speed": Kind("rpm", "the spindle is to run at {value:.5g} rpm, more than its {limit:.5g} rpm",
+        "Check S, or state the speed of the spindle as limits.spindle_speed_rpm."),
     "spindle power": Kind("kW", "the spindle power" + EXCEEDS, "Lower depth, width, feed or speed of the cut."),
     "stock missed": Kind("mm3", "the path removes nothing from the stock", "Check datum, unit and stock."),
     "rapid in material": Kind("mm",

@@ -16,7 +16,7 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file, read_tree
 from kr270_milling.base.record import build
 from kr270_milling.cell.cell_file import read_cells
-from kr270_milling.cell.draft import draft_text, straight_text, tools_text
+from kr270_milling.cell.draft import draft, straight_text
 from kr270_milling.cell.keys import keys_of, schema
 from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.path.cam.readers import read_toolpaths
@@ -36,14 +36,9 @@ def run_init(args) -> Answer:
         program, file, folder = paths[0].program, Path(args.gcode).resolve(), Path(args.out or ".").resolve().parent
         if args.out and file.is_relative_to(folder):  # the cell names a program below its folder by the relative path
             file = file.relative_to(folder)
-        sideways = [path for path in paths if np.any(~path.rapid & (path.plane_length > 0.0))]  # the rest drills
-        tools = [path.program.current for path in sideways if path.program.current]
-        advice = "is not stated in full: check stops its program unless tool.type of the cell gives its shape"
-        unknown = [tool for tool in tools if tool.shape and not tool.end(tool.diameter / 2)]
-        warnings = [f"line {tool.line}: {tool.label}, a {tool.shape}, {advice}" for tool in unknown]
+        text, warnings = draft(str(file), paths, robot)
         for warning in () if args.json else warnings:
             print(f"warning: {args.gcode}, {warning}", file=sys.stderr)
-        text = draft_text(str(file), paths[0], robot) if len(paths) == 1 else tools_text(str(file), paths, robot)
     result = {"cell": text, "program": program and asdict(program), "warnings": warnings, "file": args.out}
     if args.out is None:
         return Answer(result, [text.removesuffix("\n")])

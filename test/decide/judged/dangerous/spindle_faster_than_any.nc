@@ -1,0 +1,12 @@
+(expect: stop spindle speed)
+(set: cutting.detail=engagement)
+G21 G90 G17
+(T1 D=10. CR=0. - ZMIN=-1. - FLAT END MILL)
+T1 M6
+S80000 M3
+G0 X0 Y0 Z5
+G1 Z0 F500
+X20 Z-1
+X0
+G0 Z5
+M30
