@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from kr270_milling.base.blocks import blocks
+from kr270_milling.base.frames import Pose
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of
 from kr270_milling.decide.findings import Finding, violation
@@ -21,6 +22,7 @@ from kr270_milling.physics.robot.urdf import LINKS, link_capsules
 
 WAY = 5e-3  # [m] of the tip between two postures that are compared
 TURN = 0.3  # [m], assumed: a turn of the tool by an angle counts as a way on this radius
+STOCK = "the box of the uncut stock"
 APART = 3  # links in the chain from a link to the nearest link with which it is compared
 
 
@@ -32,27 +34,17 @@ def link_contacts(cell: Cell, run: Trajectory) -> list[Finding]:
     deepest: dict[tuple[str, str], tuple[float, int]] = {}
     for part in blocks(len(stamps)):
         frames = forward(cell.arm, cell.mount, placed.joints_along(run, stamps[part]))
-        placed_capsules = []
-        for link, start, end, radius in capsules:
-            if link == 0:
-                ends = (np.broadcast_to(end, (len(stamps[part]), 3)) for end in (start, end))
-            elif link < len(LINKS) - 2:
-                place = frames.nodes[:, link - 1], frames.rotations[:, link - 1]
-                ends = (place[0] + place[1] @ end for end in (start, end))
-            else:
-                frame = frames.flange if LINKS[link] == "the adapter of the spindle" else frames.tool
-                ends = (frame.apply(end) for end in (start, end))
-            placed_capsules.append((link, *map(turned.apply, ends), radius))
-        pairs = [
-            (LINKS[link], name, radius - _nearest(start, end, lambda p, box=box: _from_box(p, *box)))
-            for link, start, end, radius in placed_capsules
-            if link
-            for name, box in obstacles
-        ]
-        for link, start, end, radius in placed_capsules:
-            for other, first, last, wide in placed_capsules:
+        links = [Pose(frames.nodes[:, k], frames.rotations[:, k]) for k in range(6)]
+        base = Pose(0.0 * frames.flange.position, np.eye(3))
+        in_part = [turned @ frame for frame in (base, *links, frames.flange, frames.tool)]
+        moved = [(k, in_part[k].apply(start), in_part[k].apply(end), radius) for k, start, end, radius in capsules]
+        pairs = []
+        for link, start, end, radius in moved:
+            for name, box in obstacles if link else ():
+                pairs.append((LINKS[link], name, radius - _nearest(start, end, _from_box, *box)))
+            for other, first, last, wide in moved:
                 if min(other, 6) - min(link, 6) >= APART:
-                    away = _nearest(start, end, lambda p, ends=(first, last): _from_segment(p, *ends))
+                    away = _nearest(start, end, _from_segment, first, last)
                     pairs.append((LINKS[other], LINKS[link], radius + wide - away))
         for body, obstacle, depth in pairs:
             k = int(np.argmax(depth))
@@ -70,9 +62,6 @@ def link_contacts(cell: Cell, run: Trajectory) -> list[Finding]:
         )
         for (body, obstacle), (depth, stamp) in deepest.items()
     ]
-
-
-STOCK = "the box of the uncut stock"
 
 
 def _stamps(run: Trajectory) -> np.ndarray:
@@ -98,14 +87,15 @@ def _obstacles(cell: Cell) -> list[tuple[str, tuple[np.ndarray, np.ndarray]]]:
     return boxes
 
 
-def _nearest(start: np.ndarray, end: np.ndarray, distance: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return the least distance [m] of segments from start to end (n, 3) from a convex body, (n,)."""
+def _nearest(start: np.ndarray, end: np.ndarray, distance: Callable[..., np.ndarray], *body: np.ndarray) -> np.ndarray:
+    """Return the least distance(points, *body) [m] of segments from start to end (n, 3) from a convex body, (n,)."""
     low, high = np.zeros((len(start), 1)), np.ones((len(start), 1))
     for _ in range(12):  # (2/3)^12: 1 % of the length, whose error in the distance is of second order
         first, second = low + (high - low) / 3.0, high - (high - low) / 3.0
-        nearer = (distance(start + first * (end - start)) < distance(start + second * (end - start)))[:, None]
+        near, far = (distance(start + share * (end - start), *body)[:, None] for share in (first, second))
+        nearer = near < far
         low, high = np.where(nearer, low, first), np.where(nearer, second, high)
-    return distance(start + 0.5 * (low + high) * (end - start))
+    return distance(start + 0.5 * (low + high) * (end - start), *body)
 
 
 def _from_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
