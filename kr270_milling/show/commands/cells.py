@@ -30,7 +30,7 @@ def run_init(args) -> Answer:
     robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
     machine = build(Kinematics, read_tree(find_file(robot)).get("machine", {}), robot, "machine.")
     if args.gcode is None:
-        text, program, warnings = straight_text(robot), None, []
+        text, program, warnings = straight_text(robot), None, list[str]()
     else:
         paths = read_toolpaths(args.gcode, args.tool, machine)
         program, file, folder = paths[0].program, Path(args.gcode).resolve(), Path(args.out or ".").resolve().parent
