@@ -118,15 +118,15 @@ def _with_cut_model(cell: Cell) -> Cell:
 
     A program that cannot be read leaves ``auto``: the error appears where the path is used.
     """
-    detail = cell.cutting.detail
-    if detail == "auto":
-        with contextlib.suppress(InputError):
+    detail, level = cell.cutting.detail, cell.tool.has_flat_end
+    with contextlib.suppress(InputError):
+        level = level and cell.path.tilt <= BY_TEETH
+        if detail == "auto":
             long_cutting = 60.0  # [s]; a longer cut is not swept tooth by tooth
-            long = cell.path.cutting_time > long_cutting or not cell.tool.has_flat_end or cell.path.tilt > BY_TEETH
-            detail = "engagement" if long else "teeth"
+            detail = "teeth" if level and cell.path.cutting_time <= long_cutting else "engagement"
     speed, radius = cell.tool.spindle_speed, float(cell.tool.radii.max())
     if detail == "engagement":
-        exchange, stock = cell.exchange.for_engagement(speed), cell.stock.for_engagement(radius)
+        exchange, stock = cell.exchange.for_engagement(speed, level), cell.stock.for_engagement(radius)
     else:
         tooth = 2.0 * math.pi / (speed * cell.tool.teeth)  # [s]
         *feeds, length = cell.path.feeds

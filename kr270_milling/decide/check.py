@@ -20,6 +20,7 @@ from kr270_milling.decide.check_cut import Residue, contact_violations, cut_viol
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
 from kr270_milling.decide.inputs import input_violations
+from kr270_milling.decide.link_contacts import link_contacts
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.programs.files import knot_feeds
@@ -151,6 +152,7 @@ def check(
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
+        results += link_contacts(cell, run)
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)

@@ -101,6 +101,10 @@ KINDS = {
     "plunge": Kind("mm",
         "the {part} {value:.4g} mm into material at point {point}, but it is not centre-cutting{most}",
         "Let the CAM enter by a flatter ramp, a wider helix or from outside, or take a centre-cutting tool."),
+    "link contact": Kind("mm",
+        "{body} enters {subject} by {value:.4g} mm at point {point}, by capsules within simple solids of the size of "
+        "the links, which are no maker's shapes",
+        "Move the workpiece or the obstacle, turn the tool, or choose another branch by posture_hint_deg."),
     "tool body": Kind("mm",
         "the {subject} of the tool is {value:.4g} mm deep in material at point {point}: {need} {value:.4g} mm more",
         "Check tool.flute_length_mm, tool.shank_diameter_mm, tool.stick_out_mm and tool.holder_mm; take a longer tool "

@@ -2,7 +2,7 @@
 
 The inertias are those of the mass model ``rigid``: thin tubes, and spindle and tool on the flange. The solids of arm,
 spindle and tool are boxes and cylinders, sized by the link lengths. They are for the eye only: own primitives by the
-look of a heavy arm, no maker's meshes. Collision is not their job.
+look of a heavy arm, no maker's meshes. ``check`` compares the capsules within them with obstacles.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from kr270_milling.base.frames import JOINT_NAMES, TOOL, TOOL0, Pose, abc_from_rotation
+from kr270_milling.base.frames import JOINT_NAMES, TOOL, TOOL0, Pose, abc_from_rotation, rotation_from_abc
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.mass import own_inertia
 
@@ -25,6 +25,7 @@ COLOURS = {
     "tool": (0.80, 0.70, 0.30),
 }
 ORIGIN = NO_TURN = np.zeros(3)
+STICK_OUT = 0.04  # [m] of the tool from its holder, as shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +186,37 @@ def _adapter(mount: Mount) -> list[Solid]:
 
 def _spindle(mount: Mount, tool_radius: float) -> list[Solid]:
     """Tool, holder and, where the tip is far enough from the flange, the housing; tcp's z points to the tip."""
-    stick_out = 0.04  # [m] of the tool from its holder
-    solids = [_cylinder((0, 0, -stick_out), (0, 0, 0), tool_radius, "tool")]
+    solids = [_cylinder((0, 0, -STICK_OUT), (0, 0, 0), tool_radius, "tool")]
     holder = 0.06  # [m] of the holder from the spindle nose
-    if float(np.linalg.norm(mount.xyz)) > stick_out + holder:
-        nose = -(stick_out + holder)
-        solids.append(_cylinder((0, 0, nose), (0, 0, -stick_out), max(0.025, 1.4 * tool_radius), "metal"))
+    if float(np.linalg.norm(mount.xyz)) > STICK_OUT + holder:
+        nose = -(STICK_OUT + holder)
+        solids.append(_cylinder((0, 0, nose), (0, 0, -STICK_OUT), max(0.025, 1.4 * tool_radius), "metal"))
         solids.append(_cylinder((0, 0, nose - 0.36), (0, 0, nose), 0.075, "metal"))  # the spindle
     return solids
+
+
+LINKS = ("the base", *(f"link {k + 1}" for k in range(6)), "the adapter of the spindle", "the spindle")
+
+
+def link_capsules(arm: Arm, mount: Mount, stick_out: float = 0.0) -> list[tuple[int, np.ndarray, np.ndarray, float]]:
+    """Return the capsules within the solids: index in LINKS, ends in the frame of the link (3,), radius [m].
+
+    The column of base and link 1 is one solid. stick_out [m]: the spindle begins above it. Cutter and holder are left
+    out, and link 6 where nothing is mounted on it: it is the tool then.
+    """
+    base, first, *others = _arm_solids(arm)
+    column = _cylinder(ORIGIN, (0.0, 0.0, 0.8 * arm.d1), base[1].size[0], "dark")
+    spindle, mounted = _spindle(mount, 0.01)[2:], [_adapter(mount)]
+    up = np.array([0.0, 0.0, -max(stick_out - STICK_OUT, 0.0)])
+    if not spindle:
+        others, mounted = others[:-1], []
+    capsules = []
+    for link, solids in enumerate([[column], first[1:], *others, *mounted, spindle]):
+        for solid in solids:
+            along = int(np.argmax(solid.size)) if len(solid.size) == 3 else 2
+            half = 0.5 * solid.size[along if len(solid.size) == 3 else 1]
+            radius = min(half, 0.5 * min(solid.size) if len(solid.size) == 3 else solid.size[0])
+            axis = rotation_from_abc(solid.rpy[::-1])[:, along] * (half - radius)
+            middle = solid.xyz + up if LINKS[link] == LINKS[-1] else solid.xyz
+            capsules.append((link, middle - axis, middle + axis, radius))
+    return capsules
