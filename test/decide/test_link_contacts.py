@@ -38,7 +38,7 @@ def places_of(cell, joints) -> dict[str, np.ndarray]:
 
 def test_boxes_in_the_links_are_found_with_the_depth_of_a_dense_sampling_and_the_others_are_not():
     """Each of 40 boxes begins within or beside the hull of one link at the start; the arm hardly moves."""
-    cell, rng, found = cell_of("stock.max_mm=[40,40,0]"), np.random.default_rng(3), 0
+    cell, rng, contacts = cell_of("stock.max_mm=[40,40,0]"), np.random.default_rng(3), 0
     places = places_of(cell, arm_of(cell).joints(path_of(cell).target)[0])
     for _ in range(40):
         name = rng.choice(LINKS[2:])
@@ -54,15 +54,15 @@ def test_boxes_in_the_links_are_found_with_the_depth_of_a_dense_sampling_and_the
             away = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
             depth = 1e3 * (rows[:, 3] - away).max()
             if link != "the base" and depth > 0.0:  # at other places of the path the contact is deeper
-                found += 1
+                contacts += 1
                 assert depths[link] >= depth - 1.0, (link, box)
-    assert found >= 30
+    assert contacts >= 30
 
 
 def test_links_that_meet_in_postures_within_the_limits_of_the_joints_are_found_and_no_others():
     """Postures of a folded arm; the depth is that of a dense sampling, whose places are up to 20 mm apart."""
     cell = cell_of("workpiece.xyz_mm=[0,0,0]", "workpiece.abc_deg=[0,0,0]")
-    rng, found = np.random.default_rng(5), 0
+    rng, contacts = np.random.default_rng(5), 0
     chain = {name: min(k, 6) for k, name in enumerate(LINKS)}
     for _ in range(40):
         joints = rng.uniform(np.radians([-90, -146, 130, -90, 60, -90]), np.radians([90, -60, 155, 90, 120, 90]))
@@ -77,8 +77,8 @@ def test_links_that_meet_in_postures_within_the_limits_of_the_joints_are_found_a
                 away = np.linalg.norm(rows[::4, None, :3] - base[::4, :3], axis=-1)
                 depth = 1e3 * (rows[::4, None, 3] + base[::4, 3] - away).max()
                 assert seen.get((other, link), 0.0) == pytest.approx(max(depth, 0.0), abs=2.0)
-                found += depth > 2.0
-    assert found >= 10
+                contacts += depth > 2.0
+    assert contacts >= 10
 
 
 @pytest.mark.parametrize("name", ["paper.yaml", "test_piece.yaml"])
