@@ -1,4 +1,4 @@
-"""Contacts of the links of the arm: each own collision is found with its depth, and sound programs have none."""
+"""Contacts of the links of the arm: each own collision is reported with its depth, and sound programs have none."""
 
 from __future__ import annotations
 
