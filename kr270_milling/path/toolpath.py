@@ -272,22 +272,15 @@ class PathBuilder:
         numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling)
         self._blocks.extend((*position, *self.quaternion, *numbers))
 
-    def straight_moves(self, rows: np.ndarray, feed: float) -> None:
-        """Append straight blocks at one feed [m/s]; rows: x, y, z [m] and line, (n, 4)."""
-        before = np.vstack([self.last or rows[:1, :3], rows[:-1, :3]])
-        moved = np.any(rows[:, :3] != before, axis=1)
-        rows = rows[moved]
-        blocks = np.zeros((len(rows), 14))
-        blocks[:, COLUMNS["position"]] = rows[:, :3]
-        blocks[:, COLUMNS["quaternion"]] = self._last_quaternion
-        for name, values in (
-            ("feed", feed), ("spindle_speed", self.spindle_speed), ("line", rows[:, 3]), ("feature", self.feature),
-            ("drilling", self.drilling),
-        ):  # fmt: skip
-            blocks[:, COLUMNS[name]] = values
-        self._blocks.frombytes(blocks.tobytes())
-        if len(rows):
-            self.last = tuple(rows[-1, :3].tolist())
+    def straight_moves(self, ends: list[tuple[float, float, float, int]], feed: float) -> None:
+        """Append straight blocks at one feed [m/s] to points x, y, z [m], each with its line."""
+        state, rest = self._last_quaternion, (self.feature, self.drilling)
+        numbers, blocks, last = (feed, 0.0, self.spindle_speed, False), self._blocks, self.last
+        for x, y, z, line in ends:
+            if (x, y, z) != last:
+                last = x, y, z
+                blocks.extend((x, y, z, *state, *numbers, line, *rest))
+        self.last = last
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the blocks so far, by the names of the fields of a Toolpath."""

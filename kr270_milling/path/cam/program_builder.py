@@ -106,18 +106,20 @@ class ProgramBuilder(PathBuilder):
 
         Return the number of points.
         """
-        rows = np.array(ends)[: MOST_BLOCKS - len(self)]
-        far = ~(np.abs(rows[:, :3]).max(axis=1) <= REACH)
-        rows = rows[: int(np.argmax(far))] if far.any() else rows
-        if not len(rows):
+        near = MOST_BLOCKS - len(self)
+        for k, (x, y, z, _) in enumerate(ends[:near]):
+            if not (abs(x) <= REACH and abs(y) <= REACH and abs(z) <= REACH):
+                near = k
+                break
+        if not (ends := ends[:near]):
             return 0
         self.named = False
         self._before_change = len(self.comments)
-        self._cuts[self.tool] += len(rows)
-        self._last_cut[self.tool] = self.line = ends[len(rows) - 1][3]
+        self._cuts[self.tool] += len(ends)
+        self._last_cut[self.tool] = self.line = ends[-1][3]
         self._frames.setdefault(self._key, ends[0][3])
-        self.straight_moves(rows, feed)
-        return len(rows)
+        self.straight_moves(ends, feed)
+        return len(ends)
 
     def change_tool(self, tool: str) -> None:
         """The tool of the moves that follow; they make a feature of its name where no comment names the operation.
