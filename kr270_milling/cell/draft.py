@@ -65,8 +65,8 @@ class Box:
         return float(np.prod(np.maximum(self.high - self.low, 0.0)[:2]))
 
 
-def stock_of(paths: Sequence[Toolpath]) -> tuple[Box, list[int]]:
-    """A block that the paths of a program cut, and the lines of the rapid moves that it is cut back for.
+def stock_of(paths: Sequence[Toolpath]) -> tuple[Box, int]:
+    """A block that the paths of a program cut, and the line of the first rapid move that it is cut back for, else 0.
 
     The box of the paths with cutter and allowance, without the places where the first cutter comes down rapidly; the
     others may go down where it has cut. Its top is at zero where a path cuts below zero, else where it moves sideways
@@ -95,7 +95,7 @@ def _box_of(path: Toolpath, radius: float) -> Box:
     return Box(np.array([*low, base]), np.array([*high, top]))
 
 
-def _beside_rapids(box: Box, path: Toolpath, radius: float) -> tuple[Box, list[int]]:
+def _beside_rapids(box: Box, path: Toolpath, radius: float) -> tuple[Box, int]:
     """The box cut back until no rapid move below the top meets it, but for holes and where the tool has cut before."""
     down = np.flatnonzero(path.rapid & ~path.drilling & (path.position[:, 2] < box.high[2] - 1e-6))
     places = 100_000  # of a path, at most
@@ -114,7 +114,7 @@ def _beside_rapids(box: Box, path: Toolpath, radius: float) -> tuple[Box, list[i
             cut = max(_sides(cut, place, radius + CLEARANCE), key=lambda side: side.area)
             lines.append(int(path.line[number]))
     least_share = 0.2  # of the area that the path asks for; a stock that is cut down to less is no guess any more
-    return (cut, lines) if cut.area > least_share * box.area else (box, [])
+    return (cut, min(lines, default=0)) if cut.area > least_share * box.area else (box, 0)
 
 
 def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
@@ -136,13 +136,13 @@ def draft(file: str, paths: Sequence[Toolpath], robot: str) -> tuple[str, list[s
     for path in paths:
         check_moves(file, path, by_teeth=False)
     program = paths[0].program
-    stock, lines = stock_of(paths)
+    stock, line = stock_of(paths)
     warnings = [warning for path in paths for warning in _unsaid(path)]
     values = STRAIGHT | _common(file, paths[0], stock) | {"path": f"      file: {_quoted(file)}"}
-    if lines:
-        values["stock_note"] = f"yours: ends beside the rapid move of line {lines[0]}, which goes below its top"
+    if line:
+        values["stock_note"] = f"yours: ends beside the rapid move of line {line}, which goes below its top"
         warnings.append(
-            f"line {lines[0]}: a rapid move goes below the top of the cut: the stock is taken to end beside it; put "
+            f"line {line}: a rapid move goes below the top of the cut: the stock is taken to end beside it; put "
             "stock.min_mm and stock.max_mm right, so that check finds a rapid move into the stock"
         )
     if len(paths) > 1:

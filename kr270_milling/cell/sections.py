@@ -284,7 +284,7 @@ class Limits(Record):
     cutting_force: float = parameter(
         0.0, unit="n", low=0.0, high=1e5, text="compensation.feed: largest mean force of a period; 0: not limited"
     )
-    # assumed: a milling spindle of the size that a heavy arm carries; at 60,000 rpm even small ones end
+    # assumed: a milling spindle of the size that a heavy arm carries; 60,000 rpm: no milling spindle is expected above
     spindle_torque: float = parameter(10.0, unit="n_m", above=0.0, high=1e4, text="most that the spindle gives")
     spindle_power: float = parameter(10e3, unit="kw", above=0.0, high=1e3, text="most that the spindle gives")
     spindle_speed: float = parameter(

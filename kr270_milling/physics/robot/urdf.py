@@ -213,10 +213,10 @@ def link_capsules(arm: Arm, mount: Mount, stick_out: float = 0.0) -> list[tuple[
     capsules = []
     for link, solids in enumerate([[column], first[1:], *others, *mounted, spindle]):
         for solid in solids:
-            along = int(np.argmax(solid.size)) if len(solid.size) == 3 else 2
-            half = 0.5 * solid.size[along if len(solid.size) == 3 else 1]
-            radius = min(half, 0.5 * min(solid.size) if len(solid.size) == 3 else solid.size[0])
-            axis = rotation_from_abc(solid.rpy[::-1])[:, along] * (half - radius)
+            size = solid.size  # of a box, else radius and length
+            sides = size if len(size) == 3 else (2.0 * size[0], 2.0 * size[0], size[1])
+            along, radius = int(np.argmax(sides)), 0.5 * min(sides)
+            axis = rotation_from_abc(solid.rpy[::-1])[:, along] * (0.5 * max(sides) - radius)
             middle = solid.xyz + up if LINKS[link] == LINKS[-1] else solid.xyz
             capsules.append((link, middle - axis, middle + axis, radius))
     return capsules
