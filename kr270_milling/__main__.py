@@ -16,6 +16,9 @@ if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # before the 
 
 def run_program() -> int:
     """Run the command of the command line; end this process."""
+    from kr270_milling.base.arguments import one_thread_each
+
+    one_thread_each(os.environ)
     from kr270_milling.cli import main
 
     return main()

@@ -10,6 +10,7 @@ import socket
 from collections.abc import Mapping
 from pathlib import Path
 
+from kr270_milling.base.arguments import one_thread_each
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.parameter_file import find_file
@@ -67,8 +68,7 @@ def child_environment() -> dict[str, str]:
     """Return the environment of a node that this process starts, also with another interpreter."""
     environ = {**os.environ, **this_host_only(os.environ), PARENT: str(os.getpid())}
     environ.pop(GUARD, None)
-    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        environ.setdefault(library, "1")  # small matrices only: more threads slow the other nodes down
+    one_thread_each(environ)
     package = str(Path(__file__).resolve().parents[3])
     if "site-packages" not in package:  # a source checkout that is not installed
         environ["PYTHONPATH"] = os.pathsep.join(filter(None, [package, environ.get("PYTHONPATH")]))

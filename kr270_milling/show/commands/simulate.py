@@ -118,8 +118,10 @@ def run_check(args) -> Answer:
 def _checked(cell, args, whole):
     """Return the check of one tool, its values for ``--json``, and the output for the terminal."""
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
-    checked = decision.check(cell, reference, args.motion, progress=whole.under(title_of(cell)))
-    tolerance = judge(cell, checked.ran) if checked.ran else None
+    progress = whole.under(title_of(cell))
+    checked = decision.check(cell, reference, args.motion, progress=progress)
+    with progress("walls and floors"):
+        tolerance = judge(cell, checked.ran) if checked.ran else None
     values = {"cut": cell.cutting.detail, **as_dict(checked), "tolerance": tolerance and as_dict(tolerance)}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
     if args.verbose:

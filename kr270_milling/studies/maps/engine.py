@@ -30,6 +30,7 @@ from concurrent.futures import (
 from multiprocessing import connection
 from pathlib import Path
 
+from kr270_milling.base.arguments import one_thread_each
 from kr270_milling.base.errors import InputError, ModelError
 from kr270_milling.base.parameter_file import read_tree
 
@@ -209,7 +210,7 @@ def _processes(rows_of: Callable[[int], bytes]) -> Iterator[Executor]:
     They inherit that SIGINT is blocked: Ctrl-C reaches this process alone, which ends the workers.
     """
     context = multiprocessing.get_context(METHOD)
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+    one_thread_each(os.environ)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         if METHOD == "forkserver":
