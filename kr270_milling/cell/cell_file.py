@@ -130,7 +130,7 @@ def _with_cut_model(cell: Cell) -> Cell:
     else:
         tooth = 2.0 * math.pi / (speed * cell.tool.teeth)  # [s]
         *feeds, length = cell.path.feeds
-        exchange = cell.exchange.for_teeth(speed)
+        exchange = cell.exchange.for_teeth(speed, cell.cutting.end_share)
         stock = cell.stock.for_teeth(radius, exchange.micro_step, (feeds[0] * tooth, feeds[1] * tooth), length)
     return cell.replace(cutting=cell.cutting.replace(detail=detail), exchange=exchange, stock=stock)
 

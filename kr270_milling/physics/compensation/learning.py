@@ -231,9 +231,9 @@ class Learner:
         # gains less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
         careful = 1.0
         # most passes of the simulated robots; the cut answers the correction, so the first one is not the last
-        rounds = 4
+        rounds = 4 if self.target.duration_ns < LONG else 2
         worth = 0.98  # of the mean square of their largest deviations: a pass that gains less is the last
-        for number in range(rounds if self.target.duration_ns < LONG else 2):
+        for number in range(rounds):
             reference, _ = corrected(self.target, tried, smooth)
             passes = [
                 (arm, segments.middle(record.time_ns, record.position - self.target.sample(record.time_ns)))
@@ -249,6 +249,8 @@ class Learner:
                 break
             best, offset = size, tried
             self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
+            if number + 1 == rounds:
+                break
             tried = offset + lifted.least_mean_square(drawn, weight, careful, settled).knots(segments)
             if np.array_equal(tried, offset):
                 break

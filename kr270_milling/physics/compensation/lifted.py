@@ -304,7 +304,8 @@ def units(arm: ArmResponse, segments: Segments) -> np.ndarray:
 def outputs(arm: ArmResponse, segments: Segments) -> np.ndarray:
     """Motion of the tool in each part from y, (m, parts, 3, 2 r + 12)."""
     place, out = segments.place, arm.outward[:, None]
-    free, forced = arm.free(place), arm.forced(place)
+    free = arm.free(place)
+    forced = arm.forced(place, free)
     swing = [out @ (f[..., None] * arm.inward[:, None]) if arm.moves else 0.0 for f in forced[:2]]
     straight = segments.powers[..., None, None, :] * np.eye(3)[:, :, None]  # (m, parts, 3, 3, 4)
     cubic = [straight[..., 0], straight[..., 1], straight[..., 2] + swing[0], straight[..., 3] + swing[1]]
@@ -314,8 +315,9 @@ def outputs(arm: ArmResponse, segments: Segments) -> np.ndarray:
 def transitions(arm: ArmResponse, segments: Segments) -> np.ndarray:
     """x at the next knot from y, (m, 2 r + 9, 2 r + 12)."""
     duration, r = segments.duration[:, None], arm.order
-    h11, h12, h21, h22 = (h[:, 0, None] for h in arm.free(duration))
-    of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0, :, None] * arm.inward for f in arm.forced(duration))
+    free = arm.free(duration)
+    h11, h12, h21, h22 = (h[:, 0, None] for h in free)
+    of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0, :, None] * arm.inward for f in arm.forced(duration, free))
     matrix = np.zeros((len(segments), 2 * r + 9, 2 * r + 12))
     matrix[:, :r, :r], matrix[:, :r, r : 2 * r] = arm.carry * h11, arm.carry * h12
     matrix[:, r : 2 * r, :r], matrix[:, r : 2 * r, r : 2 * r] = arm.carry * h21, arm.carry * h22

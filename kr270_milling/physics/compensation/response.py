@@ -152,7 +152,7 @@ class Lag:
         solved = np.eye(4)  # p from c, v, a, j
         for row in (2, 1, 0):
             solved[row] -= 2.0 * z / w * solved[row + 1] + (solved[row + 2] / w**2 if row < 2 else 0.0)
-        free = np.stack(_free(w, z, t), axis=-1).reshape(-1, 2, 2)
+        free = np.stack(_free(w, z, t[:, None]), axis=-1).reshape(-1, 2, 2)
         unity, zero = np.ones_like(t), np.zeros_like(t)
         ahead = np.stack([unity, t, t**2 / 2.0, t**3 / 6.0, zero, unity, t, t**2 / 2.0], axis=-1).reshape(-1, 2, 4)
         hermite = [unity, zero, zero, zero, zero, unity, zero, zero, -6.0 / t**2, -4.0 / t, 6.0 / t**2, -2.0 / t]
@@ -256,9 +256,9 @@ class ArmResponse:
         """h11, h12, h21, h22, (m, t, r), at times (m, t) [s] from the start of each segment."""
         return _free(self.frequency[:, None], self.damping[:, None], time[..., None])
 
-    def forced(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
-        """u of a = 1, u of j = 1, u' of a = 1, u' of j = 1, (m, t, r), from rest."""
-        h11, h12, h21, h22 = self.free(time)
+    def forced(self, time: np.ndarray, free: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """u of a = 1, u of j = 1, u' of a = 1, u' of j = 1, (m, t, r), from rest; free: of these times."""
+        h11, h12, h21, h22 = free
         w, z = self.frequency[:, None], self.damping[:, None]
         of_jerk = (2.0 * z / w * (1.0 - h11) + h12 - time[..., None]) / w**2
         return (h11 - 1.0) / w**2, of_jerk, h21 / w**2, (h22 - 1.0 - 2.0 * z / w * h21) / w**2
@@ -287,16 +287,17 @@ class ArmResponse:
             arm, block = self.cut(part), segments.cut(part)
             duration, place = block.duration[:, None], block.place
             u = slope[part] @ arm.outward  # by u in each part
-            added = np.stack([np.sum(h * u, axis=1) for h in arm.free(place)[:2]], axis=1)
-            free = np.stack([h[:, 0] for h in arm.free(duration)], axis=1)[:, [0, 2, 1, 3]]
+            here, after = arm.free(place), arm.free(duration)
+            added = np.stack([np.sum(h * u, axis=1) for h in here[:2]], axis=1)
+            free = np.stack([h[:, 0] for h in after], axis=1)[:, [0, 2, 1, 3]]
             turn = np.swapaxes(arm.carry, 1, 2)[::-1]
             state = state @ arm.carry[-1]
             last = np.concatenate([turn[1:], np.eye(self.order)[None]])
             backward = [np.ascontiguousarray(rows) for rows in (free[::-1], added[::-1], last)]
             ends = _march(backward[0], backward[1], np.zeros(added[:, 0].shape), backward[2], 1, state)
             end, start = (rows[::-1] for rows in ends)  # at the ends of segments
-            of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0] for f in arm.forced(duration))
-            inside = [np.sum(f * u, axis=1) for f in arm.forced(place)[:2]]
+            of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0] for f in arm.forced(duration, after))
+            inside = [np.sum(f * u, axis=1) for f in arm.forced(place, here)[:2]]
             bend = inside[0] + of_bend * end[:, 0] + rate_of_bend * end[:, 1]
             jerk = inside[1] + of_jerk * end[:, 0] + rate_of_jerk * end[:, 1]
             for row, values in ((2, bend), (3, jerk)):
@@ -320,7 +321,8 @@ class ArmResponse:
             arm, block = self.cut(part), segments.cut(part)
             start = arm.starts(block.duration[:, None], cubic[part], approach, state)[:, :, None]
             place, approach = block.place, _end_speed(block.duration[-1:, None], cubic[part][-1:])[0]
-            free, forced = arm.free(place), arm.forced(place)
+            free = arm.free(place)
+            forced = arm.forced(place, free)
             bend, jerk = (np.einsum("mrd,md->mr", arm.inward, cubic[part, i])[:, None] for i in (2, 3))
             u = free[0] * start[:, 0] + free[1] * start[:, 1] + forced[0] * bend + forced[1] * jerk
             swung[part] = u @ np.swapaxes(arm.outward, 1, 2)
@@ -328,12 +330,13 @@ class ArmResponse:
 
     def starts(self, duration: np.ndarray, cubic: np.ndarray, approach: np.ndarray, state: np.ndarray) -> np.ndarray:
         """u and u' at the start of each segment, (m, 2, r); state (2, r): those before, becomes those after."""
-        forced = tuple(f[:, 0] for f in self.forced(duration))
+        response = self.free(duration)
+        forced = tuple(f[:, 0] for f in self.forced(duration, response))
         bend, jerk = (np.einsum("mrd,md->mr", self.inward, cubic[:, i]) for i in (2, 3))
         before = np.vstack([approach, _end_speed(duration, cubic)[:-1]])
         corner = np.einsum("mrd,md->mr", self.inward, before - cubic[:, 1])
         added = np.stack([forced[0] * bend + forced[1] * jerk, forced[2] * bend + forced[3] * jerk], axis=1)
-        free = np.stack([h[:, 0] for h in self.free(duration)], axis=1)
+        free = np.stack([h[:, 0] for h in response], axis=1)
         return _march(free, added, corner, self.carry, 1, state)[0]
 
     def deflect(self, segments: Segments, wrench: np.ndarray) -> np.ndarray:
@@ -358,10 +361,15 @@ class ArmResponse:
 
 
 def _free(w, z, time) -> tuple[np.ndarray, ...]:
-    """h11, h12, h21, h22 of modes w [rad/s], zeta after times [s]."""
+    """h11, h12, h21, h22 of modes w [rad/s], zeta after evenly spaced times [s], (m, t) or (m, t, 1)."""
     damped = w * np.sqrt(1.0 - z * z)
-    decay = np.exp(-z * w * time)
-    cosine, sine = decay * np.cos(damped * time), decay * np.sin(damped * time) / damped
+    root = 1j * damped - z * w
+    turned = np.repeat(np.exp(root * time[:, :1]), time.shape[1], axis=1)
+    if time.shape[1] > 1:  # products take less time than powers
+        step = np.exp(root * (time[:, 1:2] - time[:, :1]))[:, 0]
+        for k in range(1, time.shape[1]):
+            turned[:, k] = turned[:, k - 1] * step
+    cosine, sine = turned.real, turned.imag / damped
     return cosine + z * w * sine, sine, -w * w * sine, cosine - z * w * sine
 
 

@@ -16,7 +16,11 @@ class Exchange(Record):
     """YAML ``exchange``: how often robot and cutting process exchange pose and wrench."""
 
     period: float = parameter(
-        math.nan, unit="ms", above=0.0, high=20.0, text="exchange period H; default: 0.25 ms, in whole micro-steps"
+        math.nan,
+        unit="ms",
+        above=0.0,
+        high=20.0,
+        text="exchange period H; default: 0.25 ms, 0.125 ms above a cutting.end_share of 0.5, in whole micro-steps",
     )
     micro_step: float = parameter(np.radians(1.0), unit="deg", low=0.01, high=15.0, text="spindle angle a micro-step")
     engagement_period: float = parameter(
@@ -46,9 +50,12 @@ class Exchange(Record):
         usual = 4e-3 if level else 1.5e-3  # [s], convergence in guide/contributing/models.md
         return self._rounded(usual if math.isnan(self.engagement_period) else self.engagement_period, spindle_speed)
 
-    def for_teeth(self, spindle_speed: float) -> Exchange:
-        """Return the exchange of the sweep of the teeth at a spindle speed [rad/s]; a period that is given stays."""
-        usual = 0.25e-3  # [s], that of the shipped test piece; convergence in guide/numbers.md
+    def for_teeth(self, spindle_speed: float, end_share: float) -> Exchange:
+        """Return the exchange of the sweep of the teeth at a spindle speed [rad/s]; a period that is given stays.
+
+        end_share: of the end edge that presses on the floor: an arm that bounces there needs a shorter period.
+        """
+        usual = 0.25e-3 if end_share <= 0.5 else 0.125e-3  # [s], convergence in guide/numbers.md
         return self._rounded(usual, spindle_speed) if math.isnan(self.period) else self
 
     def _rounded(self, period: float, spindle_speed: float) -> Exchange:

@@ -15,6 +15,7 @@ from kr270_milling.base.parameter_file import from_display
 from kr270_milling.base.record import flat, flatten
 from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.keys import keys_of
 from kr270_milling.cell.models import arm_model_of, path_of, thin_chips
 from kr270_milling.path.trajectory_csv import read_csv
@@ -193,6 +194,22 @@ def test_grid_and_period_follow_tool_and_feed_where_the_cell_does_not_state_them
     stated = read_cell(tmp_path / "my.yaml", ["stock.grid_step_um=50", f"exchange.period_ms={60 / speed * 1e3}"])
     assert stated.stock.grid_step == pytest.approx(50e-6) and stated.exchange.period == pytest.approx(60 / speed)
     assert "stock:" in answered("init")["cell"] and "grid_step" not in (tmp_path / "my.yaml").read_text()
+
+
+def test_the_usual_period_follows_an_arm_that_bounces_on_its_end_edges(tmp_path):
+    """The thrust of a ramp with a share of 1 is that of half the period; with 0.25 ms it is 8 % larger."""
+    head, moves = (
+        "(T1 D=20. - flat end mill)\nG21 G90 G54\nS8000 M3\nG0 X-10 Y-10 Z2\n",
+        "G1 Z0 F1000\nX10 Z-1 F2000\nG0 Z2\nM30\n",
+    )
+    (tmp_path / "ramp.nc").write_text(head + moves)
+    cell_of(tmp_path, "--gcode", tmp_path / "ramp.nc")
+    thrust = []
+    for words in ([], ["exchange.period_ms=0.0625"], ["exchange.period_ms=0.25"]):
+        ran = simulate(read_cell(tmp_path / "my.yaml", ["cutting.end_share=1", *words])).result
+        sinking = (np.gradient(ran.target[:, 2]) < 0.0) & (ran.target[:, 2] < -0.7e-3)
+        thrust.append(ran.wrench[sinking, 2].mean())
+    assert thrust[0] == pytest.approx(thrust[1], rel=0.02) and thrust[2] > 1.05 * thrust[1]
 
 
 def test_check_prints_tolerance_stability_and_the_answer_and_with_v_everything(tmp_path):
