@@ -228,18 +228,23 @@ def _meet_above(cell: Cell, poses: np.ndarray, rapid: np.ndarray, margin: np.nda
         axis, height = poses[k, 3:], np.linspace(0.0, high[k], 16)[1:, None]
         level = np.array([axis[1], -axis[0], 0.0]) / sine[k]
         ring = np.cos(turn) * level + np.sin(turn) * np.cross(axis, level)
-        near = cuts[tips.query_ball_point(poses[k, :3], 2.0 * radius + high[k])]
-        tip, up = np.split(poses[near[near < k]], 2, axis=1)
+        near = cuts[tips.query_ball_point(poses[k, :3], 2.0 * radius + high[k], return_sorted=True)]
+        near = near[near < k][::-1]  # the last pose first
         for share in (0.0, 0.1, 0.3):
             deep = margin[k] + RIM * stock.grid_step + share * radius
             out = np.maximum(np.interp(height, heights, radii) - deep, 0.0)
             places = (poses[k, :3] + height * axis)[:, None] + out[..., None] * ring
             places = places[((places > stock.min) & (places < stock.max)).all(axis=2)]
-            from_tip = places[:, None] - tip
-            at = np.einsum("ijk,jk->ij", from_tip, up)
-            square = np.einsum("ijk,ijk->ij", from_tip, from_tip) - at**2
-            covered = (at >= 0.0) & (square <= np.interp(at, heights, radii) ** 2)
-            if not covered.any(axis=1).all():
+            for some in np.array_split(near, 1 + len(near) // 200):
+                tip, up = np.split(poses[some], 2, axis=1)
+                from_tip = places[:, None] - tip
+                at = np.einsum("ijk,jk->ij", from_tip, up)
+                square = np.einsum("ijk,ijk->ij", from_tip, from_tip) - at**2
+                covered = (at >= 0.0) & (square <= np.interp(at, heights, radii) ** 2)
+                places = places[~covered.any(axis=1)]
+                if not len(places):
+                    break
+            if len(places):
                 inner[k] = max(inner[k], deep)
 
 
