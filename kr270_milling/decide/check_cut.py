@@ -19,7 +19,9 @@ from kr270_milling.decide.findings import Finding, stretches, violation, violati
 from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map, with_profile
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting.contact import below_top, bodies_of, contact, lowest_point
+from kr270_milling.physics.cutting.engagement import RIM
 from kr270_milling.physics.cutting.profile import cutter_of, cylinder, outline
+from kr270_milling.physics.cutting.tilted import FLAT
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.stability import has_uniform_pitch
 
@@ -104,6 +106,8 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
             lowest = np.minimum(lowest, position[:, 2] + lowest_point(body[:1, 2:4], axes))
         margins = np.stack([max(margin, ROUNDING) + sideways, margin + lengthwise])
         _meet_tilted(cell, np.hstack([moved, axes]), series, margins, core, bodies, met)
+        if ran is None:
+            _meet_above(cell, np.hstack([position, axes]), rapid, margins[0], inner)
     else:
         discs = _discs(bodies, float(cell.stock.max[2] - position[:, 2].min()))
         grid = height_map(cell.stock, step, moved, max([radius, *discs[:, 0]]))
@@ -198,6 +202,50 @@ def _meet_tilted(
     sinks, gone = np.cumsum(np.where(meets_core, np.maximum(-along, 0.0), 0.0)), np.cumsum(across)
     before = np.searchsorted(gone, gone - 2.0 * core)
     sunk[:] = np.where(meets_core, sinks - sinks[before], 0.0)
+
+
+def _meet_above(cell: Cell, poses: np.ndarray, rapid: np.ndarray, margin: np.ndarray, inner: np.ndarray) -> None:
+    """Raise ``inner`` to the depth of rapid moves in material above a leaning flank, which no height map holds.
+
+    A place of the tool in the box of the stock is in material where no earlier pose of the cut covered the place. A
+    move along the axis meets nothing there. Poses are compared at a tenth of the radius, with a cusp of R/800.
+    """
+    points, stock = outline(cell.tool), cell.stock
+    radius, (heights, radii) = float(points[-1, 0]), (points[:, 1], points[:, 0])
+    move = np.diff(poses[:, :3], axis=0, prepend=poses[:1, :3])
+    part = np.floor(np.cumsum(np.linalg.norm(move, axis=1)) / (0.1 * radius))
+    first = np.diff(part, prepend=-1.0) > 0.0
+    across, along = _split(move, poses[:, 3:])
+    sine = np.hypot(poses[:, 3], poses[:, 4])
+    high = np.maximum(stock.max[2] - poses[:, 2] + radius * sine, 0.0) / poses[:, 5]  # on the axis, below the top
+    leaves = rapid & first & (sine > FLAT) & (high > 0.0) & (across > 1e-3 * np.abs(along))
+    first[:-1] |= rapid[1:]  # the end of a cut
+    cuts = np.flatnonzero(first & ~rapid)
+    if not cuts.size:
+        return
+    tips, turn = cKDTree(poses[cuts, :3]), np.arange(24)[:, None] / 12.0 * np.pi
+    for k in np.flatnonzero(leaves).tolist():
+        axis, height = poses[k, 3:], np.linspace(0.0, high[k], 16)[1:, None]
+        level = np.array([axis[1], -axis[0], 0.0]) / sine[k]
+        ring = np.cos(turn) * level + np.sin(turn) * np.cross(axis, level)
+        near = cuts[tips.query_ball_point(poses[k, :3], 2.0 * radius + high[k], return_sorted=True)]
+        near = near[near < k][::-1]  # the last pose first
+        for share in (0.0, 0.1, 0.3):
+            deep = margin[k] + RIM * stock.grid_step + share * radius
+            out = np.maximum(np.interp(height, heights, radii) - deep, 0.0)
+            places = (poses[k, :3] + height * axis)[:, None] + out[..., None] * ring
+            places = places[((places > stock.min) & (places < stock.max)).all(axis=2)]
+            for some in np.array_split(near, 1 + len(near) // 200):
+                tip, up = np.split(poses[some], 2, axis=1)
+                from_tip = places[:, None] - tip
+                at = np.einsum("ijk,jk->ij", from_tip, up)
+                square = np.einsum("ijk,ijk->ij", from_tip, from_tip) - at**2
+                covered = (at >= 0.0) & (square <= np.interp(at, heights, radii) ** 2)
+                places = places[~covered.any(axis=1)]
+                if not len(places):
+                    break
+            if len(places):
+                inner[k] = max(inner[k], deep)
 
 
 def _tilted(cell: Cell, ran: ScoredPass) -> list[Finding]:
