@@ -467,7 +467,7 @@ class Machine:
         except ArcError:
             return None
         places = [(place.real, place.imag) for place in (first, last)]
-        if _misses(*places, centre, self._closing(places[0], centre)):
+        if _misses(places[0], places[1], centre, self._closing(places[0], centre)):
             return None
         return stroke._replace(centre=complex(*centre), sense=1 if self.mode == 3 else -1, turns=turns)
 
