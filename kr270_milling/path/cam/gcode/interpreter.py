@@ -458,7 +458,10 @@ class Interpreter(Machine):
 
     def _home(self, groups: dict, axes: dict) -> None:
         """G28, G30, G53: the named axes leave the workpiece; without a name, and not for G53, all of them."""
-        word, mode = word_of("G", groups["home"]), groups.pop("motion", None)
+        word, mode = word_of("G", groups["home"]), groups.get("motion")
+        if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
+            return
+        groups.pop("motion", None)
         axes_home = [axis for axis in AXES if axis in axes]
         if mode is not None and mode > 1:
             self.program.refuse(word, f"{word} occurs with an arc in one line")
@@ -467,6 +470,23 @@ class Interpreter(Machine):
         text = " ".join([word, *(axes_home or (AXES if word in ("G28", "G30") else []))])
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
         self.home(text.split()[1:])
+
+    def _in_machine(self, axes: dict) -> bool:
+        """Make places of the machine (G53) places of the program, where G10 stated that of the work offset."""
+        offsets = self.offsets
+        stated = offsets.known(offsets.active) and not (offsets.given and self.fixed)
+        placed = self.skew or self.incremental or self.polar or self.side or self.cycle is not None
+        if not stated or placed or self.program.frame["tool lengths"] not in ("", "H0"):
+            return False
+        turn, xy, z = offsets.affine
+        here = complex(*self.position[:2]) * turn + xy
+        if not axes.keys().isdisjoint("XY"):
+            x, y = axes.get("X", here.real / self.unit), axes.get("Y", here.imag / self.unit)
+            place = (complex(x, y) * self.unit - xy) / turn / self.unit
+            axes["X"], axes["Y"] = place.real, place.imag
+        if "Z" in axes:
+            axes["Z"] -= z / self.unit
+        return True
 
     def _restore(self, value: float) -> None:
         """G92.1 and G92.2 end the shift of G92, which G92.3 restores after G92.2."""
