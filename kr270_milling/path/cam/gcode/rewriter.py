@@ -71,7 +71,7 @@ class _Watch(Interpreter):
             self._refuse(f"the rapid move along {relative[0]} {ABSOLUTE}")
 
     def _in_machine(self, axes: dict) -> bool:
-        """Leave a line with G53 as it is."""
+        """Keep the line of a G53."""
         return False
 
     def home(self, axes: list[str]) -> None:
