@@ -174,8 +174,11 @@ KINDS = {
         "G41 or G42 moves the path by {value:.6g} mm, the radius in the comment on {label}",
         "A program posted for wear is the path of the centre already: state G10 L12 P1 R0, or post without G41.",
         "warning"),
-    "feed unit": Kind("1", "{words}, as on LinuxCNC; other controls count it in the new unit",
-        "Write F in the lines after G20 or G21.", "warning"),
+    "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
+        "warning"),
+    "length number": Kind("1", "", "A control adds the length of another tool: write the H of the tool, or check that "
+        "both have the same length.", "warning"),
+    "length end": Kind("1", "", "A control may move down by the length: write G49 after G28 or G53.", "warning"),
     "spindle off": Kind("rpm",
         "the program never starts the spindle (S with M3 or M4, SPINDL), and program.spindle_on of the cell is empty",
         "Start it in the program or by program.spindle_on; HALT there lets the operator start it by hand."),

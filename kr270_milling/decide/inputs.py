@@ -13,7 +13,6 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.path.cam.comments import AXIAL_KINDS
-from kr270_milling.path.source_program import BEFORE_UNIT
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import LinearEdgeLaw
 from kr270_milling.physics.cutting.materials import materials
@@ -151,9 +150,9 @@ def _program(cell: Cell) -> list[Finding]:
         block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
         label = tool.label if tool and tool.label else "the tool"
         findings.append(violation("cutter radius", path.program.beside, 0.0, block=block, label=label))
-    for words, count in path.program.read_over:
-        if BEFORE_UNIT in words:
-            findings.append(violation("feed unit", float(count), 0.0, words=words))
+    findings += [
+        violation(kind, 1.0, 0.0, sentence=sentence, line=line) for kind, sentence, line in path.program.doubtful
+    ]
     if path.drilling.any():
         block = int(np.argmax(path.drilling))
         holes = len(np.unique(path.position[path.drilling, :2], axis=0))

@@ -68,10 +68,6 @@ class ProgramTool:
         return dataclasses.replace(self, **{name: getattr(self, name) or getattr(other, name) for name in names})
 
 
-#: in the words of a feed that counts in the unit before G20 or G21, which other controls count in the new one
-BEFORE_UNIT = ", the unit before "
-
-
 @dataclass(frozen=True)
 class SourceProgram:
     """Statements of a program in addition to its moves; empty for a path without a program."""
@@ -90,6 +86,8 @@ class SourceProgram:
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
+    #: words that another control may run in another way: kind of the finding, sentence, line
+    doubtful: tuple[tuple[str, str, int], ...] = ()
     refused: tuple[Refusal, ...] = ()
 
     @property

@@ -32,11 +32,14 @@ ENDS = {
     "G10 L2 P1 X1\nG1 X0\nG10 L2 P1 R90 X1\nX3 Y0": [1, (1, 3)],
     "G10 L2 P2 X5\nG55\nG1 X1\nG10 L20 P0 X4\nX1\nG54\nG1 X1": [6, 3, 1],
     "G52 X4\nX1\nG52 X0\nX1": [5, 1],
+    "G10 L2 P1 X1 Y2 Z3\nG1 X0\nG53 X5 Z4\nX2 Y0": [1, (5, 0, 4), (3, 2, 4)],
     # around an outside corner, into an inside one, onto an arc, out
     "G41.1 D4\nX10\nX20\nY-10\nX30\nG40\nX50": [(10, 2), (20, 2), (22, 0), (22, -8), (30, -8), (50, -10)],
     "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
     "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
+    "G18\nG41.1 D4\nZ10\nX10\nG40\nX20 Z0": [(2, 0, 8), (10, 0, 8), (20, 0, 0)],
+    "X EXISTS[#9] Y EXISTS[#99999]": [(1, 0)],
     # back along the same line: around its end
     "G41.1 D4\nX20\nX0 Y0.0000001\nG40\nX-9": [(20, 2), (20, -2), (0, -2), (-9, 0)],
     "G83 X1 Z-6.5 R2 Q1.7": [(1, 0, 0.3), (1, 0, -1.4), (1, 0, -3.1), (1, 0, -4.8), (1, 0, -6.5)],

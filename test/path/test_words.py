@@ -119,8 +119,8 @@ LINES = {
     **dict.fromkeys(("G4 X1 Y5", "G4 F2 X5", "G1 X5 G4 F2"), "may be the time of G4"),
     **dict.fromkeys(("G76 X3 Z-2 R1 I2", "G76 P1 Z-5 I-2 J1 K3 H3 L2"), "leave threads out"),
     **dict.fromkeys(("G71.1 P1 Q9", "G72.2"), "a word of lathes"),
-    "G20 F10": ("1 F10 in mm, the unit before G20", 0, 0, 10, 8000),
-    "G20": ("1 F800 in mm, the unit before G20", 0, 0, 800, 8000),
+    "G20 F10": ("", 0, 0, 10, 8000),
+    "G20": ("", 0, 0, 800, 8000),
     **dict.fromkeys(("G93", "G93 F2 G1 X5"), "G93 needs F in each line"),
     **dict.fromkeys(("IF R1>5 GOTOF A", 'EXTCALL "UP"'), "post without macros"),
     **dict.fromkeys(("M91", "L X+10 Y+5 R0 FMAX"), "Heidenhain"),
@@ -169,6 +169,22 @@ def test_a_line_is_refused_with_a_sentence_or_leads_to_the_right_place_at_its_fe
     x, y, _ = 1e3 * path.position[cut - 1]
     speed = path.program.spindle_speeds[-1] * 9.549297
     assert [x, y, 6e4 * path.feed[cut], speed] == pytest.approx(numbers, abs=0.01)
+
+
+DOUBTS = {
+    "G20 F10": ("F10 in mm, the unit before G20", 6),
+    "G20": ("F800 in mm, the unit before G20", 6),
+    "G43 H7": ("H7 is not the number of T1", 6),
+    "G43\nX5\nG49\nG0 Z9\nG43\nG1": ("the length of T1 ends before a retract", 8),
+    **dict.fromkeys(("G43 H1", "G43", "G49", "G43 H1\nX5\nG49 G53 Z0\nG43\nG1", "G43\nG28 Z0\nG49"), None),
+}
+
+
+@pytest.mark.parametrize("lines", DOUBTS)
+def test_a_word_that_another_control_runs_in_another_way_is_noted_with_its_line(tmp_path, lines):
+    (tmp_path / "part.nc").write_text(HEAD + lines + END)
+    doubtful = read_toolpath(tmp_path / "part.nc").program.doubtful
+    assert [row[1:] for row in doubtful] == [DOUBTS[lines]] * (DOUBTS[lines] is not None)
 
 
 APT_HEAD = "UNITS/MM\nLOADTL/1\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/0,0,10\nFEDRAT/500,MMPM\nGOTO/0,0,-1\n"

@@ -230,7 +230,11 @@ def difference(path) -> str:
             k, n = (k + 1, n) if move.length < 3 * near else (k, n + 1)
         else:
             return f"differs: move {k}: {move} from {start.end}, rs274 {other_move} from {begin.end}"
-    if more := [move for _, move in (*one[k:], *other[n:]) if not move.length < 3 * near]:
+    rest = (
+        move for start, move in (*one[k:], *other[n:])
+        if not (move.length < 3 * near or (move.kind == "rapid" and _near(start.end, move.end, near)))
+    )  # fmt: skip
+    if more := list(rest):
         return f"differs: {len(one)} moves, rs274 {len(other)}; the first further one is {more[0]}"
     return ""
 

@@ -395,8 +395,18 @@ class Machine:
     @property
     def tip(self) -> tuple[float, ...]:
         """Return the place of the tool in coordinates of the program."""
-        x, y, z = self.position
-        return x + self.beside.real, y + self.beside.imag, z
+        place, height = self._seen(self.position)
+        return self._unseen(place + self.beside, height)
+
+    def _seen(self, point) -> tuple[complex, float]:
+        """Return a point in the two axes of the plane, and its height across the plane."""
+        first, second, across = PLANES[self.plane]
+        return complex(point[first], point[second]), point[across]
+
+    def _unseen(self, place: complex, height: float) -> tuple[float, ...]:
+        """Return the point of a place in the plane and a height across it."""
+        row = place.real, place.imag, height
+        return tuple(row[PLANES[self.plane].index(axis)] for axis in range(3))
 
     def ends_contour(self, what: str) -> None:
         """Refuse what may not occur while the tool is beside the contour; the next move is the first of another one."""
@@ -423,13 +433,13 @@ class Machine:
         elif stroke is None or result is None:
             self._plain(start, end, arc, axes)
             if not first and self.side:
-                reason = "G41 and G42 take straight moves and arcs in the xy plane from a known place"
+                reason = "G41 and G42 take straight moves and arcs in the plane from a known place"
                 self.program.refuse("G41", reason, derived=True)
         else:
-            mode, height = self.mode, start[2]
+            mode, height = self.mode, self._seen(start)[1]
             timed = self.feed_mode == 93 and mode != 0
             if timed:  # the tool beside the contour has the speed of the stated move: LinuxCNC
-                self.feed, self.feed_mode = self._feed_rate(math.hypot(stroke.way, end[2] - start[2])), 94
+                self.feed, self.feed_mode = self._feed_rate(math.hypot(stroke.way, stroke.z - height)), 94
             try:
                 for part in result:
                     height = self._run_stroke(part, height)
@@ -441,13 +451,14 @@ class Machine:
             self.beside = result[-1].end - stroke.end
 
     def _stroke(self, start, end, arc: dict, axes: dict) -> Stroke | None:
-        """Return a move in the xy plane; None for another one, and for one that cannot be run."""
+        """Return a move in the plane; None for another one, and for one that cannot be run."""
         corner = next(((letter, axes[letter] * self.unit) for letter in CORNERS if letter in axes), None)
         known = all(map(math.isfinite, (*start, *end))) and start[2] != TOP
-        if self.mode not in (0, 1, 2, 3) or self.plane != 17 or not known:
+        if self.mode not in (0, 1, 2, 3) or not known:
             return None
         side = -self.side if self.radius < 0 else self.side  # a negative radius is on the other side
-        stroke = Stroke(complex(*start[:2]), complex(*end[:2]), end[2], self.mode == 0, side=side, corner=corner)
+        (first, _), (last, height) = self._seen(start), self._seen(end)
+        stroke = Stroke(first, last, height, self.mode == 0, side=side, corner=corner)
         stroke = stroke._replace(radius=abs(self.radius), tool=self.program.tool)
         if self.mode in (0, 1):
             return None if any(arc.values()) else stroke
@@ -455,7 +466,8 @@ class Machine:
             centre, turns = self._centre(start, end, arc, axes)
         except ArcError:
             return None
-        if _misses(start, end, centre, self._closing(start, centre)):
+        places = [(place.real, place.imag) for place in (first, last)]
+        if _misses(places[0], places[1], centre, self._closing(places[0], centre)):
             return None
         return stroke._replace(centre=complex(*centre), sense=1 if self.mode == 3 else -1, turns=turns)
 
@@ -468,17 +480,14 @@ class Machine:
     def _run_stroke(self, stroke: Stroke, height: float) -> float:
         """Make a move that is planned, from a height; return that of its end."""
         z = height if math.isnan(stroke.z) else stroke.z
-        start, end = (stroke.start.real, stroke.start.imag, height), (stroke.end.real, stroke.end.imag, z)
+        start, end = self._unseen(stroke.start, height), self._unseen(stroke.end, z)
         self.mode = 0 if stroke.rapid else {0: 1, 1: 3, -1: 2}[stroke.sense]
         if stroke.rapid:
             self.go(end)
         elif stroke.centre is None:
             self._feed_to(start, [end], math.dist(start, end))
         else:
-            centre = stroke.centre.real, stroke.centre.imag
-            closing = self._closing(start, centre)
-            points, curvature, swept = arc_points(start, end, centre, stroke.sense < 0, closing, CHORD, stroke.turns)
-            self._feed_to(start, points, math.hypot(swept, z - height), curvature)
+            self._feed_to(start, *self._chords(start, end, (stroke.centre.real, stroke.centre.imag), stroke.turns))
         return z
 
     def _end(self, axes: dict) -> tuple[float, ...]:
@@ -637,9 +646,12 @@ class Machine:
 
     def _arc(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
         """Points along an arc, its length [m], its curvature in the xy plane [1/m]."""
+        return self._chords(start, end, *self._centre(start, end, arc, axes))
+
+    def _chords(self, start, end, centre: tuple[float, float], turns: int) -> tuple[list, float, float]:
+        """Points along an arc about a centre in its plane, as ``_arc``."""
         plane = PLANES[self.plane]
         from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
-        centre, turns = self._centre(start, end, arc, axes)
         closing = self._closing(from_point, centre)
         points, curvature, swept = arc_points(from_point, to_point, centre, self.mode == 2, closing, CHORD, turns)
         length = math.hypot(swept, to_point[2] - from_point[2])

@@ -46,6 +46,7 @@ class ProgramBuilder(PathBuilder):
         self.known: dict[str, ProgramTool] = {}  #: tools by the words of the program, not by its comments
         self.feed_units: dict[str, None] = {}  #: units of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
+        self.doubtful: list[tuple[str, str, int]] = []  #: as in ``SourceProgram``
         self._before_change = 0  #: number of comments up to the last move
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
         self.refusals = 0  #: with those that follow from earlier ones
@@ -148,6 +149,11 @@ class ProgramBuilder(PathBuilder):
         self.silent[word] += 1
         self.words["counted"] += words
 
+    def doubt(self, kind: str, sentence: str) -> None:
+        """Note a word of the tool whose moves are wanted that another control may run in another way."""
+        if self.active:
+            self.doubtful.append((kind, sentence, self.line))
+
     @property
     def cuts(self) -> int:
         """Return the number of cutting moves of all tools."""
@@ -233,6 +239,7 @@ class ProgramBuilder(PathBuilder):
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
+            doubtful=tuple(self.doubtful),
             refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
         )
 

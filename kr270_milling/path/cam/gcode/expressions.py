@@ -78,7 +78,9 @@ class Variables:
         return values if local else self.values
 
     def exists(self, key: int | str) -> bool:
-        """Return whether a parameter has a value."""
+        """Return whether a name has a value, or a parameter has a number of LinuxCNC."""
+        if isinstance(key, int):
+            return 1 <= key <= 5602
         return key in self._scope(key) or self.of_machine(key) is not None
 
     def get(self, key: int | str) -> float:
@@ -139,10 +141,9 @@ class Scanner:
             name, self.place = self.text[self.place : end], end + 1
             return name
         value = self.value()
-        number = round(value)
-        if abs(value - number) > NEAR or not 1 <= number <= 5602:
-            raise ExpressionError(f"#{value:g} is no parameter; they have the numbers 1 to 5602")
-        return number
+        if abs(value - round(value)) > NEAR:
+            raise ExpressionError(f"#{value:g} is no parameter; their numbers are whole")
+        return round(value)
 
     def value(self) -> float:
         """Return a number, a parameter, a function or an expression in brackets."""

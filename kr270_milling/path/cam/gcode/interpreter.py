@@ -36,7 +36,7 @@ from kr270_milling.path.cam.gcode.words import (
 )
 from kr270_milling.path.cam.machine import AXES, CENTRES, MM, OF_ARCS, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
-from kr270_milling.path.source_program import BEFORE_UNIT
+from kr270_milling.path.toolpath import TOP
 from kr270_milling.path.trajectory import TOOL_DOWN
 
 FURTHER = frozenset("ABCUVW")
@@ -45,7 +45,6 @@ MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
 DATA = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  #: groups of ``_datum``
 LETTERS = {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD", "G68.2": "XYZIJKP"}
 SAVED = (*MODAL, "feed_mode", "feed", "feed_word", "no_feed", "turning", "speed")  #: modes of M70
-TOOL_DATA = {"H": "tool lengths", "D": "tool edges"}
 
 
 class Interpreter(Machine):
@@ -114,7 +113,7 @@ class Interpreter(Machine):
             self._turn(groups, axes)
         if "unit" in groups and self.unit != unit and self.feed_word is not None:
             feed, length = word_of("F", self.feed_word), "mm" if unit == MM else "inches"
-            program.silent[f"{feed} in {length}{BEFORE_UNIT}{word_of('G', groups['unit'])}"] += 1
+            program.doubt("feed unit", f"{feed} in {length}, the unit before {word_of('G', groups['unit'])}")
             self.feed_word *= unit / self.unit
         self._take_vector(axes, groups)
         if self.kinematics.letters:
@@ -215,12 +214,14 @@ class Interpreter(Machine):
 
     def _left(self, letter: str, value: float) -> None:
         """Count or refuse a word that no other word of its line took."""
-        if letter in TOOL_DATA:
-            self.program.set_frame(TOOL_DATA[letter], word_of(letter, value))
+        if letter == "H":
+            self._length(value)
             self.program.count(letter)
-            if letter == "D":
-                self.edge = value
-                self.radius = self.radii.get(value, math.nan)
+        elif letter == "D":
+            self.program.set_frame("tool edges", word_of(letter, value))
+            self.program.count(letter)
+            self.edge = value
+            self.radius = self.radii.get(value, math.nan)
         elif not value and (letter in FURTHER or letter in OF_ARCS):
             self.program.count(f"{letter}0")
         elif letter == "P" and self.cycle is not None and self.drilled:
@@ -275,6 +276,8 @@ class Interpreter(Machine):
                 self._datum(word, groups, axes)
         if "tip" in groups:
             word = word_of("M" if groups["tip"] in (128, 129) else "G", groups["tip"])
+            if "H" in axes:
+                self._length(axes["H"])
             self._read_over(word, axes, "H")
             self.follow_tip(groups["tip"] != 129)
             self.vectors = groups["tip"] == 43.5
@@ -433,17 +436,32 @@ class Interpreter(Machine):
                 self.set_tilt(None)
                 self._change(turn=1 + 0j, centre=0j)
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
-            if word == "G43":
-                self.program.length_offsets.add(self.program.tool)
             if word in ("G43", "G49"):
-                self.follow_tip(False)  # without H it is that of the tool
-                length = number.strip() or f"H{self.program.tool[1:]}"
-                self.program.set_frame("tool lengths", "H0" if word == "G49" else length)
+                self.follow_tip(False)
+                self._length(0.0 if word == "G49" else axes.get("H"), "home" in groups)
             self._read_over(word + number, axes, letters)
+
+    def _length(self, number: float | None, homes: bool = False) -> None:
+        """G43, G43.4 and H: the length of a number, None: that of the tool, or of 0: none, which G49 ends."""
+        program, tool = self.program, self.program.tool
+        own = f"H{tool[1:]}"
+        word = own if number is None else word_of("H", number)
+        if number == 0.0:
+            away = homes or program.away or self.position[2] == TOP
+            if not away and program.frame["tool lengths"] not in ("", "H0"):
+                program.doubt("length end", f"the length of {tool or 'the tool'} ends before a retract")
+        else:
+            program.length_offsets.add(tool)
+            if tool[1:].isdigit() and word != own:
+                program.doubt("length number", f"{word} is not the number of {tool}")
+        program.set_frame("tool lengths", word)
 
     def _home(self, groups: dict, axes: dict) -> None:
         """G28, G30, G53: the named axes leave the workpiece; without a name, and not for G53, all of them."""
-        word, mode = word_of("G", groups["home"]), groups.pop("motion", None)
+        word, mode = word_of("G", groups["home"]), groups.get("motion")
+        if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
+            return
+        groups.pop("motion", None)
         axes_home = [axis for axis in AXES if axis in axes]
         if mode is not None and mode > 1:
             self.program.refuse(word, f"{word} occurs with an arc in one line")
@@ -452,6 +470,23 @@ class Interpreter(Machine):
         text = " ".join([word, *(axes_home or (AXES if word in ("G28", "G30") else []))])
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
         self.home(text.split()[1:])
+
+    def _in_machine(self, axes: dict) -> bool:
+        """Make places of the machine (G53) places of the program, where G10 stated that of the work offset."""
+        offsets = self.offsets
+        stated = offsets.known(offsets.active) and not (offsets.given and self.fixed)
+        placed = self.skew or self.incremental or self.polar or self.side or self.cycle is not None
+        if not stated or placed or self.program.frame["tool lengths"] not in ("", "H0"):
+            return False
+        turn, xy, z = offsets.affine
+        here = complex(*self.position[:2]) * turn + xy
+        if not axes.keys().isdisjoint("XY"):
+            x, y = axes.get("X", here.real / self.unit), axes.get("Y", here.imag / self.unit)
+            place = (complex(x, y) * self.unit - xy) / turn / self.unit
+            axes["X"], axes["Y"] = place.real, place.imag
+        if "Z" in axes:
+            axes["Z"] -= z / self.unit
+        return True
 
     def _restore(self, value: float) -> None:
         """G92.1 and G92.2 end the shift of G92, which G92.3 restores after G92.2."""

@@ -70,6 +70,10 @@ class _Watch(Interpreter):
         if relative and self.move_of_line and self.move_of_line.kind == "rapid":
             self._refuse(f"the rapid move along {relative[0]} {ABSOLUTE}")
 
+    def _in_machine(self, axes: dict) -> bool:
+        """Keep the line of a G53."""
+        return False
+
     def home(self, axes: list[str]) -> None:
         """Refuse to leave sideways at cutting depth: the model retracts first, but a machine moves these axes."""
         depth = self.top - self.position[2]

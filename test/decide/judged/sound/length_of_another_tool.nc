@@ -1,0 +1,12 @@
+(expect: warning length number)
+(set: cutting.detail=engagement)
+G21 G90 G17
+(T1 D=10. CR=0. - FLAT END MILL)
+T1 M6
+S8000 M3
+G43 H7
+G0 X0 Y0 Z5
+G1 Z0 F500
+X20 Z-1
+G0 Z5
+M30
