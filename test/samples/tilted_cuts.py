@@ -111,12 +111,12 @@ def measured(tool: Tool, cutting: Cutting, tilt, sides, depth=2e-3, dt=4e-3, gri
     return (wrench[chosen, :3].mean(axis=0), torque[chosen].mean()), exact
 
 
-def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float) -> float:
+def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> float:
     """Return the error of the mean force, a share of its size, of a slot that falls by a slope [deg]; 90: a plunge.
 
     The lowest point of the tool is within 1 mm of a depth of 2 mm.
     """
-    axis, n, side = axis_of(tilt), round(SPEED * 4e-3 / MICRO_STEP), 12e-3
+    axis, n, side = axis_of(tilt), round(SPEED * dt / MICRO_STEP), 12e-3
     stock = Stock(min=np.array([0.0, -side, -14e-3]), max=np.array([40e-3, side, 0.0]), grid_step=1e-4)
     cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=True)
     step = (

@@ -426,6 +426,9 @@ def _sort_column(s, p, step, frame, share, column, lost):
                 b += 1
             while b > 0 and not _above(shape, b - 1, rho, h / p.level_step, p.level_step):
                 b -= 1
+            if left == 0 and h > p.end_radius - rho and shape.sine[b] < FLAT and shape.edges[b] < 0.5:
+                while b < last and shape.sine[b] < FLAT:  # nearer to the side, which left it in a cell of its rim
+                    b += 1
             if beyond or left == 0:
                 break
             gap = (rho - shape.rims[b]) * shape.sine[b] - (h - shape.edges[b] * p.level_step) * shape.cosine[b]
