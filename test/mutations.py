@@ -50,7 +50,7 @@ MUTATIONS = [
     ("(1) approach", MOTION, "after[0] if approach is None else <<approach|after[0]>>"),
     ("(1) rest at the end", MOTION, "after[stamps <<>=|>>> reference.duration_ns] = 0.0"),
     ("(1) turning", MOTION, "(turned[1:] * turned[:-1]<<.inv()|>>)"),
-    ("(1) turning", MOTION, "as_rotvec() <</|*>> np.diff(reference.time[used])"),
+    ("(1) turning", MOTION, "reference.turn(stamps, side)[<<2|1>>]"),
     ("(1) posture", MOTION, "out[step, i] += (r <<+|->> f * "),
     ("(7) weights", LOADS, "<<+|->> cross(masses, loads.gravity)"),
     ("(7) wrench", LOADS, "about_axis = cross(arms, force) <<+|->> moment"),

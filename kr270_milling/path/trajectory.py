@@ -2,7 +2,8 @@
 
 Convention of ROS joint trajectory controllers: knots without velocities are joined by straight lines, knots with
 velocities by cubic Hermite segments. A controller therefore runs a C2 cubic spline exactly if the knots carry its
-velocities. Orientations are joined by the shortest rotation at constant rate (slerp). The tool rests before the first
+velocities. Orientations are joined by the shortest rotation: at constant rate (slerp) between knots without velocities,
+else at a rate without jumps, because a jump of the rate shakes the arm at each knot. The tool rests before the first
 and after the last knot.
 """
 
@@ -13,9 +14,11 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
@@ -146,8 +149,48 @@ class Trajectory:
         """Return quaternions x, y, z, w, (..., 4), at times [ns] of any shape."""
         if not self.turns:
             return np.broadcast_to(self.quaternion[0], (*np.shape(time_ns), 4))
-        k, u, _ = self.locate(time_ns)
-        return slerp(self.quaternion[k], self.quaternion[k + 1], u)
+        if self.velocity is None:
+            k, u, _ = self.locate(time_ns)
+            return slerp(self.quaternion[k], self.quaternion[k + 1], u)
+        k, turn, _ = self.turn(time_ns)
+        return (Rotation.from_rotvec(turn.reshape(-1, 3)) * self._knots[k.ravel()]).as_quat().reshape(*k.shape, 4)
+
+    def turn(self, time_ns, side: Literal["left", "right"] = "right") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return segment (...), rotation vector since its first knot [rad] and angular velocity [rad/s], (..., 3) both.
+
+        Axes of ``frame``; side: see ``sample_velocity``. Between knots with velocities the rotation vector is a cubic
+        whose rates at the knots are monotone, so that a tool that holds its axis before a turn holds it to the knot
+        [FritschButland1984]. The rate is that of the vector: right to the second order of the turn in a segment.
+        """
+        k, u, step = self.locate(time_ns, side)
+        turn = self._segments[k]
+        if self.velocity is None:
+            return k, u * turn, turn / step
+        v0, v1 = step * self._rates[k], step * self._rates[k + 1]
+        vector = u * v0 + u**2 * (3 * turn - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * turn)
+        return k, vector, (v0 + 2 * u * (3 * turn - 2 * v0 - v1) + 3 * u**2 * (v0 + v1 - 2 * turn)) / step
+
+    @cached_property
+    def _knots(self) -> Rotation:
+        return Rotation.from_quat(self.quaternion)
+
+    @cached_property
+    def _segments(self) -> np.ndarray:
+        """Rotation vectors from knot to knot [rad], (n - 1, 3)."""
+        return (self._knots[1:] * self._knots[:-1].inv()).as_rotvec()
+
+    @cached_property
+    def _rates(self) -> np.ndarray:
+        """Angular velocities at the knots [rad/s], (n, 3): weighted harmonic means of the rates of both segments.
+
+        Where these differ in sign, it is 0; the first and the last knot have the rate of their segment.
+        """
+        step = np.diff(self.time)[:, None]
+        rate = self._segments / step
+        before, after, h, g = rate[:-1], rate[1:], step[:-1], step[1:]
+        same = before * after > 0.0
+        inverse = (h + 2 * g) / np.where(same, before, 1.0) + (2 * h + g) / np.where(same, after, 1.0)
+        return np.concatenate([rate[:1], np.where(same, 3 * (h + g) / inverse, 0.0), rate[-1:]])
 
     def moving(self, time_ns) -> np.ndarray:
         """Return whether times [ns] of any shape are between the first and the last knot, both included."""

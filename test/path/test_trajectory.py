@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 from splines import spline
 
@@ -45,6 +45,21 @@ def test_orientation_follows_scipys_slerp_the_short_way_and_a_constant_one_stays
     sampled = Rotation.from_quat(run.sample_orientation(FINE))
     assert (sampled.inv() * Slerp(TIME, turns)(FINE)).magnitude().max() < 1e-7
     assert np.all(Trajectory(TIME, PATH, TOOL_DOWN).sample_orientation(FINE) == TOOL_DOWN)
+
+
+def test_a_tool_with_velocities_turns_without_jumps_of_the_rate_and_as_scipys_monotone_cubic_about_one_axis():
+    angle = np.array([0.0, 0.0, 0.1, 0.15, 0.1])
+    run = Trajectory(TIME, PATH, Rotation.from_euler("Y", angle[:, None]).as_quat(), np.zeros((5, 3)))
+    oracle = PchipInterpolator(TIME * 1e-9, angle)
+    before, inner = TIME[1] > FINE, (TIME[1] < FINE) & (TIME[3] > FINE)  # the ends of the oracle have other rates
+    sampled = Rotation.from_quat(run.sample_orientation(FINE)).as_euler("YXZ")[:, 0]
+    np.testing.assert_allclose(sampled[inner], oracle(FINE[inner] * 1e-9), atol=1e-14)
+    np.testing.assert_allclose(run.turn(FINE[inner])[2][:, 1], oracle(FINE[inner] * 1e-9, 1), atol=1e-12)
+    assert np.abs(sampled[before]).max() < 1e-15  # the axis holds until its turn begins
+    turns = Rotation.from_euler("ZYX", 0.02 * np.random.default_rng(1).uniform(-1, 1, (5, 3)))
+    run = Trajectory(TIME, PATH, turns.as_quat(), np.zeros((5, 3)))
+    assert (Rotation.from_quat(run.sample_orientation(TIME)).inv() * turns).magnitude().max() < 1e-7
+    np.testing.assert_allclose(run.turn(TIME[1:-1], "left")[2], run.turn(TIME[1:-1])[2], atol=1e-12)
 
 
 def test_a_line_has_its_knots_at_the_step_ends_exactly_keeps_its_feed_and_needs_length_feed_and_step():

@@ -51,4 +51,4 @@ def finish() -> Iterable:
             yield np.array([x, 0.3 * (row - 1), 0.25 * math.cos(wave * x) - 0.5]) + 5.0 * (normal - axis), axis
 
 
-ROWS = {"swarf": swarf, "flat swarf": lambda: swarf(2.0), "finish": finish}
+ROWS = {"swarf": swarf, "flat swarf": swarf, "finish": finish}

@@ -271,15 +271,10 @@ def _turns(reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
 
 
 def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarray:
-    """Angular velocity (n, 3) [rad/s] of the reference at the stamps, workpiece axes: constant between its knots."""
+    """Angular velocity (n, 3) [rad/s] of the reference at the stamps, workpiece axes."""
     if not reference.turns:
         return np.zeros((stamps.size, 3))
-    segment, _, _ = reference.locate(stamps, side)
-    first = int(segment.min())
-    used = slice(first, int(segment.max()) + 2)  # of a long reference the knots about these stamps alone
-    knots = Rotation.from_quat(reference.quaternion[used])
-    rates = (knots[1:] * knots[:-1].inv()).as_rotvec() / np.diff(reference.time[used])[:, None]
-    return np.where(reference.moving(stamps)[:, None], rates[segment - first], 0.0)
+    return np.where(reference.moving(stamps)[:, None], reference.turn(stamps, side)[2], 0.0)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
