@@ -3,7 +3,6 @@
 (set: stock.min_mm=[-20,-20,-20])
 (set: stock.max_mm=[20,20,0])
 (set: tool.stick_out_mm=45)
-(set: exchange.engagement_period_ms=0.5)
 (T1 D=10. - FLAT END MILL)
 G21 G90 G94 G17
 T1 M6
