@@ -145,6 +145,8 @@ def test_a_dict_replaces_values_of_a_section_and_wrong_names_are_sentences():
     assert moved.dynamics.reference_inertia and moved.dynamics.damping_ratio == cell.dynamics.damping_ratio
     with pytest.raises(ParameterError, match="dynamic .*did you mean dynamics"):
         cell.replace(dynamic={})
+    with pytest.raises(MillingError, match="a text for each key"):
+        read_cell("paper.yaml", ["path.length_mm=20"])
     with pytest.raises(ParameterError, match="'liner'.*did you mean linear"):
         compensate(cell, "liner")
 

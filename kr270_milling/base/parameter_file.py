@@ -219,9 +219,9 @@ def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, froze
     """Apply ``key=value`` texts (dotted keys); return the new tree and the keys that were set."""
     keys = set()
     for text in assignments:
-        key, equals, value = text.partition("=")
+        key, equals, value = text.partition("=") if isinstance(text, str) else ("", "", "")
         if not equals or not all(key.split(".")):
-            raise ConfigError("--set", text, None, "must have the form key=value")
+            raise ConfigError("--set", text, None, "must have the form key=value, a text for each key")
         parsed = parse(value, "--set", key)
         for part in reversed(key.split(".")):
             parsed = {part: parsed}
