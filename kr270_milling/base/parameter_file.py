@@ -215,7 +215,7 @@ def merge(below: dict, above: dict) -> dict:
     return merged
 
 
-def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, frozenset]:
+def override(tree: dict, assignments: typing.Iterable) -> tuple[dict, frozenset]:
     """Apply ``key=value`` texts (dotted keys); return the new tree and the keys that were set."""
     keys = set()
     for text in assignments:
