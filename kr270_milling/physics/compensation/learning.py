@@ -226,7 +226,10 @@ class Learner:
         settled_gain = 1e-4  # of the cost of the path as programmed: a step of the search that gains less is the last
         settled = settled_gain * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
         lifted = Lifted(self.arm, segments, self.conditions)
-        best, tried, bias = np.inf, offset, 0.0
+        best, tried, bias, shares = np.inf, offset, 0.0, np.zeros(0)
+        # a robot with more than this multiple of the median of the largest deviations counts in inverse proportion to
+        # its square: it may swing by itself, which no response contains, and the swing would shape the correction
+        outlying = 2.5
         # weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise,
         # gains less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
         careful = 1.0
@@ -244,14 +247,16 @@ class Learner:
             drawn, cubic = [(arm, deviation - bias) for arm, deviation in passes[1:]], self.cubic(reference)
             if not drawn:
                 break
-            size = float(np.mean([self._largest(deviation, weight) for _, deviation in drawn]))
-            if size > worth * best or len(drawn) < len(self.ensemble):
+            largest = np.array([self._largest(deviation, weight) for _, deviation in drawn])
+            if number == 0:
+                shares = np.minimum(1.0, outlying**2 * np.median(largest) / np.maximum(largest, 1e-300))
+            if len(drawn) != len(shares) or (size := float(np.mean(shares * largest))) > worth * best:
                 break
             best, offset = size, tried
             self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
             if number + 1 == rounds:
                 break
-            tried = offset + lifted.least_mean_square(drawn, weight, careful, settled).knots(segments)
+            tried = offset + lifted.least_mean_square(drawn, shares, weight, careful, settled).knots(segments)
             if np.array_equal(tried, offset):
                 break
         return offset

@@ -124,11 +124,16 @@ class Lifted:
         return LiftedCorrection(cubic, left)
 
     def least_mean_square(
-        self, plants: Sequence[tuple[ArmResponse, np.ndarray]], weight: np.ndarray, smoothness: float, settled: float
+        self,
+        plants: Sequence[tuple[ArmResponse, np.ndarray]],
+        shares: np.ndarray,
+        weight: np.ndarray,
+        smoothness: float,
+        settled: float,
     ) -> LiftedCorrection:
-        """The correction with the least mean cost of n plants, each with its response H_k and deviation d_k.
+        """The correction with the least mean cost of n plants, each with response H_k, deviation d_k and share s_k.
 
-        sum_k H_k^T W (d_k + H_k c) / n + S c = 0   where the mean of (d_k + H_k c)^T W (d_k + H_k c) is least
+        sum_k s_k H_k^T W (d_k + H_k c) / n + S c = 0   where the mean of s_k (d_k + H_k c)^T W (d_k + H_k c) is least
 
         Conjugate gradients [HestenesStiefel1952] among the corrections that the knots allow, preconditioned by
         ``least_squares`` with the response of the model. They end where a step gains less than ``settled`` [m^2], so
@@ -139,9 +144,9 @@ class Lifted:
         def slope(cubic: np.ndarray, share: float) -> np.ndarray:
             """Slope of half the cost by the cubics, with this share of the deviations."""
             total = self._roughness(cubic, smoothness)
-            for arm, deviation in plants:
+            for counted, (arm, deviation) in zip(shares / n, plants, strict=True):
                 left = share * deviation + arm.follow(segments, cubic)
-                total += arm.pull(segments, (weight @ left[..., None])[..., 0]) / n
+                total += counted * arm.pull(segments, (weight @ left[..., None])[..., 0])
             return total
 
         mean = np.mean([deviation for _, deviation in plants], axis=0)

@@ -80,18 +80,19 @@ def test_the_adjoint_of_the_response_has_the_same_inner_product():
 
 @pytest.mark.parametrize("smooth", [True, False])
 def test_the_least_mean_square_over_robots_has_no_slope_in_any_direction_that_the_knots_allow(smooth):
-    """Three robots with other modes and lags. The cost is quadratic, so its differences to both sides are equal."""
+    """Three robots with other modes, lags, shares. The cost is quadratic: its differences to both sides are equal."""
     rng, m = np.random.default_rng(5), len(SEGMENTS)
     conditions = KnotConditions(smooth, np.zeros(m + 1, bool), np.zeros(m, bool))
     deviations = rng.normal(50e-6, 20e-6, (3, 1, 1, 3)) * np.ones((3, m, 16, 1))
     arms = [dataclasses.replace(one_mode(w), lag=Lag(3.0 * w, 0.7)) for w in (36.0, 42.0, 50.0)]
     weight, lifted = np.broadcast_to(np.eye(3), (m, 16, 3, 3)), Lifted(one_mode(), SEGMENTS, conditions)
     robots = list(zip(arms, deviations, strict=True))
-    best = lifted.least_mean_square(robots, weight, 1e-3, 1e-24).cubic
+    shares = np.array([1.0, 0.3, 0.7])
+    best = lifted.least_mean_square(robots, shares, weight, 1e-3, 1e-24).cubic
 
     def cost(cubic):
-        left = np.mean([np.sum((d + arm.follow(SEGMENTS, cubic)) ** 2) for arm, d in robots])
-        return left + np.sum(lifted._roughness(cubic, 1e-3) * cubic)
+        left = np.array([np.sum((d + arm.follow(SEGMENTS, cubic)) ** 2) for arm, d in robots])
+        return np.mean(shares * left) + np.sum(lifted._roughness(cubic, 1e-3) * cubic)
 
     least = cost(best)
     assert least < 0.8 * cost(np.zeros_like(best))
