@@ -229,7 +229,7 @@ def reference_motion(
     moved = np.hstack([np.diff(positions, axis=0), _turns(reference, stamps)])
     after = _rates(reference, stamps, "right")
     before = after.copy()
-    if reference.velocity is None or reference.turns:  # it may have corners, at knots alone
+    if reference.velocity is None:  # it may have corners, at knots alone
         knot = reference.locate(stamps, "left")[0] != reference.locate(stamps, "right")[0]
         if knot.any():
             before[knot] = _rates(reference, stamps[knot], "left")
