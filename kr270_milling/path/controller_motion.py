@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.path.trajectory import AT_REST, Trajectory, chords
+from kr270_milling.path.trajectory import AT_REST, Trajectory, chords, hermite
 
 
 def block_ends(target: Trajectory) -> np.ndarray:
@@ -100,7 +100,7 @@ def places_on_program(
         span = np.searchsorted(knots, np.arange(part.start, part.stop), side="right") - 1
         span = np.clip(span, 0, len(knots) - 2)
         u = (travelled[part] - travelled[knots[span]])[:, None] / step[span]
-        place[part] = _hermite(points[span], move[span], first[span], last[span], u)
+        place[part] = hermite(points[span], move[span], first[span], last[span], u)
         if not spline and np.any(blend):
             place[part] += _rounding(move, np.where(stops, 0.0, blend), span, u[:, 0])
     return place
@@ -161,8 +161,3 @@ def _natural_slopes(step: np.ndarray, slope: np.ndarray, stops: np.ndarray) -> n
     put(2 * k + 1, 2, h[k])
     right[2 * k + 1] = 3.0 * (h[k + 1, None] * slope[k] + h[k, None] * slope[k + 1])
     return solve_banded((2, 2), bands, right).reshape(count, 2, 3).swapaxes(0, 1)
-
-
-def _hermite(start, move, first, last, u) -> np.ndarray:
-    """Cubic from ``start`` by ``move`` with the slopes ``first`` and ``last`` over u from 0 to 1."""
-    return start + u * first + u**2 * (3 * move - 2 * first - last) + u**3 * (first + last - 2 * move)

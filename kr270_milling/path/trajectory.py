@@ -100,8 +100,7 @@ class Trajectory:
         start, move = self.position[k], self.position[k + 1] - self.position[k]
         if self.velocity is None:
             return start + u * move
-        v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
-        return start + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
+        return hermite(start, move, step * self.velocity[k], step * self.velocity[k + 1], u)
 
     def sample_velocity(self, time_ns, side: Literal["left", "right"] = "right") -> np.ndarray:
         """Return the velocity [m/s], (..., 3), at times [ns] of any shape.
@@ -115,8 +114,7 @@ class Trajectory:
         moving = self.moving(time_ns)[..., None]
         if self.velocity is None:
             return np.where(moving, move / step, 0.0)
-        v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
-        return np.where(moving, (v0 + 2 * u * (3 * move - 2 * v0 - v1) + 3 * u**2 * (v0 + v1 - 2 * move)) / step, 0.0)
+        return np.where(moving, _slope(move, step * self.velocity[k], step * self.velocity[k + 1], u) / step, 0.0)
 
     def sample_acceleration(self, time_ns, side: Literal["left", "right"] = "right") -> np.ndarray:
         """Return the acceleration [m/s^2], (..., 3), of the segments, see ``sample_velocity``; corners have none."""
@@ -166,9 +164,8 @@ class Trajectory:
         turn = self._segments[k]
         if self.velocity is None:
             return k, u * turn, turn / step
-        v0, v1 = step * self._rates[k], step * self._rates[k + 1]
-        vector = u * v0 + u**2 * (3 * turn - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * turn)
-        return k, vector, (v0 + 2 * u * (3 * turn - 2 * v0 - v1) + 3 * u**2 * (v0 + v1 - 2 * turn)) / step
+        rates = step * self._rates[k], step * self._rates[k + 1]
+        return k, hermite(0.0, turn, *rates, u), _slope(turn, *rates, u) / step
 
     @cached_property
     def _knots(self) -> Rotation:
@@ -250,6 +247,16 @@ class Trajectory:
 def _by_blocks(sample: Callable[[np.ndarray], np.ndarray], time_ns: np.ndarray) -> np.ndarray:
     """Samples at many times (n,), without intermediate results of that length."""
     return np.concatenate([sample(time_ns[k : k + BLOCK]) for k in range(0, len(time_ns), BLOCK)])
+
+
+def hermite(start, move, first, last, u) -> np.ndarray:
+    """Cubic from ``start`` by ``move`` with the slopes ``first`` and ``last`` over u from 0 to 1."""
+    return start + u * first + u**2 * (3 * move - 2 * first - last) + u**3 * (first + last - 2 * move)
+
+
+def _slope(move, first, last, u) -> np.ndarray:
+    """Slope of ``hermite``."""
+    return first + 2 * u * (3 * move - 2 * first - last) + 3 * u**2 * (first + last - 2 * move)
 
 
 def slerp(first: np.ndarray, second: np.ndarray, u: np.ndarray) -> np.ndarray:
