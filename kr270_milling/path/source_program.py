@@ -41,10 +41,10 @@ class ProgramTool:
 
     @property
     def label(self) -> str:
-        """T1 (flat end mill, 10 mm)."""
+        """T1 (flat end mill, 10 mm); without a name "the tool (...)"."""
         known = [self.description] if self.description else []
         known += [f"{1e3 * self.diameter:g} mm"] if self.diameter else []
-        return f"{self.name} ({', '.join(known)})" if known else self.name
+        return f"{self.name or 'the tool'} ({', '.join(known)})" if known else self.name
 
     @property
     def shape(self) -> str:

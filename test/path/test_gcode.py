@@ -235,6 +235,9 @@ MM, INCH = 1e-3, 0.0254
     ('T04 1/2" Endmill, Square, 3 Flute, 1.75" LOC', INCH, "T4", 12.7e-3, 3, "endmill"),
     ("T10 = 1-1/2 IN FACE MILL 5 FLUTES", INCH, "T10", 38.1e-3, 5, "face mill"),
     ("TOOL #1 0.5 DIA FLAT END MILL 3 FLUTE", INCH, "T1", 12.7e-3, 3, "flat end mill"),
+    ("T1 |    3. FLAT ENDMILL | H0", MM, "T1", 3e-3, 0, "flat endmill"),
+    ("T3 | 6.8 DRILL | H3", MM, "T3", 6.8e-3, 0, "drill"),
+    ("T2 | NO. 2 CENTER DRILL | H2", MM, "T2", 0.0, 0, "center drill"),
     ("T2 10MM END MILL Z=4", MM, "T2", 10e-3, 4, "end mill"),
 ])  # fmt: skip
 def test_a_tool_is_described_by_its_comment(comment, unit, name, diameter, teeth, kind):
@@ -243,6 +246,15 @@ def test_a_tool_is_described_by_its_comment(comment, unit, name, diameter, teeth
         assert described_tool(other, unit) is None
     assert (tool.name, tool.teeth, tool.description) == (name, teeth, kind)
     assert tool.diameter == pytest.approx(diameter)
+
+
+def test_the_one_described_tool_is_the_tool_of_a_program_without_a_t_word(read):
+    moves = "G21 G90 G54\nS8000 M3\nG0 X0 Y0 Z2\nG1 Z-1 F100\nX5\nM30\n"
+    first, second = "(T1 D=1.8 CR=0 - ZMIN=-6.25 - flat end mill)\n", "(T2 D=6. - flat end mill)\n"
+    tool = read(first + moves).program.current
+    assert (tool.name, tool.diameter) == ("", pytest.approx(1.8e-3))
+    assert tool.label == "the tool (flat end mill, 1.8 mm)"
+    assert not read(first + second + moves).program.current.diameter
 
 
 #: comments on tools as posts and operators write them, after the kind of the tool; flat: also those without a kind

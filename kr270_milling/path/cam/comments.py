@@ -234,4 +234,6 @@ def _diameter(comment: str, unit: float) -> float:
         diameter = (int(whole or 0) + int(above) / max(int(below), 1)) * 0.0254
     elif inches := re.search(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", comment, re.I):
         diameter = float(inches.group(1)) * 0.0254
+    elif mastercam := re.search(rf"\|\s*{NUMBER}\s+(?:{KIND.pattern})", comment, re.I):  # | 3. FLAT ENDMILL |
+        diameter = float(mastercam.group(1)) * unit
     return diameter if 1e-5 < diameter <= 0.2 else 0.0

@@ -260,6 +260,8 @@ class ProgramBuilder(PathBuilder):
             tool = described_tool(comment, unit, changed or only, beside)
             if tool is not None:
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
+        if only == "" and len(known) == 1:  # no T word: the one tool of the comments, whatever its number
+            known = {"": next(iter(known.values()))}
         described = ((name, line, known.get(name, ProgramTool(name))) for name, line in names.items())
         return tuple(
             dataclasses.replace(
