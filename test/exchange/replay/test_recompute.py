@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -464,8 +465,15 @@ def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed_wi
 
 def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
     pytest.importorskip("rclpy")
-    from kr270_milling.live.graph.processes import recording_parameters
+    from kr270_milling.live.graph import Graph
 
     (tmp_path / "log").mkdir()
-    attached = recording_parameters(tmp_path, "learned_2", (), cell_text(plant))["attach"]
-    assert attached == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]
+    given, graph = {}, Graph(made.cell_of("learned"), tmp_path, plant=plant)
+    graph.driver = SimpleNamespace(
+        set_parameters=lambda _, values, __: given.update(values), transition=lambda *_, **__: 0
+    )
+    graph.passes = 2
+    graph.begin_recording("learned_2")
+    assert given["attach"] == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]
+    assert list(given)[-1] == "directory"  # it starts the recording
+    assert read_cell(given["attach"][1]).imperfections.first_pass == 2
