@@ -8,6 +8,7 @@ with velocities by cubic splines and points with accelerations, too, by quintic 
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from collections.abc import Callable
 
@@ -23,7 +24,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.inbox import PassInbox
-from kr270_milling.exchange.inputs import Output, checked_length, checked_pose, checked_wrench
+from kr270_milling.exchange.inputs import Output, WrenchFrames, checked_length, checked_pose, checked_wrench
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.settings import CompensationSettings
@@ -169,9 +170,12 @@ class CompensatorProtocol:
         self.compensator: Compensator | None = None
         self.passes = 0  #: completed passes
         self.missing = 0  #: poses that the last completed pass lacks
-        self.inbox = PassInbox(cell, Trajectory(np.array([0, 1]), np.zeros((2, 3)), np.array(TOOL_DOWN)))  # no target
         self._now = now
-        self._announced = announced
+        frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
+        self._inbox_of = functools.partial(
+            PassInbox, path_of(cell).clock, frames, announced=announced, iterations=cell.exchange.iterations
+        )
+        self.inbox = self._inbox_of(Trajectory(np.array([0, 1]), np.zeros((2, 3)), np.array(TOOL_DOWN)))  # no target
         self._free_ns = 0  # stamp after the end of the last pass
         self._learned: tuple[LearnedRecording, ...] = ()  # the passes that the reference follows from
         self._first: tuple[LearnedRecording, ...] = ()  # the pass along the target
@@ -278,7 +282,7 @@ class CompensatorProtocol:
         commanded_joints(arm_of(self.cell), self.cell.compensation, revised.reference)
         self.compensator, self._learned = revised, learned
         start, problem = max(self._now(), self._free_ns), self.inbox.problem
-        self.inbox = PassInbox(self.cell, revised.reference, start, self._announced)
+        self.inbox = self._inbox_of(revised.reference, start)
         self.inbox.problem = problem
         state = CompensatorState(
             self.name,

@@ -14,14 +14,13 @@ import numpy as np
 from kr270_milling.base.errors import MessageError
 from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import LearnedRecording, PoseSample, WrenchSample
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import pass_record
-from kr270_milling.cell.models import path_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.exchange.inputs import WrenchFrames
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.imperfections import Imperfections
+from kr270_milling.physics.motion.periods import Clock
 
 PositionQuaternion = tuple[np.ndarray, np.ndarray]
 FrameWrench = tuple[str, np.ndarray]
@@ -77,16 +76,24 @@ class PassInbox:
     its start is ``announced``; then ``start_ns`` becomes a stamp of this clock.
     """
 
-    def __init__(self, cell: Cell, reference: Trajectory, start_ns: int = 0, announced: bool = False):
-        self._clock = path_of(cell).clock  # recognises the stamps of the simulated robot
+    def __init__(
+        self,
+        clock: Clock,
+        frames: WrenchFrames,
+        reference: Trajectory,
+        start_ns: int = 0,
+        announced: bool = False,
+        iterations: int = 1,
+    ):
+        self._clock = clock  # recognises the stamps of the simulated robot
         self.end_ns = int(self._clock.stamp(self._clock.steps(reference.duration_ns)))
         self.start_ns = self._planned_ns = start_ns
         self.foreign = False  #: the pass of a robot with another clock
         self.problem = ""  #: sentence on messages that do not fit; the caller clears it
-        self.frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
+        self.frames = frames
         self._reference = reference
         self._announced = announced
-        self._iterations = cell.exchange.iterations
+        self._iterations = iterations
         self.clear()
 
     def clear(self, wrenches: dict[int, FrameWrench] | None = None) -> None:

@@ -27,8 +27,7 @@ from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
-from kr270_milling.live.graph.graph import Graph
-from kr270_milling.live.graph.processes import RunError
+from kr270_milling.live.graph import Graph, RunError
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import child_environment, keep_to_this_host
 from kr270_milling.recordings.messages.codec import to_bytes

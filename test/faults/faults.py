@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.cell.cell import Cell
-from kr270_milling.live.graph.graph import CELL, PLANNER, Graph
-from kr270_milling.live.graph.processes import Child
+from kr270_milling.live.graph import CELL, PLANNER, Child, Graph
 from kr270_milling.recordings.bag.files import find_recording
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 

@@ -8,7 +8,7 @@ import numpy as np
 import psutil
 
 from faults.trials import fault_cell
-from kr270_milling.live.graph.graph import Graph
+from kr270_milling.live.graph import Graph
 from kr270_milling.live.ros.environment import keep_to_this_host
 
 COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "threads", "file handles")

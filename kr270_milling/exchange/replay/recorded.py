@@ -28,7 +28,7 @@ from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
-from kr270_milling.exchange.inputs import checked_length, checked_pose, checked_wrench
+from kr270_milling.exchange.inputs import WrenchFrames, checked_length, checked_pose, checked_wrench
 from kr270_milling.path.progress import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
@@ -125,10 +125,12 @@ def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iter
     check: dict[str, Callable] = {  # as the compensator checks them
         "reference_trajectory": lambda run: run,
         "tool_pose": checked_pose,
-        "wrench": lambda sample: checked_wrench(sample, inbox.frames.names),
+        "wrench": lambda sample: checked_wrench(sample, frames.names),
     }
     names = {topic: name for name, topic in graph.topics.items() if name in check}
-    inbox, reference, number, last = PassInbox(cell, path_of(cell).target), None, -1, b""
+    frames = WrenchFrames(cell.mount, cell.workpiece, cell.sensor)
+    inbox_of = functools.partial(PassInbox, path_of(cell).clock, frames)
+    inbox, reference, number, last = inbox_of(path_of(cell).target), None, -1, b""
     for message in recording.messages(set(names)):
         name = names[message.topic]
         if name == "reference_trajectory" and message.data == last:
@@ -141,7 +143,7 @@ def _driven_passes(recording: Recording, cell: Cell, graph: GraphRecord) -> Iter
             if reference is not None:
                 yield from _received(cell, graph, number, reference, inbox)
             reference, number, last = record, number + 1, message.data
-            inbox = PassInbox(cell, record, record.start_ns)
+            inbox = inbox_of(record, record.start_ns)
         elif reference is not None:
             late = inbox.foreign and record.stamp - inbox.start_ns > inbox.end_ns + BREAK_NS
             if inbox.foreign and inbox.at_end and (inbox.complete or late):

@@ -13,7 +13,6 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.samples import CompensatorState, LearnedRecording
 from kr270_milling.cell.arm import commanded_joints
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import compensator
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.exchange.inbox import ReceivedPass
@@ -257,25 +256,16 @@ def compensate_recording(
             with usable(recording):
                 revision = Revisions(cells, graph).revise(method)
             if revision is not None:
-                revised.append(_revised(cells[0], namespace, *revision))
+                by, target, published = revision
+                reference = by.reference
+                joints = commanded_joints(arm_of(cells[0]), cells[0].compensation, reference)
+                shift = np.linalg.norm(reference.position - target.sample(reference.time_ns), axis=1)
+                same = None if published is None else record_difference(published, reference) is None
+                revised.append(
+                    Revised(namespace, by.method, reference, joints, by.errors[-1], float(shift.max()), same)
+                )
             if progress:
                 progress(done, len(namespaces))
         if not revised:
             raise RecordingError(recording.path, "holds no complete pass along a recorded reference trajectory")
     return revised
-
-
-def _revised(
-    cell: Cell, namespace: str, revised: Compensator, target: Trajectory, published: Trajectory | None
-) -> Revised:
-    reference = revised.reference
-    shift = reference.position - target.sample(reference.time_ns)
-    return Revised(
-        namespace,
-        revised.method,
-        reference,
-        commanded_joints(arm_of(cell), cell.compensation, reference),
-        revised.errors[-1],
-        float(np.linalg.norm(shift, axis=1).max()),
-        None if published is None else record_difference(published, reference) is None,
-    )

@@ -12,11 +12,12 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table
+from kr270_milling.live.rsi.telegram import UNITS
 from kr270_milling.path.progress import PathProgress
 
 SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
 PLACE = ("X_mm", "Y_mm", "Z_mm")
-UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  #: of X, Y, Z, A, B, C: mm and degrees -> m and rad
+MISSED = 3  #: cycles without a telegram after which the correction starts from zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,28 +40,28 @@ def read_corrections(path) -> CorrectionTable:
     return result
 
 
-@dataclass(frozen=True)
-class CorrectionLimits:
-    """Limits of the applied correction."""
-
-    size: float = 1e-3  #: [m], of the displacement
-    angle: float = float(np.radians(0.5))  #: limit of the rotation [rad]
-    rate: float = 20e-3  #: [m/s], of the displacement; the rotation changes in proportion to its limit
-    ramp: float = 0.2  #: [s], from no correction to the full one
-    reach: float = 1e-3  #: [m]: no correction farther from the path
-    window: float = 10e-3  #: [m], length of the path ahead of the last progress in which the tool is looked for
-    missed: int = 3  #: cycles without a telegram after which the correction starts from zero
-
-
 class Corrector:
-    """Progress on the path, and the correction to apply in each cycle. One object serves one run of the program."""
+    """Progress on the path, and the correction to apply in each cycle. One object serves one run of the program.
 
-    def __init__(self, table: CorrectionTable, limits: CorrectionLimits, cycle: float):
-        """cycle [s]: 0.004 or 0.012."""
-        self.path = path = PathProgress(table.position, limits.reach, limits.window)
+    cycle: 0.004 or 0.012 [s]; size, angle, rate: limits of the displacement [m], of the rotation [rad], and of the
+    change of the displacement [m/s], to which that of the rotation is in proportion; ramp: time [s] from no correction
+    to the full one; reach: no correction farther from the path [m].
+    """
+
+    def __init__(
+        self,
+        table: CorrectionTable,
+        cycle: float,
+        size: float = 1e-3,
+        angle: float = float(np.radians(0.5)),
+        rate: float = 20e-3,
+        ramp: float = 0.2,
+        reach: float = 1e-3,
+    ):
+        self.path = path = PathProgress(table.position, reach)
         self._value = np.append(table.correction[:-1][path.moved[1:]], table.correction[-1:], axis=0)  # last of a rest
-        self._way = path.distance
-        self.limits, self._cycle = limits, cycle
+        self.angle = angle
+        self._size, self._ramp, self._share_of_size = size, cycle / ramp, cycle * rate / size  # in a cycle
         self.applied = np.zeros(6)
         self.share = 0.0  #: applied share of the wanted correction, 0 to 1
         self.reason = "waiting for the start of the path"  #: why the correction is what it is
@@ -69,32 +70,31 @@ class Corrector:
 
     def step(self, point: np.ndarray, cycles: int = 1) -> np.ndarray:
         """Return the correction (6,) for the commanded point [m], (3,); cycles: since the last telegram."""
-        limits = self.limits
-        distance = self.path.advance(point)
-        missed = cycles > limits.missed
-        near = distance <= limits.reach
+        path = self.path
+        distance = path.advance(point)
+        missed = cycles > MISSED
+        near = distance <= path.reach
         if missed:
             self.share, self.reason = 0.0, f"{cycles - 1} cycles without a telegram"
         elif near:
             self._started = True
-            self.reason = "end of the path" if self.path.progress >= self.path.length else "on the path"
+            self.reason = "end of the path" if path.progress >= path.length else "on the path"
         elif self._started:
             self.reason = f"{1e3 * distance:.1f} mm from the path"
-        change = self._cycle / limits.ramp
-        self.share = min(max(self.share + (change if near and not missed else -change), 0.0), 1.0)
-        index = int(np.clip(np.searchsorted(self._way, self.path.progress, side="right") - 1, 0, len(self._way) - 2))
-        part = (self.path.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
+        change = self._ramp if near and not missed else -self._ramp
+        self.share = min(max(self.share + change, 0.0), 1.0)
+        way = path.distance
+        index = int(np.clip(np.searchsorted(way, path.progress, side="right") - 1, 0, len(way) - 2))
+        part = (path.progress - way[index]) / (way[index + 1] - way[index])
         self.applied = self._limit(self.share * ((1.0 - part) * self._value[index] + part * self._value[index + 1]))
         return self.applied
 
     def _limit(self, wanted: np.ndarray) -> np.ndarray:
         """Bound the size, then the change since the last cycle, separately for the displacement and the angles."""
-        limits, result = self.limits, np.empty(6)
-        share = self._cycle * limits.rate / limits.size
-        reduced = False
-        for part, most in ((slice(0, 3), limits.size), (slice(3, 6), limits.angle)):
+        result, reduced = np.empty(6), False
+        for part, most in ((slice(0, 3), self._size), (slice(3, 6), self.angle)):
             bounded = _shortened(wanted[part], most)
-            change = _shortened(bounded - self.applied[part], most * share)
+            change = _shortened(bounded - self.applied[part], most * self._share_of_size)
             result[part] = self.applied[part] + change
             reduced |= bool(np.abs(result[part] - wanted[part]).max() > 1e-9)
         self.limited += reduced

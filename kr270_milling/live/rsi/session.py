@@ -81,21 +81,6 @@ TIME = struct.Struct("qq")  # timespec
 
 
 @dataclass
-class Counts:
-    """Numbers of one session."""
-
-    answered: int = 0
-    repeated: int = 0  #: telegrams with the counter of the last one
-    late: int = 0  #: answers that left this host later than a cycle after the arrival of the telegram
-    missed: int = 0  #: cycles without a telegram or without an answer, because a newer telegram waited
-    refused: int = 0  #: telegrams that could not be read, or came from another sender
-    most_delay: int = 0  #: largest Delay that the robot reported
-    longest: float = 0.0  #: [s], from the arrival of a telegram in the kernel to the answer
-    total: float = 0.0  #: [s]
-    first: str = ""  #: text of the first refused telegram
-
-
-@dataclass
 class RsiSession:
     """Answers one robot until ``stop`` is set, or until the robot is silent for SILENCE.
 
@@ -116,16 +101,23 @@ class RsiSession:
     arm: PlacedArm | None = None  #: for corrections of joints, and for a robot that sends joint positions alone
     stop: threading.Event = field(default_factory=threading.Event)
     recording_failed: bool = False  #: the file could not be written
+    answered: int = 0  #: telegrams
+    repeated: int = 0  #: telegrams with the counter of the last one
+    late: int = 0  #: answers that left this host later than a cycle after the arrival of the telegram
+    missed: int = 0  #: cycles without a telegram or without an answer, because a newer telegram waited
+    refused: int = 0  #: telegrams that could not be read, or came from another sender
+    most_delay: int = 0  #: largest Delay that the robot reported
+    longest: float = 0.0  #: [s], from the arrival of a telegram in the kernel to the answer
+    total: float = 0.0  #: [s], of all answers
 
     def __post_init__(self):
-        self.counts = Counts()
         self._robot: tuple | None = None
         self._last: int | None = None  # IPOC
         self._elapsed = 0  # [ms], from the first telegram to the last one
         self._reason = ""
 
-    def run(self) -> Counts:
-        """Answer telegrams; return the counts at the end."""
+    def run(self) -> None:
+        """Answer telegrams until the end."""
         latest = time.monotonic()
         gc.freeze()  # objects of the start are not searched again during the cycles
         while not self.stop.is_set():
@@ -136,7 +128,6 @@ class RsiSession:
             elif self._robot is not None and time.monotonic() - latest > SILENCE:
                 self.report(f"no telegram for {SILENCE:g} s")
                 self.stop.set()  # the next program starts from the first point with a new session
-        return self.counts
 
     def _newest(self) -> tuple[RobotTelegram, np.ndarray, int] | None:
         """Wait for telegrams, read all that have arrived, and return the newest with its point and its arrival [ns].
@@ -162,7 +153,7 @@ class RsiSession:
             if self._robot is None:
                 self._robot = sender
                 self.report(f"robot {sender[0]}:{sender[1]} is connected")
-            self.counts.repeated += before is not None and ahead == 0
+            self.repeated += before is not None and ahead == 0
             newest = telegram, point, arrival
         return newest
 
@@ -189,11 +180,10 @@ class RsiSession:
         except OSError as error:  # the cable, an interface
             self._refuse(f"no answer can be sent ({error.strerror})")
         took = max(time.clock_gettime_ns(time.CLOCK_REALTIME) - arrival, 0) * 1e-9
-        counts = self.counts
-        counts.answered += 1
-        counts.late += took > 1e-3 * self.cycle_ms
-        counts.longest, counts.total = max(counts.longest, took), counts.total + took
-        counts.most_delay = max(counts.most_delay, telegram.delay)
+        self.answered += 1
+        self.late += took > 1e-3 * self.cycle_ms
+        self.longest, self.total = max(self.longest, took), self.total + took
+        self.most_delay = max(self.most_delay, telegram.delay)
         self._record(self._elapsed * SECOND // 1000, telegram.actual, correction)
         if self.corrector.reason != self._reason:
             self._reason = self.corrector.reason
@@ -205,7 +195,7 @@ class RsiSession:
             return self.corrector.applied
         ahead = 0 if self._last is None else (telegram.ipoc - self._last) % WRAP
         cycles = max(1, round(ahead / self.cycle_ms))
-        self.counts.missed += cycles - 1
+        self.missed += cycles - 1
         self._last, self._elapsed = telegram.ipoc, self._elapsed + ahead
         return self.corrector.step(point, cycles)
 
@@ -234,13 +224,12 @@ class RsiSession:
         turn = self.arm.place.rotation
         twist = np.concatenate([turn @ correction[:3], turn @ correction[5:2:-1]])
         change = np.linalg.lstsq(jacobian(self.arm.arm, self.arm.mount, joints)[:, -6:], twist, rcond=1e-9)[0]
-        return change * min(1.0, self.corrector.limits.angle / max(float(np.abs(change).max()), 1e-12))
+        return change * min(1.0, self.corrector.angle / max(float(np.abs(change).max()), 1e-12))
 
     def _refuse(self, reason: str) -> None:
-        if not self.counts.refused:
-            self.counts.first = reason
+        if not self.refused:
             self.report(f"ignored: {reason}; further ones are counted")
-        self.counts.refused += 1
+        self.refused += 1
 
     def _record(self, *cycle) -> None:
         if self.record is None:

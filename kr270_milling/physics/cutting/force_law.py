@@ -26,7 +26,7 @@ POINTS = np.polynomial.legendre.leggauss(48)
 
 
 class Cuts(Protocol):
-    """n cuts at constant feed and depth with one tool; ``identification.cuts`` has the record."""
+    """n cuts at constant feed and depth with one tool; ``identification.forces`` has the record."""
 
     @property
     def tool(self) -> Tool: ...

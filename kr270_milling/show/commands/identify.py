@@ -35,17 +35,15 @@ from kr270_milling.show.report.identification.compliance import (
     write_plan,
 )
 from kr270_milling.show.report.identification.forces import force_outcome, material_outcome
-from kr270_milling.show.report.identification.modes import mode_outcome
-from kr270_milling.show.report.identification.motors import backlash_outcome, servo_outcome
+from kr270_milling.show.report.identification.modes import backlash_outcome, mode_outcome, servo_outcome
 from kr270_milling.studies.identification import comparison, modes
 from kr270_milling.studies.identification import forces as laws
 from kr270_milling.studies.identification import plan as load_tests
-from kr270_milling.studies.identification.compliance import fit_compliance
-from kr270_milling.studies.identification.cuts import Sensor, force_series, read_cuts, turn_of
+from kr270_milling.studies.identification.compliance import Problem, fit_compliance
 from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts, refuse_units
+from kr270_milling.studies.identification.forces import Sensor, force_series, read_cuts, turn_of
 from kr270_milling.studies.identification.measurements import read_measurements
 from kr270_milling.studies.identification.play import fit_backlash, read_pushes
-from kr270_milling.studies.identification.problem import Problem
 from kr270_milling.studies.identification.servo import identified_servo, moved_along, read_move
 from kr270_milling.studies.identification.signals import pose_series, read_signals
 from kr270_milling.studies.identification.wall import compare_wall, read_wall
@@ -237,6 +235,20 @@ def identify_material(args) -> Answer:
     if args.out and (not args.name or not 1 <= args.row <= len(rows)):
         raise InputError("--out", f"needs one material, and a --row from 1 to {len(rows)}")
     return _answer(args, material_outcome(rows, args.name, rows[args.row - 1] if args.out else None))
+
+
+IDENTIFY = {
+    "compliance": identify_compliance,
+    "forces": identify_forces,
+    "damping": identify_damping,
+    "servo": identify_servo,
+    "backlash": identify_backlash,
+    "material": identify_material,
+}
+
+
+def run_identify(args) -> Answer:
+    return IDENTIFY[args.what](args)
 
 
 def run_compare(args) -> Answer:

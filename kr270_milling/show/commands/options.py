@@ -42,9 +42,7 @@ SHARED: dict[str, dict] = {
         help="our topic NAME was recorded as RECORDED, as wrench:=force/measured; may be given several times",
     ),
     "--sensor-abc": dict(metavar="A,B,C", type=numbers(3, most=720.0), help="sensor in the workpiece [deg]"),
-    "--sensor-on": dict(
-        default="tool", choices=("tool", "part"), help="a plate under the part: part (default: %(default)s)"
-    ),
+    "--sensor-on": dict(default="tool", choices=("tool", "part"), help="a plate under the part: part"),
     "--self-contained": dict(
         action="store_true", help="the page contains plotly.js instead of loading plotly.min.js next to it"
     ),
@@ -52,58 +50,58 @@ SHARED: dict[str, dict] = {
 }
 
 
+class _WithDefaults(argparse.HelpFormatter):
+    """Help that ends with the default of an option, unless it is nothing or a list, or the text states the default."""
+
+    def _get_help_string(self, action) -> str:
+        text, default = action.help or "", action.default
+        if isinstance(default, (bool, list, tuple)) or not default or default == argparse.SUPPRESS or "default" in text:
+            return text
+        return f"{text} (default: {default:g})" if isinstance(default, float) else f"{text} (default: {default})"
+
+
 def run(args: argparse.Namespace) -> Answer:
     """Import the function of the command and call it."""
-    match args.command, getattr(args, "what", None):
-        case "init", _:
+    match args.command:
+        case "init":
             from kr270_milling.show.commands.cells import run_init as command
-        case "check", _:
+        case "check":
             from kr270_milling.show.commands.simulate import run_check as command
-        case "compensate", _:
+        case "compensate":
             from kr270_milling.show.commands.compensate import run_compensate as command
-        case "identify", "compliance":
-            from kr270_milling.show.commands.identify import identify_compliance as command
-        case "identify", "forces":
-            from kr270_milling.show.commands.identify import identify_forces as command
-        case "identify", "damping":
-            from kr270_milling.show.commands.identify import identify_damping as command
-        case "identify", "servo":
-            from kr270_milling.show.commands.identify import identify_servo as command
-        case "identify", "backlash":
-            from kr270_milling.show.commands.identify import identify_backlash as command
-        case "identify", "material":
-            from kr270_milling.show.commands.identify import identify_material as command
-        case "map", _:
+        case "identify":
+            from kr270_milling.show.commands.identify import run_identify as command
+        case "map":
             from kr270_milling.show.commands.studies import run_map as command
-        case "simulate", _:
+        case "simulate":
             from kr270_milling.show.commands.simulate import run_simulate as command
-        case "sweep", _:
+        case "sweep":
             from kr270_milling.show.commands.studies import run_sweep as command
-        case "demo", _:
+        case "demo":
             from kr270_milling.show.commands.run import run_demo as command
-        case "keys", _:
+        case "keys":
             from kr270_milling.show.commands.cells import run_keys as command
-        case "stiffness", _:
+        case "stiffness":
             from kr270_milling.show.commands.cells import run_stiffness as command
-        case "stability", _:
+        case "stability":
             from kr270_milling.show.commands.studies import run_stability as command
-        case "compare", _:
+        case "compare":
             from kr270_milling.show.commands.identify import run_compare as command
-        case "rsi", _:
+        case "rsi":
             from kr270_milling.show.commands.rsi import run_rsi as command
-        case "run", _:
+        case "run":
             from kr270_milling.show.commands.run import run_graph as command
-        case "replay", _:
+        case "replay":
             from kr270_milling.show.commands.replay import run_replay as command
-        case "info", _:
+        case "info":
             from kr270_milling.show.commands.recordings import run_info as command
-        case "export", _:
+        case "export":
             from kr270_milling.show.commands.recordings import run_export as command
-        case "report", _:
+        case "report":
             from kr270_milling.show.commands.reports import run_report as command
-        case "recover", _:
+        case "recover":
             from kr270_milling.show.commands.recordings import run_recover as command
-        case name, _:
+        case name:
             raise ValueError(f"no function for the command {name}")
     if (args.command in ("compensate", "demo", "report")) or ("self_contained" in args and args.out):
         require_extra(f"the page of {args.command}", "", "plotly")  # before the computation
@@ -131,7 +129,7 @@ def _add_init(parser) -> None:
     add = parser.add_argument
     add("--gcode", metavar="FILE", help="the program: G-code, Heidenhain or APT/CL")
     add("--tool", metavar="T1", default="", help="of a program with several tools: a cell for this one alone")
-    add("--robot", default="kr270_2", help="arm file, also a shipped one by its name (default: %(default)s)")
+    add("--robot", default="kr270_2", help="arm file, also a shipped one by its name")
     add(
         "--out",
         metavar="FILE.yaml",
@@ -152,7 +150,7 @@ def _add_stiffness(parser) -> None:
     add("arm", metavar="ARM.yaml", help="arm or cell file; the flange is the tool point of a bare arm")
     add("--joints-deg", metavar="A1,...,A6", type=POSTURE, required=True, help="posture")
     add("--wrench", metavar="FX,FY,FZ,MX,MY,MZ", type=numbers(6), default=[0.0] * 6, help="[N, N m], default: none")
-    add("--frame", default="base", choices=("base", "tool"), help="of wrench and matrices (default: %(default)s)")
+    add("--frame", default="base", choices=("base", "tool"), help="of wrench and matrices")
     add("--gravity", action="store_true", help="load the arm with its link weights too")
 
 
@@ -169,10 +167,8 @@ def _add_compensate(parser) -> None:
         "--measured",
         metavar="WALL.csv",
         action="append",
-        help=(
-            "experimental: errors of a part that was cut, the table of compare, 6 to 200 places: learn from it; may "
-            "be given again"
-        ),
+        help="experimental: errors of a part that was cut, the table of compare, 6 to 200 places: learn from it; may "
+        "be given again",
     )
     add(
         "--reference",
@@ -180,25 +176,21 @@ def _add_compensate(parser) -> None:
         action="append",
         help="the reference that cut the part, one for each --measured (default: original, the path as programmed)",
     )
-    add("--out", metavar="DIR", default="out", help="where everything goes (default: %(default)s)")
+    add("--out", metavar="DIR", default="out", help="where everything goes")
     add(
         "--krl",
         choices=MOTIONS,
         action="append",
-        help=(
-            "motions of the robot programs; may be given twice (default: LIN for the method linear, which "
-            "corrects in straight lines, else the cell's program.motion)"
-        ),
+        help="motions of the robot programs; may be given twice (default: LIN for the method linear, which "
+        "corrects in straight lines, else the cell's program.motion)",
     )
     add(
         "--verdict",
         metavar="N",
         type=bounded(0, 999_999, int),
         default=32,
-        help=(
-            "number of simulated robots, drawn from the cell's uncertainty, that judge the compensation; 0: "
-            "no verdict (default: %(default)s)"
-        ),
+        help="number of simulated robots, drawn from the cell's uncertainty, that judge the compensation; 0: "
+        "no verdict",
     )
     add(
         "--reach",
@@ -213,39 +205,29 @@ def _add_compensate(parser) -> None:
     add(
         "--rsi",
         metavar="ADDRESS[:PORT]",
-        help=(
-            "also write the table of offsets, the RSI context of a KR C4 and the program around it, for "
-            "'kr270_milling rsi' on that host"
-        ),
+        help="also write the table of offsets, the RSI context of a KR C4 and the program around it, for "
+        "'kr270_milling rsi' on that host",
     )
     add(
         "--write",
         metavar="KIND,...",
         type=words("joints", "rsi", "stl"),
         default=(),
-        help=(
-            "also write joints: tables of joint positions; rsi: the table of offsets for 'kr270_milling rsi'; "
-            "stl: the machined part"
-        ),
+        help="also write joints: tables of joint positions; rsi: the table of offsets for 'kr270_milling rsi'; "
+        "stl: the machined part",
     )
     add(
         "--gcode",
         action="store_true",
         help="also write the G-code of the cell with corrected coordinates, as G1 blocks",
     )
-    add(
-        "--seed",
-        metavar="N",
-        type=bounded(1, 999_999, int),
-        default=1,
-        help="of the verdict's robots (default: %(default)s)",
-    )
+    add("--seed", metavar="N", type=bounded(1, 999_999, int), default=1, help="of the verdict's robots")
 
 
 def _add_demo(parser) -> None:
     _example(parser, "demo --out out")
     add = parser.add_argument
-    add("--out", metavar="DIR", default="out", help="where report and series go (default: %(default)s)")
+    add("--out", metavar="DIR", default="out", help="where report and series go")
     add("--plain", action="store_true", help="the plain loop, also where ROS is installed")
     _shared(parser, "--plant", "--noise-um")
 
@@ -253,18 +235,8 @@ def _add_demo(parser) -> None:
 def _add_identify(parser) -> None:
     _example(parser, "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml")
     parts = parser.add_subparsers(dest="what", metavar="WHAT", required=True, help="each has --help and --json")
-    text = "joint compliances from load tests, or the load tests to make"
-    _add_command(parts, "compliance", text, _add_compliance, argparse.SUPPRESS, help=text)
-    text = "force coefficients from mean forces of cuts, or from recordings of a sensor"
-    _add_command(parts, "forces", text, _add_forces, argparse.SUPPRESS, help=text)
-    text = "frequency and damping of the modes from a ring-down or an impact"
-    _add_command(parts, "damping", text, _add_damping, argparse.SUPPRESS, help=text)
-    text = "frequency, damping and dead time of the servo lag from a test move, or the program of the move"
-    _add_command(parts, "servo", text, _add_servo, argparse.SUPPRESS, help=text)
-    text = "backlash of the joints from push and pull at the tool with a dial gauge"
-    _add_command(parts, "backlash", text, _add_backlash, argparse.SUPPRESS, help=text)
-    text = "published force coefficients of a material"
-    _add_command(parts, "material", text, _add_material, argparse.SUPPRESS, help=text)
+    for name, (text, add) in IDENTIFICATIONS.items():
+        _add_command(parts, name, text, add, argparse.SUPPRESS, help=text)
 
 
 def _add_compliance(parser) -> None:
@@ -288,27 +260,11 @@ def _add_compliance(parser) -> None:
     group.add_argument(
         "--point", metavar="X,Y,Z", type=numbers(3, most=5e3), help="of load and reflector, flange frame [mm]"
     )
-    group.add_argument(
-        "--mass-kg", type=bounded(0, 5000), default=100.0, help="to hang; 0: none (default: %(default)g)"
-    )
-    group.add_argument(
-        "--pull-n", type=bounded(0, 50000), default=800.0, help="of a horizontal rope; 0: none (default: %(default)g)"
-    )
-    group.add_argument(
-        "--noise-um",
-        type=bounded(0.001, 1e5),
-        default=20.0,
-        help="of a measured coordinate, 1 sigma (default: %(default)g)",
-    )
-    group.add_argument(
-        "--postures",
-        type=bounded(1, 50_000, int),
-        default=2000,
-        help="candidates to choose from (default: %(default)s)",
-    )
-    group.add_argument(
-        "--seed", type=bounded(0, 2**31, int), default=1, help="of the candidates (default: %(default)s)"
-    )
+    group.add_argument("--mass-kg", type=bounded(0, 5000), default=100.0, help="to hang; 0: none")
+    group.add_argument("--pull-n", type=bounded(0, 50000), default=800.0, help="of a horizontal rope; 0: none")
+    group.add_argument("--noise-um", type=bounded(0.001, 1e5), default=20.0, help="of a measured coordinate, 1 sigma")
+    group.add_argument("--postures", type=bounded(1, 50_000, int), default=2000, help="candidates to choose from")
+    group.add_argument("--seed", type=bounded(0, 2**31, int), default=1, help="of the candidates")
     add("--out", metavar="DIR", help="write YAML to include and report, or table and KRL of the plan")
     _shared(parser, "--self-contained")
 
@@ -321,15 +277,10 @@ def _add_forces(parser) -> None:
     add("--teeth", type=bounded(1, 100, int), help="of the tool, instead of the cell's")
     add("--diameter-mm", type=bounded(0, 1000), help="of the tool, instead of the cell's")
     add("--rotation", choices=("clockwise", "counterclockwise"), help="instead of the cell's")
-    add(
-        "--law",
-        metavar="NAME",
-        default="linear_edge",
-        help="for the YAML file, one of cutting.law (default: %(default)s)",
-    )
+    add("--law", metavar="NAME", default="linear_edge", help="for the YAML file, one of cutting.law")
     add("--robust", action="store_true", help="leave out cuts that contradict the others")
     group = parser.add_argument_group("recordings of a sensor")
-    group.add_argument("--topic", default="wrench", help="of type geometry_msgs/WrenchStamped (default: %(default)s)")
+    group.add_argument("--topic", default="wrench", help="of type geometry_msgs/WrenchStamped")
     group.add_argument("--spindle-speed-rpm", type=bounded(0, 1e6), help="instead of the cell's")
     group.add_argument("--tare", metavar="START:STOP", type=stretch(0, 1e6), help="seconds of an idle stretch")
     _shared(group, "--sensor-abc", "--sensor-on")
@@ -344,11 +295,11 @@ def _add_damping(parser) -> None:
     _example(parser, "identify damping RECORDING --topic deflection --out identified")
     add = parser.add_argument
     add("recording", metavar="RECORDING", help="recording, UFF file, or CSV with time_s, x y z rx ry rz, force_n")
-    add("--topic", default="deflection", help="of a recording (default: %(default)s)")
+    add("--topic", default="deflection", help="of a recording")
     add("--from", metavar="S", type=bounded(0, 1e6), dest="start", help="seconds after the first sample")
     add("--to", metavar="S", type=bounded(0, 1e6), dest="stop", help="seconds after the first sample")
     add("--band", metavar="LOW:HIGH", type=stretch(0.01, 1e5), default=(2.0, 100.0), help="[Hz] (default: 2:100)")
-    add("--modes", metavar="N", type=bounded(1, 20, int), default=6, help="at most (default: %(default)s)")
+    add("--modes", metavar="N", type=bounded(1, 20, int), default=6, help="at most")
     add(
         "--quantity",
         choices=("displacement", "velocity", "acceleration"),
@@ -398,13 +349,22 @@ def _add_material(parser) -> None:
     _example(parser, "identify material Al7075-T6")
     add = parser.add_argument
     add("name", metavar="NAME", nargs="?", help="of a material; without it all are listed")
-    add(
-        "--row",
-        type=bounded(1, 1000, int),
-        default=1,
-        help="which, where a material has several (default: %(default)s)",
-    )
+    add("--row", type=bounded(1, 1000, int), default=1, help="which, where a material has several")
     add("--out", metavar="DIR", help="write YAML to include")
+
+
+#: as ``COMMANDS``
+IDENTIFICATIONS = {
+    "compliance": ("joint compliances from load tests, or the load tests to make", _add_compliance),
+    "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", _add_forces),
+    "damping": ("frequency and damping of the modes from a ring-down or an impact", _add_damping),
+    "servo": (
+        "frequency, damping and dead time of the servo lag from a test move, or the program of the move",
+        _add_servo,
+    ),
+    "backlash": ("backlash of the joints from push and pull at the tool with a dial gauge", _add_backlash),
+    "material": ("published force coefficients of a material", _add_material),
+}
 
 
 def _add_compare(parser) -> None:
@@ -432,7 +392,7 @@ def _add_compare(parser) -> None:
         metavar="N",
         type=bounded(2, 1000, int),
         default=16,
-        help="of the band of a wall, drawn from uncertainty (default: %(default)s)",
+        help="of the band of a wall, drawn from uncertainty",
     )
     add("--out", metavar="DIR", help="write a report")
     _shared(parser, "--self-contained")
@@ -467,10 +427,8 @@ def _add_report(parser) -> None:
     add(
         "--out",
         metavar="DIR",
-        help=(
-            "where the report goes (default: in place of the report.html of the first DIR, else DIR/report; "
-            "DIR of a first FILE: that of the file)"
-        ),
+        help="where the report goes (default: in place of the report.html of the first DIR, else DIR/report; "
+        "DIR of a first FILE: that of the file)",
     )
 
 
@@ -489,10 +447,8 @@ def _add_replay(parser) -> None:
     group.add_argument(
         "--recompute",
         action="store_true",
-        help=(
-            "no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
-            "missing or is left over, or the recompute cannot continue"
-        ),
+        help="no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
+        "missing or is left over, or the recompute cannot continue",
     )
     group.add_argument(
         "--compensate", action="store_true", help="no playback: the revised trajectory from the recorded pass"
@@ -515,45 +471,25 @@ def _add_rsi(parser) -> None:
     )
     add = parser.add_argument
     add("file", metavar="DIR|FILE.csv", help="directory of compensate, or its table rsi_offsets_*.csv")
-    add(
-        "--port",
-        type=bounded(1, 65_535, int),
-        default=49152,
-        help="UDP port of the object ETHERNET (default: %(default)s)",
-    )
+    add("--port", type=bounded(1, 65_535, int), default=49152, help="UDP port of the object ETHERNET")
     add(
         "--host",
         default="127.0.0.1",
         help="address of this host in the network of the controller (default: %(default)s, no network)",
     )
-    add("--cycle-ms", type=bounded(4, 12, int), default=4, help="cycle of the controller (default: %(default)s)")
-    add("--max-mm", type=bounded(0.0, 5.0, above=True), default=1.0, help="largest displacement (default: %(default)g)")
-    add("--max-deg", type=bounded(0.0, 2.0, above=True), default=0.5, help="largest rotation (default: %(default)g)")
+    add("--cycle-ms", type=bounded(4, 12, int), default=4, help="cycle of the controller")
+    add("--max-mm", type=bounded(0.0, 5.0, above=True), default=1.0, help="largest displacement")
+    add("--max-deg", type=bounded(0.0, 2.0, above=True), default=0.5, help="largest rotation")
     add(
-        "--rate-mm-per-s",
-        type=bounded(0.0, 200.0, above=True),
-        default=20.0,
-        help="fastest change of the displacement (default: %(default)g)",
+        "--rate-mm-per-s", type=bounded(0.0, 200.0, above=True), default=20.0, help="fastest change of the displacement"
     )
-    add(
-        "--ramp-s",
-        type=bounded(0.0, 10.0, above=True),
-        default=0.2,
-        help="from no correction to the full one (default: %(default)g)",
-    )
-    add(
-        "--reach-mm",
-        type=bounded(0.0, 50.0, above=True),
-        default=1.0,
-        help="no correction farther from the path (default: %(default)g)",
-    )
+    add("--ramp-s", type=bounded(0.0, 10.0, above=True), default=0.2, help="from no correction to the full one")
+    add("--reach-mm", type=bounded(0.0, 50.0, above=True), default=1.0, help="no correction farther from the path")
     add(
         "--progress",
         default="rsol",
         choices=("rsol", "rist"),
-        help=(
-            "pose from which the place on the path is taken: RSol, or RIst minus the correction (default: %(default)s)"
-        ),
+        help="pose from which the place on the path is taken: RSol, or RIst minus the correction",
     )
     add(
         "--context",
@@ -565,7 +501,7 @@ def _add_rsi(parser) -> None:
         metavar="CELL.yaml",
         help="cell of the path, attached to the recording; report and corrections of joints (AK) need it",
     )
-    add("--out", metavar="DIR", default="rsi", help="directory of the recording (default: %(default)s)")
+    add("--out", metavar="DIR", default="rsi", help="directory of the recording")
 
 
 def _add_run(parser) -> None:
@@ -579,7 +515,7 @@ def _add_run(parser) -> None:
         help="passes in all, with the original one (default: as many as needed)",
     )
     add("--method", choices=_methods(), action="append", help="how to compensate; may be given several times")
-    add("--out", metavar="DIR", default="out", help="for recordings, logs, cell.yaml (default: %(default)s)")
+    add("--out", metavar="DIR", default="out", help="for recordings, logs, cell.yaml")
     add("--processes", action="store_true", help="one process a node; else two nodes share one, which is quicker")
     add("--namespace", metavar="NAME", default="", help="ROS namespace of the four nodes")
 
@@ -650,15 +586,9 @@ def _add_map(parser) -> None:
         help="[deg] of the workpiece about z of base_link, on top of the cell's",
     )
     add("--tool-turn", metavar="LOW:HIGH/COUNT", type=PLACES, help="[deg] of the tool about its axis")
-    add("--out", metavar="DIR", default="map", help="where rows, cells and picture go (default: %(default)s)")
+    add("--out", metavar="DIR", default="map", help="where rows, cells and picture go")
     _shared(parser, "--self-contained", "--scheduler")
-    add(
-        "--chunk",
-        metavar="N",
-        type=bounded(1, 100_000, int),
-        default=500,
-        help="placements a file (default: %(default)s)",
-    )
+    add("--chunk", metavar="N", type=bounded(1, 100_000, int), default=500, help="placements a file")
     group = parser.add_argument_group("along a path")
     group.add_argument(
         "--along",
@@ -672,11 +602,9 @@ def _add_map(parser) -> None:
         metavar="UM",
         type=bounded(0.001, 1e6),
         default=1.0,
-        help="how much error [um] a turn of 1 deg/s is worth (default: %(default)g)",
+        help="how much error [um] a turn of 1 deg/s is worth",
     )
-    group.add_argument(
-        "--places", metavar="N", type=bounded(3, 5000, int), default=200, help="along the path (default: %(default)s)"
-    )
+    group.add_argument("--places", metavar="N", type=bounded(3, 5000, int), default=200, help="along the path")
 
 
 def _add_sweep(parser) -> None:
@@ -692,8 +620,8 @@ def _add_sweep(parser) -> None:
     )
     add("--samples", metavar="N", type=bounded(1, 10_000_000, int), help="with --latin: that many rows")
     add("--latin", action="store_true", help="a Latin hypercube between the values instead of a grid")
-    add("--seed", metavar="N", type=bounded(0, 2**31, int), default=1, help="of --latin (default: %(default)s)")
-    add("--out", metavar="DIR", default="sweep", help="where the rows go (default: %(default)s)")
+    add("--seed", metavar="N", type=bounded(0, 2**31, int), default=1, help="of --latin")
+    add("--out", metavar="DIR", default="sweep", help="where the rows go")
     _shared(parser, "--self-contained", "--scheduler")
     add("--chunk", metavar="N", type=bounded(1, 100_000, int), default=0, help="rows a file (default: 1 to 8)")
 
@@ -759,7 +687,8 @@ def make_parser(argv: Sequence[str] | None = None) -> Parser:
 
 def _add_command(commands, name: str, text: str, add, json_default=False, **more) -> None:
     """Add a sub-parser; more: keywords of ``add_parser``."""
-    parser = commands.add_parser(name, description=text[0].upper() + text[1:] + ".", **more)
+    description = text[0].upper() + text[1:] + "."
+    parser = commands.add_parser(name, description=description, formatter_class=_WithDefaults, **more)
     add(parser)
     text = "print one JSON object to standard output"
     parser.add_argument("--json", help=text, action="store_true", default=json_default)

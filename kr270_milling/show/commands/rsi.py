@@ -15,7 +15,7 @@ from kr270_milling.base.files import fresh_directory
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import cell_text, read_cell
 from kr270_milling.cell.models import arm_of
-from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
+from kr270_milling.live.rsi.corrector import Corrector, read_corrections
 from kr270_milling.live.rsi.session import RsiRecording, RsiSession, open_socket, real_time
 from kr270_milling.live.rsi.telegram import Elements, read_elements
 from kr270_milling.show.commands.console import Answer, command_line, shown_path
@@ -24,10 +24,8 @@ from kr270_milling.show.commands.console import Answer, command_line, shown_path
 def run_rsi(args) -> Answer:
 
     table = read_corrections(_table(args.file))
-    limits = CorrectionLimits(
-        1e-3 * args.max_mm, math.radians(args.max_deg), 1e-3 * args.rate_mm_per_s, args.ramp_s, 1e-3 * args.reach_mm
-    )
-    corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
+    limits = 1e-3 * args.max_mm, math.radians(args.max_deg), 1e-3 * args.rate_mm_per_s
+    corrector = Corrector(table, 1e-3 * args.cycle_ms, *limits, args.ramp_s, 1e-3 * args.reach_mm)
     elements = read_elements(args.context) if args.context else Elements()
     attached: dict[str, bytes | str] = {}
     arm = None
@@ -40,15 +38,10 @@ def run_rsi(args) -> Answer:
             Path(file).name: Path(file).read_bytes() for file in cell.path.files
         }
     directory = fresh_directory(args.out)
+    metadata = {"command_line": command_line(args)}
     with (
         open_socket(args.host, args.port) as connection,
-        RsiRecording(
-            directory,
-            table,
-            {"command_line": command_line(args)},
-            attached,
-            time.time_ns,
-        ) as recording,
+        RsiRecording(directory, table, metadata, attached, time.time_ns) as recording,
     ):
 
         def report(sentence: str) -> None:
@@ -74,30 +67,29 @@ def run_rsi(args) -> Answer:
             if refused:
                 report(refused)
             session.run()
-    counts = session.counts
     share = corrector.path.progress / corrector.path.length
     result = {
-        "answered": counts.answered,
-        "late": counts.late,
-        "missed_cycles": counts.missed,
-        "repeated": counts.repeated,
-        "ignored": counts.refused,
-        "most_delay": counts.most_delay,
-        "longest_answer_ms": 1e3 * counts.longest,
-        "mean_answer_ms": 1e3 * counts.total / max(counts.answered, 1),
+        "answered": session.answered,
+        "late": session.late,
+        "missed_cycles": session.missed,
+        "repeated": session.repeated,
+        "ignored": session.refused,
+        "most_delay": session.most_delay,
+        "longest_answer_ms": 1e3 * session.longest,
+        "mean_answer_ms": 1e3 * session.total / max(session.answered, 1),
         "limited_cycles": corrector.limited,
         "path_share": share,
         "recording": str(directory),
     }
     shown = [
-        f"{counts.answered} cycles answered, {counts.late} later than {args.cycle_ms} ms, {counts.missed} missed, "
-        f"{counts.refused} telegrams ignored",
+        f"{session.answered} cycles answered, {session.late} later than {args.cycle_ms} ms, {session.missed} missed, "
+        f"{session.refused} telegrams ignored",
         f"answer after {result['mean_answer_ms']:.2f} ms in the mean, {result['longest_answer_ms']:.2f} ms at most; "
-        f"largest Delay that the robot reported: {counts.most_delay}",
+        f"largest Delay that the robot reported: {session.most_delay}",
         f"{100 * share:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
         f"recording: {shown_path(directory)}",
     ]
-    code = int(bool(counts.late or counts.missed or session.recording_failed))
+    code = int(bool(session.late or session.missed or session.recording_failed))
     return Answer(result, shown, code=128 + ended[0] if ended and ended[0] != signal.SIGINT else code)
 
 

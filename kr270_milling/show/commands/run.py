@@ -33,16 +33,19 @@ from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.tables import TABLE_2
 
 if TYPE_CHECKING:
-    from kr270_milling.live.graph.graph import Graph, RunValues
+    from kr270_milling.live.graph import Graph
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunRow:
     """A row of the table of a run."""
 
-    run: RunValues
     scored: ScoredPass
+    recording: Path
+    errors: tuple[float, ...]  #: remaining error of every pass of this method so far [m], by the compensator
+    finished: bool  #: the compensator has reached its limit
     messages_lost: int = column("messages_lost", digits=0, short="lost")
+    wall: float = column("wall_s", unit="s", digits=2, short="wall")  #: from the first exchange to the last [s]
     learning: tuple[RunRow, ...] = ()  #: every pass of a method that repeats; the row itself is the best of them
 
     @computed("duration_s")
@@ -50,18 +53,13 @@ class RunRow:
         """Time of the pass [s]."""
         return float(self.scored.result.time[-1])
 
-    @computed("wall_s", unit="s", digits=2, short="wall")
-    def wall(self) -> float:
-        """Time of the wall clock [s]."""
-        return self.run.wall_s
-
     @computed("real_time_factor", digits=2, short="x real time")
     def real_time_factor(self) -> float:
         return self.duration / self.wall
 
     def row(self) -> dict:
         """Return the row with the keys that the command prints."""
-        row = {**self.scored.row(), "recording": str(self.run.recording), **as_dict(self)}
+        row = {**self.scored.row(), "recording": str(self.recording), **as_dict(self)}
         return {**row, "learning": [scored_pass.row() for scored_pass in self.learning]} if self.learning else row
 
 
@@ -81,9 +79,9 @@ def run_plan(
 
     def run(name: str) -> RunRow:
         say(f"{name}, pass {next(numbers)} of at most {most}")
-        pass_run = graph.run_pass(name)
-        scored_pass, recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
-        return RunRow(pass_run, scored_pass, recorded.lost_to_end)
+        recording, wall, errors, finished = graph.run_pass(name)
+        scored_pass, recorded = pass_from_recording(recording, name, graph.driver.namespace)
+        return RunRow(scored_pass, recording, errors, finished, recorded.lost_to_end, wall)
 
     original = run("original")
     rows = [original]
@@ -110,9 +108,9 @@ def _most_passes(settings: CompensationSettings, target: Trajectory, methods: Se
 def _repeated(method: str, run: Callable[[str], RunRow], original: RunRow, most: int | None) -> RunRow:
     """Run passes until the compensator is finished, at most ``most``; return the pass along the best reference."""
     tried: list[RunRow] = []
-    while not (tried and tried[-1].run.finished) and (most is None or len(tried) < most):
+    while not (tried and tried[-1].finished) and (most is None or len(tried) < most):
         tried.append(run(f"{method}_{len(tried) + 1}"))
-    errors = tried[-1].run.errors  # the first error is that of the original pass
+    errors = tried[-1].errors  # the first error is that of the original pass
     best = [original, *tried][min(range(len(errors)), key=errors.__getitem__)]
     named = dataclasses.replace(best.scored, name=method)
     return dataclasses.replace(best, scored=named, learning=tuple(tried))
@@ -151,7 +149,7 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     list of RunRow.
     """
 
-    from kr270_milling.live.graph.graph import Graph  # these import rclpy
+    from kr270_milling.live.graph import Graph  # these import rclpy
     from kr270_milling.live.ros.topics import full_namespace
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""

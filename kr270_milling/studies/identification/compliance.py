@@ -4,6 +4,14 @@ minimise sum w_i r_i(x)^2,  r = (model(x) - measurement) / sigma,  cov(x) = s^2 
 
 s^2 and the interval are those of ``intervals``; where no standard deviations are stated, they are estimated from the
 residuals, of translations and rotations each for itself.
+
+How far a load moves a reflector follows from the loaded model (6), (7). With C = diag(c) of the joint compliances, the
+springs bend by theta = C tau(q + theta), tau the torque of wrench, link weights and compensator. Derivation by one
+compliance gives (1 - C H) dtheta/dc_j = tau_j e_j, H = dtau/dtheta. The displacement by the load is that of the loaded
+posture less that of the posture under the weights alone.
+
+A base that tilts adds two springs to C, about x and y of base_link. About z it turns the arm as joint 1 does, so that
+no load test separates the two. The singular values of the weighted derivatives state which numbers the data identify.
 """
 
 from __future__ import annotations
@@ -14,11 +22,281 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import ModelError
+from kr270_milling.base.errors import ModelError, ParameterError
+from kr270_milling.base.frames import Pose
+from kr270_milling.base.record import specs
+from kr270_milling.physics.robot.arm import Arm, GravityCompensator, Mount
+from kr270_milling.physics.robot.kinematics import LinkFrames, forward, jacobian_at
+from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 from kr270_milling.studies.identification.intervals import half_interval, robust_variance, robust_weights, scatter
 from kr270_milling.studies.identification.measurements import Measurements
-from kr270_milling.studies.identification.problem import Problem
+
+COMPENSATOR = tuple(spec.name for spec in specs(GravityCompensator))
+#: where the base may tilt, and the size of the unknown: [rad/(N m)], assumed, a third of the stiffest joint's
+TILTS, TILT = ("base x", "base y"), 5e-8
+STEP = 1e-4  #: share of its scale by which a number of the compensator is changed for its derivative
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Sought: factors x on the arm's six compliances, then on the compensator's numbers that are named, then on the
+    compliances of the base about x and y.
+
+    All are 1 for the arm as its file has it; a base that is rigid there has the factor 0, on TILT. A residual is
+    (model - measurement) / sigma, one for each finite number that was measured.
+    """
+
+    arm: Arm
+    mount: Mount
+    measured: Measurements
+    gravity: bool = True
+    compensator: tuple[str, ...] = ()
+    base: bool = False  #: True if the compliance of the base is sought
+
+    def __post_init__(self):
+        for name in self.compensator:
+            if name not in COMPENSATOR:
+                raise ParameterError("compensator", name, "one of " + ", ".join(COMPENSATOR))
+        if self.compensator and not (self.arm.compensator.present and self.gravity):
+            allowed = "above 0 in the arm file, and gravity on, where a compensator is to be identified"
+            raise ParameterError("arm.compensator.stiffness_n_per_mm", self.arm.compensator.stiffness / 1e3, allowed)
+
+    @property
+    def names(self) -> list[str]:
+        joints, tilts = [f"joint {j}" for j in range(1, 7)], TILTS if self.base else ()
+        return [*joints, *(f"compensator {name}" for name in self.compensator), *tilts]
+
+    @property
+    def is_compliance(self) -> np.ndarray:
+        """(p,) bool: a compliance, and no number of the compensator."""
+        return np.array([not name.startswith("compensator") for name in self.names])
+
+    @property
+    def is_base(self) -> np.ndarray:
+        """(p,) bool: a compliance of the base."""
+        return np.array([name in TILTS for name in self.names])
+
+    @property
+    def _spring(self) -> np.ndarray:
+        """The named numbers of the compensator, of the arm file."""
+        return np.array([getattr(self.arm.compensator, name) for name in self.compensator], float)
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Numbers at a factor of 1 [SI], (p,)."""
+        tilts = np.where(self._tilts, self._tilts, TILT)
+        return np.concatenate([self.arm.joint_compliance, np.where(self._spring, self._spring, 1.0), tilts])
+
+    @property
+    def start(self) -> np.ndarray:
+        """The factors of the arm file, (p,)."""
+        return np.concatenate([np.ones(6), self._spring != 0.0, self._tilts != 0.0])
+
+    @property
+    def _tilts(self) -> np.ndarray:
+        """Compliances of the base about x and y, of the arm file, if they are sought, (2,) or (0,)."""
+        return self.arm.base_compliance[: len(TILTS) if self.base else 0]
+
+    @functools.cached_property
+    def _sprung(self) -> Arm:
+        """The arm with springs wherever the base may turn."""
+        base = self.arm.base_compliance.copy()
+        base[: self._tilts.size] = self.scale[self.is_base]
+        return self.arm.replace(base_compliance=base)
+
+    def arm_at(self, x) -> Arm:
+        """The arm with these factors."""
+        values = np.asarray(x) * self.scale
+        base = np.concatenate([values[self.is_base], self.arm.base_compliance[self._tilts.size :]])
+        return self._balanced(values).replace(joint_compliance=values[:6], base_compliance=base)
+
+    def _balanced(self, values: np.ndarray) -> Arm:
+        """The arm with the compensator of these numbers [SI], (p,)."""
+        changes = dict(zip(self.compensator, values[~self.is_compliance].tolist(), strict=True))
+        return self.arm.replace(compensator=self.arm.compensator.replace(**changes)) if changes else self.arm
+
+    @property
+    def finite(self) -> np.ndarray:
+        """(n, 6): what was measured."""
+        return np.isfinite(self.measured.displacement)
+
+    def residuals(self, x) -> np.ndarray:
+        """(m,), in standard deviations."""
+        return self.weighted(self.predict(x))[self.finite]
+
+    def weighted(self, moved: np.ndarray) -> np.ndarray:
+        """Residuals in standard deviations, (n, 6), NaN where nothing was measured."""
+        return (moved - self.measured.displacement) / self.measured.sigma
+
+    def linearised(self, x) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (m,) and their derivatives by the factors, (m, p); of the compensator's by differences."""
+        x = np.asarray(x, float)
+        moved, by_compliance = self._linear(x)
+        columns = np.zeros((int(self.finite.sum()), len(x)))
+        of_compliance = by_compliance * self.scale[self.is_compliance] / self.measured.sigma[..., None]
+        columns[:, self.is_compliance] = of_compliance[self.finite]
+        for k in np.flatnonzero(~self.is_compliance).tolist():
+            more, less = x.copy(), x.copy()
+            more[k] += STEP
+            less[k] -= STEP
+            columns[:, k] = (self.residuals(more) - self.residuals(less)) / (2 * STEP)
+        return self.weighted(moved)[self.finite], columns
+
+    def derivatives(self, x) -> np.ndarray:
+        """The second of ``linearised``."""
+        return self.linearised(x)[1]
+
+    def slopes(self, x, tests: Measurements) -> np.ndarray:
+        """A of other tests: translation of the reflector by the factors, in standard deviations, (k, 3, p)."""
+        tests = dataclasses.replace(tests, displacement=np.zeros((len(tests), 6)))
+        return dataclasses.replace(self, measured=tests).derivatives(x).reshape(len(tests), 6, -1)[:, :3]
+
+    # --- the fit ---
+
+    def by_number(self, weights: np.ndarray) -> np.ndarray:
+        """Weights of the tests, (n,), for each number that was measured, (m,)."""
+        return np.repeat(weights, 6)[self.finite.ravel()]
+
+    def solve(self, start: np.ndarray, free: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """The factors of least weighted squares, (p,); those that are not free, (p,) bool, stay at the start."""
+        if not free.any():
+            return start
+        root = np.sqrt(self.by_number(weights))
+
+        def whole(part: np.ndarray) -> np.ndarray:
+            x = start.copy()
+            x[free] = part
+            return x
+
+        @functools.lru_cache(maxsize=1)  # residuals and derivatives of one place come from one evaluation
+        def linearised(part: bytes):
+            return self.linearised(whole(np.frombuffer(part)))
+
+        def residuals(part):
+            return root * linearised(part.tobytes())[0]
+
+        def derivatives(part):
+            return root[:, None] * linearised(part.tobytes())[1][:, free]
+
+        return whole(least_squares(residuals, start[free], derivatives, method="lm", xtol=1e-8, ftol=1e-12).x)
+
+    def with_estimated_sigma(self, left: np.ndarray, weights: np.ndarray, sought: int) -> Problem:
+        """Standard deviations so that residuals ``left``, (n, 6), of translations and of rotations scatter by 1 each.
+
+        p / m of each is taken by the fit of p = sought factors.
+        """
+        sigma = self.measured.sigma.copy()
+        share = 1.0 - sought / self.finite.sum()
+        for part in (slice(0, 3), slice(3, 6)):
+            used = np.isfinite(left[:, part]) & (weights[:, None] > 0.0)
+            if used.any():
+                heavy = np.broadcast_to(weights[:, None], used.shape)[used]
+                square = np.sum(heavy * left[:, part][used] ** 2) / np.sum(heavy) / share
+                sigma[:, part] *= np.sqrt(max(square, 1e-24))
+        return dataclasses.replace(self, measured=dataclasses.replace(self.measured, sigma=sigma))
+
+    # --- the loaded model ---
+
+    def predict(self, x) -> np.ndarray:
+        """Displacements [m, rad], (n, 6), with these factors. Raises ModelError."""
+        return self._linear(x)[0]
+
+    def _linear(self, x) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements [m, rad], (n, 6), and their derivatives by the compliances that are sought, (n, 6, 6 or 8)."""
+        values = np.asarray(x, float) * self.scale  # on the way to the fit these need not be those of an arm
+        tilts, base = self._tilts.size, self._sprung.base_axes.size
+        fixed = self._sprung.spring_compliance[tilts:base]
+        compliance = np.concatenate([values[self.is_base], fixed, values[:6]])
+        frames, by_axis = self._bent(self._balanced(values), compliance)
+        place = frames.flange.apply(np.tile(self.measured.reflector, (2, 1)))
+        full, rest = slice(0, len(self.measured)), slice(len(self.measured), None)
+        turn = frames.flange.rotation
+        tilt = Rotation.from_matrix(turn[full] @ np.swapaxes(turn[rest], -1, -2)).as_rotvec()
+        slopes = jacobian_at(frames, place) @ by_axis
+        slopes = np.concatenate([slopes[..., base:], slopes[..., :tilts]], -1)  # in the order of x
+        return np.hstack([place[full] - place[rest], tilt]), slopes[full] - slopes[rest]
+
+    def _bent(self, arm: Arm, c: np.ndarray) -> tuple[LinkFrames, np.ndarray]:
+        """Newton's method on theta = C tau(q + theta), for the loaded postures and then those without test load.
+
+        c: of the base, then of the joints, (k + 6,). Returns the frames of (2 n,) postures and dtheta/dc,
+        (2 n, k + 6, k + 6).
+        """
+        loads = link_loads(arm, self.mount, GRAVITY if self.gravity else 0.0)
+        q = self._sprung.on_base(np.tile(self.measured.q, (2, 1)))
+        wrench = np.concatenate([self.measured.wrench, np.zeros_like(self.measured.wrench)])
+        theta = np.zeros_like(q)
+        iterations = 20
+        precision = 1e-8  # [rad] of the last Newton step, which leaves its square
+        most_bend = 0.1  # [rad] of a joint spring; beyond it no drive is linear
+        for _ in range(iterations):
+            frames = self._frames(q + theta)
+            torque = load_torque(frames, wrench, loads)
+            left = np.eye(len(c)) - c[:, None] * load_hessian(frames, wrench, loads)
+            step = np.linalg.solve(left, (c * torque - theta)[..., None])[..., 0]
+            theta = theta + step
+            far = ~(np.abs(theta).max(1) < most_bend)
+            if far.any():
+                raise self._no_equilibrium(int(far.argmax()), c)
+            if np.abs(step).max() < precision:
+                by_axis = np.linalg.solve(left, torque[:, :, None] * np.eye(len(c)))
+                return self._frames(q + theta), by_axis
+        raise self._no_equilibrium(int(np.abs(step).max(1).argmax()), c)
+
+    def _no_equilibrium(self, row: int, c: np.ndarray) -> ModelError:
+        shown = ", ".join(f"{1e6 * compliance:.3g}" for compliance in c[-6:])
+        return ModelError(
+            f"with the compliances {shown} urad/(N m) the arm has no equilibrium under the load of row "
+            f"{row % len(self.measured) + 1}"
+        )
+
+    def _frames(self, q: np.ndarray) -> LinkFrames:
+        """All frames of (n,) or twice (n,) postures, with the tool point where each row's load acts."""
+        frames = forward(self._sprung, self.mount, q)
+        at = np.tile(self.measured.application, (len(q) // len(self.measured), 1))
+        return dataclasses.replace(frames, tool=Pose(frames.flange.apply(at), frames.tool.rotation))
+
+    # --- which numbers the data identify ---
+
+    def excluded(self) -> dict[int, str]:
+        """Return the numbers that must be excluded so that the data identify the others, each with the reason."""
+        columns = self.derivatives(self.start)
+        lengths = np.linalg.norm(columns, axis=0)
+        unit = columns / np.where(lengths > 0.0, lengths, 1.0)
+        # a column whose length is a smaller share of the longest, or a direction with a smaller share of the largest
+        # singular value of the columns of length 1, is rounding of the model (1e-13 rad of 1e-4 rad) and no information
+        nothing = 1e-6
+        effectless = np.flatnonzero(~(lengths > nothing * lengths.max())).tolist()
+        exclusions = {k: self.hidden(k) or "no measured displacement depends on it" for k in effectless}
+        while free := [k for k in range(len(lengths)) if k not in exclusions]:
+            _, values, directions = np.linalg.svd(unit[:, free], full_matrices=len(unit) < len(free))
+            if len(values) == len(free) and values[-1] > nothing * values[0]:
+                break
+            worst, partner = [free[i] for i in np.argsort(-np.abs(directions[-1]))[[0, min(1, len(free) - 1)]]]
+            exclusions[worst] = (
+                f"in every test it moved the reflector as {self.names[partner]} does, so the data cannot separate them"
+            )
+        return exclusions
+
+    def hidden(self, number: int) -> str:
+        """Return why a joint, number 0 to 5, has no effect; empty where the reason is not one of geometry."""
+        if number >= 6:
+            return ""
+        measured = self.measured
+        torques = np.abs(load_torque(self._frames(measured.q), measured.wrench, link_loads(self.arm, self.mount, 0.0)))
+        # a torque below this share of the largest, or a lever [m] of the reflector below it, counts as zero
+        unseen = 1e-3
+        if torques[:, number].max() <= unseen * torques.max():
+            return "no load turned it"
+        frames = forward(self.arm, self.mount, measured.q)
+        lever = np.linalg.norm(jacobian_at(frames, frames.flange.apply(measured.reflector))[:, :3, number], axis=-1)
+        if lever.max() <= unseen and not self.finite[:, 3:].any():
+            return "the reflector lay on its axis, so its rotation was not measured"
+        return ""
+
 
 #: relative standard deviation of a number that the data cannot identify, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15

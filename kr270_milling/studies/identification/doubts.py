@@ -19,12 +19,10 @@ from scipy import stats
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.physics.cutting.materials import materials
 from kr270_milling.physics.robot.kinematics import forward
-from kr270_milling.studies.identification.compliance import Fit, fit_compliance
-from kr270_milling.studies.identification.cuts import CutMeasurements
-from kr270_milling.studies.identification.forces import FIRST, LawFit, contradicting_cut, fit_forces
+from kr270_milling.studies.identification.compliance import TILTS, Fit, Problem, fit_compliance
+from kr270_milling.studies.identification.forces import FIRST, CutMeasurements, LawFit, contradicting_cut, fit_forces
 from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.modes import Mode
-from kr270_milling.studies.identification.problem import TILTS, Problem
 from kr270_milling.studies.identification.signals import AXES
 
 #: factor on the arm file beyond which a unit is suspected: the published sets of one robot differ by 2.2

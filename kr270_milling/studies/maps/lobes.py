@@ -13,7 +13,7 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.sections import PathSection
 from kr270_milling.physics.cutting import Cutting
 from kr270_milling.physics.motion.stability import Lobe, Modes, has_uniform_pitch, stability_limit
-from kr270_milling.studies.identification.cuts import engagement_angles
+from kr270_milling.studies.identification.forces import engagement_angles
 
 
 def lobes(

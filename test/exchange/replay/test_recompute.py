@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -235,12 +236,6 @@ def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_
     assert compensate_recording(tmp_path / "r")[0].published is True
 
 
-def test_a_wrench_that_is_spoiled_where_it_was_recorded_is_no_refused_one(tmp_path):
-    """The live robot continued with it, so the recording differs from the sent message, or lacks the message."""
-    messages = made.changed(one_pass(), "wrench", 60, lambda _: to_bytes(REFUSED["wrench of NaN"][1]))
-    assert recomputed(tmp_path / "r", messages).verdict != "identical"
-
-
 # --- Deflections that are published less often than every exchange: nothing is lost by it ---
 
 
@@ -292,16 +287,8 @@ def with_state(messages, index: int, learned=None, **changes) -> list:
     return made.changed(messages, "compensator_state", index, change)
 
 
-def test_of_a_changed_wrench_and_what_follows_from_it_the_wrench_is_named(tmp_path):
-    messages = made.changed(one_pass("mirror"), "wrench", 60, flip(made.force_offset(1) + 6))
-    result = recomputed(tmp_path / "r", messages, cell=made.cell_text("mirror"))
-    assert (result.first.topic, result.first.index) == ("/wrench", 60)
-    assert result.channels["/compensator_state"].differing == result.channels["/reference_trajectory"].differing == 1
-
-
-@pytest.mark.parametrize("method", ["spline", "learned"])
-def test_several_passes_in_one_file_are_distinguished(tmp_path, method):
-    result = recomputed(tmp_path / "r", one_pass(method, 1, 3), cell=made.cell_text(method))
+def test_several_passes_in_one_file_are_distinguished(tmp_path):
+    result = recomputed(tmp_path / "r", one_pass("learned", 1, 3), cell=made.cell_text("learned"))
     assert result.verdict == "identical", (result.first, result.stops)
     assert result.channels["/wrench"].compared == 3 * STEPS
     assert result.channels["/reference_trajectory"].compared == result.channels["/compensator_state"].compared == 4
@@ -464,8 +451,15 @@ def test_the_passes_are_those_of_the_plain_loop_and_identical_when_recomputed_wi
 
 def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
     pytest.importorskip("rclpy")
-    from kr270_milling.live.graph.processes import recording_parameters
+    from kr270_milling.live.graph import Graph
 
     (tmp_path / "log").mkdir()
-    attached = recording_parameters(tmp_path, "learned_2", (), cell_text(plant))["attach"]
-    assert attached == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]
+    given, graph = {}, Graph(made.cell_of("learned"), tmp_path, plant=plant)
+    graph.driver = SimpleNamespace(
+        set_parameters=lambda _, values, __: given.update(values), transition=lambda *_, **__: 0
+    )
+    graph.passes = 2
+    graph.begin_recording("learned_2")
+    assert given["attach"] == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]
+    assert list(given)[-1] == "directory"  # it starts the recording
+    assert read_cell(given["attach"][1]).imperfections.first_pass == 2

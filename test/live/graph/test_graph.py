@@ -24,8 +24,7 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
-from kr270_milling.live.graph.graph import QUIET, Driver, Graph, RunValues
-from kr270_milling.live.graph.processes import Child, RunError, stop
+from kr270_milling.live.graph import QUIET, Child, Driver, Graph, RunError, stop
 from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, NOT_COMPLETE, Silence
 from kr270_milling.live.ros.readiness import Report
@@ -129,7 +128,7 @@ def test_run_gives_the_plain_loop_bit_for_bit_while_a_stranger_publishes_what_ca
 
 @pytest.mark.parametrize(("lost", "code"), [(0, 0), (1705, 1)])
 def test_a_run_whose_recording_lacks_messages_states_them_and_ends_with_1(capsys, monkeypatch, short_cell, lost, code):
-    row = commands.RunRow(RunValues(Path("o"), 1.0, (0.0,), True), simulate(short_cell), lost)
+    row = commands.RunRow(simulate(short_cell), Path("o"), (0.0,), True, lost, 1.0)
     ran = {"graph_up_s": 1.0, "out": Path("o"), "passes": [row]}
     monkeypatch.setattr("kr270_milling.show.commands.run.run_passes", lambda *_, **__: ran)
     assert main(run_words("o")) == code
@@ -220,10 +219,10 @@ def run(monkeypatch, short_cell):
         cell = short_cell.replace(compensation=short_cell.compensation.replace(**parameters))
         graph, ran = compensator(cell, path_of(cell).target), {}
 
-        def run_pass(name: str) -> RunValues:
+        def run_pass(name: str) -> tuple:
             ran[name] = simulate(cell, graph.reference, name)
             graph.revise(record_of(cell, ran[name].result))
-            return RunValues(Path(name), 1.0, tuple(graph.errors), graph.finished)
+            return Path(name), 1.0, tuple(graph.errors), graph.finished
 
         def recorded(recording, name, namespace):
             return ran[str(recording)], SimpleNamespace(lost_to_end=0)
@@ -344,7 +343,7 @@ def test_of_an_error_a_node_that_is_silent_is_blamed_and_not_the_one_that_misses
 ):
     """Reports are late on a busy machine, also those of nodes that work."""
     now, graph = [100.0], Graph(None, tmp_path)
-    monkeypatch.setattr("kr270_milling.live.graph.graph.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("kr270_milling.live.graph.time", SimpleNamespace(monotonic=lambda: now[0]))
     late = {"compliant_robot": 99.9, "cutting_process": 97.0, "trajectory_compensator": 98.0, "recorder": 95.0}
     silences = dict.fromkeys(NODES, SimpleNamespace(seconds=lambda: 0.1, is_due=lambda *_: False))
     graph.driver = SimpleNamespace(error=(NODES[0], "no wrench for 4 s"), silences=silences, arrivals=late)
@@ -375,7 +374,7 @@ def test_silence_counts_in_mid_pass_alone(tmp_path):
     )
     ran = graph.run_pass("original")
     assert (in_pass["the pass"], in_pass["revising"]) == (True, False)
-    assert ran == RunValues(tmp_path / "original", 1.5, (2e-6, 1e-6), True)
+    assert ran == (tmp_path / "original", 1.5, (2e-6, 1e-6), True)
 
 
 @pytest.mark.parametrize("node", NODES[:2] + NODES[3:])

@@ -26,22 +26,6 @@ def bag(tmp_path_factory):
     return made.write(tmp_path_factory.mktemp("player") / "r", messages, spacing=END // len(messages))
 
 
-def test_the_options_parse_as_in_ros2_bag_play():
-    short = options("bag", "-r", "2", "-p", "--clock")
-    long = options("bag", "--rate", "2", "--start-paused", "--clock", "40")
-    assert short == long and (short.file, short.rate, short.start_paused, short.clock) == ("bag", 2.0, True, 40.0)
-    some = options("bag", "--start-offset", "0.5", "--playback-duration", "2", "--topics", "/a", "/b")
-    assert (some.start_offset, some.playback_duration, some.topics) == (0.5, 2.0, ["/a", "/b"])
-
-
-@pytest.mark.parametrize("name", ["--start-offset", "--playback-duration"])
-def test_a_time_that_no_recording_has_is_refused_in_one_sentence(name, capsys):
-    for seconds in ("1e300", "1e10", "-1", "nan"):
-        with pytest.raises(SystemExit):
-            options("bag", f"{name}={seconds}")
-        assert f"argument {name}: " in capsys.readouterr().err
-
-
 def test_the_clock_of_a_playback_runs_at_its_rate_and_stops_while_paused():
     clock = PlayClock(5, 2.0, 100.0)
     assert (clock.position(99.0), clock.position(100.0), clock.position(101.5)) == (5, 5, 5 + 3 * 10**9)

@@ -24,7 +24,7 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cli import main
 from kr270_milling.decide.programs.files import write_rsi_table
 from kr270_milling.live.rsi import session as rsi_session
-from kr270_milling.live.rsi.corrector import CorrectionLimits, CorrectionTable, Corrector, read_corrections
+from kr270_milling.live.rsi.corrector import CorrectionTable, Corrector, read_corrections
 from kr270_milling.live.rsi.session import RsiRecording, RsiSession, open_socket
 from kr270_milling.live.rsi.telegram import Elements, read_elements, read_telegram, write_answer
 from kr270_milling.physics.robot import pose
@@ -57,7 +57,7 @@ def corrections(corrector: Corrector, points) -> np.ndarray:
 
 
 def corrector_of(table: CorrectionTable) -> Corrector:
-    return Corrector(table, CorrectionLimits(), CYCLE)
+    return Corrector(table, CYCLE)
 
 
 # --- the correction belongs to the place ---
@@ -93,15 +93,15 @@ def test_a_path_that_crosses_itself_and_one_that_returns_keep_their_order():
 
 def test_size_and_rate_are_limited_whatever_the_table_and_the_robot_do():
     rng = np.random.default_rng(5)
-    limits = CorrectionLimits(size=2e-4, angle=1e-3, rate=5e-3)
+    size, angle, rate = 2e-4, 1e-3, 5e-3
     table = line()
     wild = CorrectionTable(table.time, table.position, rng.normal(0.0, 1e-2, (len(table.time), 6)))
-    corrector = Corrector(wild, limits, CYCLE)
+    corrector = Corrector(wild, CYCLE, size, angle, rate)
     before = np.zeros(6)
     for point in table.position + rng.normal(0.0, 5e-4, table.position.shape):
         now = corrector.step(point, int(rng.integers(1, 6)))
-        assert np.linalg.norm(now[:3]) <= limits.size * 1.001 and np.linalg.norm(now[3:]) <= limits.angle * 1.001
-        assert np.linalg.norm(now[:3] - before[:3]) <= limits.rate * CYCLE * 1.001
+        assert np.linalg.norm(now[:3]) <= size * 1.001 and np.linalg.norm(now[3:]) <= angle * 1.001
+        assert np.linalg.norm(now[:3] - before[:3]) <= rate * CYCLE * 1.001
         before = now
     assert corrector.limited > 100
 
@@ -189,8 +189,7 @@ def test_lost_repeated_foreign_and_wrong_telegrams_do_not_disturb_the_correction
     other.send(telegram(controller.ipoc + 4, (500.0, 0.0, 0.0)))
     assert not other.has_answer() and not controller.has_answer()
     np.testing.assert_allclose(1e-3 * controller.cycle(points[153])[:3], table.correction[153, :3], atol=1e-6)
-    counts = session.counts
-    assert (counts.repeated, counts.missed, counts.refused) == (1, 2, len(BAD) + 2)
+    assert (session.repeated, session.missed, session.refused) == (1, 2, len(BAD) + 2)
     assert any(s.startswith("ignored: ") for s in sentences) and "on the path, 0.0 mm of the path" in sentences
     other.close()
 
@@ -200,7 +199,7 @@ def test_the_counter_of_the_robot_may_wrap(running):
     controller.ipoc = 2**32 - 200
     applied = np.array([controller.cycle(point) for point in 1e3 * table.position[:150]])
     np.testing.assert_allclose(1e-3 * applied[60:, :3], table.correction[60:150, :3], rtol=0, atol=1e-6)
-    assert (session.counts.missed, session.counts.refused) == (0, 0)
+    assert (session.missed, session.refused) == (0, 0)
 
 
 def test_after_a_stop_of_this_host_the_newest_telegram_is_answered_and_the_others_are_missed(running):
@@ -217,9 +216,8 @@ def test_after_a_stop_of_this_host_the_newest_telegram_is_answered_and_the_other
     free.set()
     assert controller.receive()[0] == controller.ipoc and not controller.has_answer()
     recorded.get(timeout=LIMIT)
-    counts = session.counts
-    assert (counts.answered, counts.missed, counts.late) == (2, 49, counts.late) and counts.late >= 1
-    assert counts.longest >= 0.1
+    assert (session.answered, session.missed, session.late) == (2, 49, session.late) and session.late >= 1
+    assert session.longest >= 0.1
 
 
 def test_a_session_runs_with_priority_or_says_why_not():
@@ -416,5 +414,5 @@ def test_the_telegrams_of_the_public_simulators_are_answered(tmp_path, patient, 
                 assert answer.tag == "Sen" and answer.findtext("IPOC") == str(ipoc)
                 assert all(abs(float(answer.find("AK").get(joint))) < 0.5 for joint in JOINTS)
             session.stop.set()
-            counts = done.result()
-    assert (counts.answered, counts.refused, counts.missed, counts.repeated) == (300, 0, 0, 0)
+            done.result()
+    assert (session.answered, session.refused, session.missed, session.repeated) == (300, 0, 0, 0)

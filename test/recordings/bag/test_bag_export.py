@@ -32,7 +32,6 @@ from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
-from kr270_milling.recordings.passes import series
 
 
 def rows(file) -> list[dict]:
@@ -206,24 +205,6 @@ def three_passes(tmp_path):
                     writer.write("/diagnostics", raw(make(DIAGNOSTICS, header(0), [])), received)
     with Recording(tmp_path / "a") as recording:
         yield recording
-
-
-def test_rate_times_series_and_tables_of_several_passes(three_passes, tmp_path):
-    about = info(three_passes)
-    assert about["topics"]["/tool_pose"]["rate_hz"] == pytest.approx(2000.0) and about["missing"] == 0
-    assert [m.log_time for m in three_passes.messages(["/note"])] == [k * ONE + 5 * PERIOD for k in range(3)]
-    assert series(three_passes, "/wrench").values[:, 0].tolist() == list(range(3 * STEPS))
-    (file,) = exported(tmp_path / "a", tmp_path / "csv", "/note")
-    assert [row["data"] for row in rows(file)] == ["pass 0", "pass 1", "pass 2"]
-
-
-def test_passes_are_played_one_after_the_other_at_their_pace(three_passes):
-    actual = [m for m in made.played(three_passes.path) if m.topic != "/diagnostics"]
-    times = [m.log_time for m in actual]
-    assert times == sorted(times)
-    poses = [m for m in actual if m.topic == "/tool_pose"]
-    assert [m.data for m in poses] == [m.data for m in three_passes.messages(["/tool_pose"])]
-    assert [m.log_time for m in poses] == [number * ONE + step * PERIOD for number in range(3) for step in range(STEPS)]
 
 
 def test_an_offset_leads_into_a_later_pass_with_what_was_latched_last_before_it(three_passes):

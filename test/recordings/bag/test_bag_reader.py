@@ -4,7 +4,6 @@ import io
 import struct
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 from budget import budget
 from hostile import answered, ask
@@ -12,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from samples import pass_recording as made
@@ -23,7 +21,6 @@ from samples.recording_samples import (
     flipped,
     poses,
     raw,
-    read,
     record,
     sample,
     whole_recording,
@@ -34,39 +31,6 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import findings, recover
-
-
-@pytest.mark.parametrize("kind", list(CompressionType))
-def test_messages_come_in_the_order_of_the_file_from_every_packing(tmp_path, kind):
-    messages = poses(np.random.default_rng(2).permutation(3000))
-    path = write_mcap(tmp_path / "a.mcap", messages, kind, chunk_size=20_000)
-    with Recording(path) as recording:
-        assert [(m.log_time, m.data) for m in recording.messages()] == messages
-
-
-def test_a_file_cut_off_anywhere_gives_a_beginning_of_it_or_one_sentence(tmp_path):
-    """Every begin of a record, one byte before, one byte after, and many places between."""
-    data, written = whole_recording()
-    expected = [data for _, _, data in written]
-    path = tmp_path / "a.mcap"
-    places, at = {0, 1, 7, 8}, 8
-    while at < len(data) - 8:
-        places |= {at - 1, at, at + 1, at + 5, at + 9, at + 10}
-        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
-    counts = []
-    for place in sorted(p for p in places | set(range(0, len(data), 997)) if p < len(data)):
-        path.write_bytes(data[:place])
-        try:
-            messages, cut_off = read(path)
-        except RecordingError as error:
-            assert "\n" not in str(error) and place < 60  # only where not even the header is whole
-            continue
-        assert cut_off
-        assert [d for _, _, d in messages] == expected[: len(messages)]
-        counts.append(len(messages))
-    assert counts == sorted(counts)  # a longer file has never fewer messages
-    assert counts[0] == 0 and counts[-1] == len(expected)
-
 
 NAMES = {1: "header", 6: "chunk", 7: "message index", 9: "attachment", 12: "metadata", 15: "end of data",
          11: "statistics", 8: "chunk index", 10: "attachment index", 13: "metadata index", 2: "footer"}  # fmt: skip
@@ -264,16 +228,6 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     assert (result.lost_messages, result.messages) == (len(lost), len(written) - len(lost))
     assert not result.whole and len(result.dropped) >= 1
     assert place == "type" or result.lost_bytes >= chunk.end - chunk.offset  # readers skip records of unknown types
-
-
-@pytest.mark.parametrize(("opcode", "sentence"), [(7, "checksum at their end"), (5, "which is not defined")])
-def test_a_chunk_with_the_opcode_of_another_record_is_not_passed_over(source, tmp_path, opcode, sentence):
-    data, _, chunks = source
-    chunk, count = chunks[len(chunks) // 2]
-    (tmp_path / "a.mcap").write_bytes(flipped(data, chunk.offset, data[chunk.offset] ^ opcode))
-    with Recording(tmp_path / "a.mcap") as recording, pytest.raises(RecordingError, match=sentence):
-        list(recording.messages())
-    assert recover(tmp_path / "a.mcap").lost_messages == count
 
 
 def test_without_the_summary_a_lost_definition_is_reported(source, tmp_path):

@@ -75,19 +75,6 @@ def test_every_number_of_a_trajectory_comes_out(points, bodies):
         assert (actual.stamp, actual.frame_id, actual.names) == (77, "workpiece", names)
 
 
-def test_200000_points_take_less_than_a_second():
-    """The bytes are laid out here point by point: 128 bytes each from the second on."""
-    count = 200_000
-    point = struct.pack("<I7dI4x6dIiI", 1, *range(7), 1, *range(6), 0, 3, 4)
-    head = struct.pack("<4BiII1s3xII5s3xI", 0, 1, 0, 0, 0, 0, 1, b"\0", 1, 5, b"tool\0", count)
-    assert (len(head) - 4) % 8 == 4  # so that the first transform needs no padding either
-    begin = time.process_time()
-    actual = read_trajectory(head + count * point)
-    assert time.process_time() - begin < 1.0
-    assert actual.time.tolist() == [3_000_000_004] * count
-    np.testing.assert_array_equal(actual.velocity[:, 0], np.tile(np.arange(6.0), (count, 1)))
-
-
 @given(st.integers(0, 400), st.binary(max_size=30))
 @settings(max_examples=budget(300))
 def test_a_damaged_trajectory_is_refused_or_read_within_its_bytes(cut, tail):

@@ -18,7 +18,7 @@ from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import serialise
 from kr270_milling.show.commands.console import Answer
 from kr270_milling.studies.identification import measurements
-from kr270_milling.studies.identification.cuts import Sensor, recorded_mean_force
+from kr270_milling.studies.identification.forces import Sensor, recorded_mean_force
 from kr270_milling.studies.identification.wall import compare_wall, read_wall
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"

@@ -14,9 +14,8 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
 from kr270_milling.physics.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock
-from kr270_milling.studies.identification.cuts import Sensor, read_cuts
 from kr270_milling.studies.identification.doubts import hammer_doubts
-from kr270_milling.studies.identification.forces import OneFeedError, fit_forces, law_sections
+from kr270_milling.studies.identification.forces import OneFeedError, Sensor, fit_forces, law_sections, read_cuts
 from kr270_milling.studies.identification.modes import (
     Mode,
     by_compliance,

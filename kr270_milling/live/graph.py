@@ -1,15 +1,20 @@
-"""The four nodes as processes: start, lifecycle, passes, checks, stop."""
+"""The graph of nodes: processes with a session each, lifecycle, choreography of passes, checks, stop."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
+import math
+import os
+import shlex
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,22 +30,123 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from kr270_milling.base.arguments import STOPS
-from kr270_milling.base.errors import one_line
+from kr270_milling.base.errors import MillingError, one_line
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import cell_text, write_cell_file
-from kr270_milling.live.graph.processes import (
-    AlreadyRunning,
-    Child,
-    RunError,
-    own_graph,
-    recording_parameters,
-    stop,
-)
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.environment import keep_to_this_host
+from kr270_milling.live.ros.environment import child_environment, keep_to_this_host
 from kr270_milling.live.ros.node import ERROR, LOST, NOT_COMPLETE, Silence
 from kr270_milling.live.ros.readiness import Report, read_reports
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
+
+
+class RunError(MillingError):
+    """The run cannot continue; node: the failed node; reason: what happened."""
+
+    def __init__(self, node: str, reason: str):
+        self.node, self.reason = node, reason
+        super().__init__(f"{node}: {reason}")
+
+
+class AlreadyRunning(MillingError):
+    """Another graph has the same node names; node is one of them."""
+
+    def __init__(self, node: str):
+        self.node = node
+        super().__init__(
+            f"a node {node} already runs in this ROS domain: stop that graph first, or choose another --namespace or "
+            "ROS_DOMAIN_ID"
+        )
+
+
+def own_graph(domain: int, namespace: str) -> socket.socket:
+    """Return the right to start the nodes of a namespace in a ROS domain, until it is closed. Raises AlreadyRunning.
+
+    If two runs start at once, the first has it. The name of a socket is free again when its process ends, and it
+    belongs to the network of this host, as the loopback interface does.
+    """
+    own = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        own.bind(f"\0kr270_milling/{domain}{namespace}")
+    except OSError as error:  # another one: this system has no such names
+        if error.errno == errno.EADDRINUSE:
+            own.close()
+            raise AlreadyRunning(f"{namespace.rstrip('/')}/{ROBOT}") from None
+    return own
+
+
+class Child:
+    """A process with one node or several; its output goes to a log below ``logs``."""
+
+    def __init__(self, nodes: Sequence[str], arguments: Iterable[str], logs: Path):
+        self.name = "+".join(nodes)
+        self.log = logs / f"{self.name}.log"
+        program = nodes if len(nodes) == 1 else ("milling_cell", *nodes)
+        command = [sys.executable, "-m", "kr270_milling.live.nodes", *program, *arguments]
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)  # until the child has its handlers, see nodes.start
+        try:
+            with open(self.log, "ab") as stream:
+                self.process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=stream,
+                    stderr=subprocess.STDOUT,
+                    cwd=logs,
+                    env=child_environment(),
+                    start_new_session=True,
+                )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self.ended_at = math.inf  #: [s of the monotonic clock]
+        threading.Thread(target=self._wait, daemon=True).start()
+
+    def _wait(self) -> None:
+        """Note the end at once: a runner under load looks at its processes late, and two may have ended by then."""
+        self.process.wait()
+        self.ended_at = time.monotonic()
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    @property
+    def alive(self) -> bool:
+        return self.ended_at == math.inf
+
+    def why_ended(self) -> str:
+        """Return why the process ended, in one sentence."""
+        code = self.process.returncode
+        if code < 0:
+            return f"was ended by {signal.Signals(-code).name}"
+        return f"ended with exit code {code} ({self.last_line() or 'it printed nothing'}; see {self.log})"
+
+    def last_line(self) -> str:
+        """Return the last line of the log that is not empty."""
+        with open(self.log, "rb") as stream:
+            stream.seek(max(0, os.fstat(stream.fileno()).st_size - 4096))
+            lines = stream.read().decode("utf-8", "replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+    def signal(self, number: int) -> None:
+        if self.alive:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.pid, number)
+
+
+def stop(children: Iterable[Child], grace: float = 3.0) -> list[str]:
+    """Interrupt all nodes at once and wait; kill those that do not end within ``grace`` [s] and return their names."""
+    children = [c for c in children if c.alive]
+    for child in children:
+        child.signal(signal.SIGINT)
+        child.signal(signal.SIGCONT)  # a stopped process handles no signal
+    end = time.monotonic() + grace
+    while any(child.alive for child in children) and time.monotonic() < end:
+        time.sleep(0.01)
+    killed = [child for child in children if child.alive]
+    for child in killed:
+        child.signal(signal.SIGKILL)
+        child.process.wait()
+    return [child.name for child in killed]
 
 
 class Driver:
@@ -162,16 +268,6 @@ UP = 300.0  # [s] for a node to start, to compile at its first use on a busy mac
 QUIET = 1.0  # [s] without a report in mid-pass, after which the run prints a warning
 CELL, PLANNER = (ROBOT, CUT), (COMPENSATOR, RECORDER)  # the two processes of a composed graph
 NODES = (*CELL, *PLANNER)
-
-
-@dataclass(frozen=True)
-class RunValues:
-    """Values of one pass that are not in its recording."""
-
-    recording: Path
-    wall_s: float  #: from the first exchange to the last [s]
-    errors: tuple[float, ...]  #: remaining error of every pass of this method so far [m], computed by the compensator
-    finished: bool  #: the compensator has reached its limit
 
 
 class Graph:
@@ -312,8 +408,12 @@ class Graph:
     def _value(self, key: str, node: str = COMPENSATOR) -> str | None:
         return self.driver.value(node, key)
 
-    def run_pass(self, name: str) -> RunValues:
-        """Run one pass on a fresh workpiece and record it to ``out/name``."""
+    def run_pass(self, name: str) -> tuple[Path, float, tuple[float, ...], bool]:
+        """Run one pass on a fresh workpiece and record it to ``out/name``.
+
+        Returns the recording, the wall time from the first exchange to the last [s], the remaining error of every pass
+        of this method so far [m], and whether the compensator has reached its limit.
+        """
         until = self.driver.until
         self.begin_recording(name)
         self.driver.transition("activate", CUT, deadline=UP)
@@ -329,7 +429,7 @@ class Graph:
         self.driver.transition("deactivate", *CELL, deadline=UP)
         self.end_recording()
         errors = tuple(e * 1e-6 for e in json.loads(self._value("remaining_error_um") or "[]"))
-        return RunValues(self.out / name, wall, errors, self._value("finished") == "True")
+        return self.out / name, wall, errors, self._value("finished") == "True"
 
     def _is_ready(self) -> bool:
         """Return whether the compensator knows the recording and reports that a pass may start."""
@@ -337,11 +437,15 @@ class Graph:
 
     def begin_recording(self, name: str) -> None:
         """Open the file of the recorder."""
-        plant = ""
+        attach = [self.out / "cell.yaml", *self.cell.path.files]
         if self.plant is not None:
             first = self.plant.imperfections.replace(first_pass=self.passes)
-            plant = cell_text(self.plant.replace(imperfections=first))
-        self.driver.set_parameters(RECORDER, recording_parameters(self.out, name, self.cell.path.files, plant), UP)
+            attach.append(self.out / "log" / name / "plant.yaml")
+            attach[-1].parent.mkdir(exist_ok=True)
+            attach[-1].write_text(cell_text(self.plant.replace(imperfections=first)), encoding="utf-8")
+        # the directory starts the recording, so it comes last
+        values = {"attach": [*map(str, attach)], "command": shlex.join(sys.argv), "directory": str(self.out / name)}
+        self.driver.set_parameters(RECORDER, values, UP)
         self.driver.transition("activate", RECORDER, deadline=UP)
         self._recording = f"{name}/{name}.mcap"
 

@@ -1,1 +1,0 @@
-"""The graph of nodes: processes, choreography of passes, checks."""
