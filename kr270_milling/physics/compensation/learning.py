@@ -26,7 +26,8 @@ from kr270_milling.base.errors import ModelError
 from kr270_milling.path.controller_motion import block_ends, controller_motion
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
-from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
+from kr270_milling.physics.compensation.ensemble import least_mean_square
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, knots
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
 from kr270_milling.physics.compensation.revision import (
@@ -215,7 +216,7 @@ class Learner:
             solution = lifted.min_max(base, self._weight(), smoothness, self.scored)
         else:
             solution = lifted.least_squares(base, self._weight(), smoothness)
-        return solution.knots(self.segments)
+        return knots(self.segments, solution.cubic)
 
     def robust_correction(self) -> np.ndarray:
         """Values [m] at the knots, (k, 3), for the simulated robots; that of the model where there are none."""
@@ -225,7 +226,6 @@ class Learner:
         segments, weight, smooth = self.segments, self._weight(), self.conditions.smooth
         settled_gain = 1e-4  # of the cost of the path as programmed: a step of the search that gains less is the last
         settled = settled_gain * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
-        lifted = Lifted(self.arm, segments, self.conditions)
         best, tried, bias, shares = np.inf, offset, 0.0, np.zeros(0)
         # a robot with more than this multiple of the median of the largest deviations counts in inverse proportion to
         # its square: it may swing by itself, which no response contains, and the swing would shape the correction
@@ -256,7 +256,10 @@ class Learner:
             self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
             if number + 1 == rounds:
                 break
-            tried = offset + lifted.least_mean_square(drawn, shares, weight, careful, settled).knots(segments)
+            found = least_mean_square(
+                self.arm, segments, self.conditions, drawn, shares, weight, careful, settled
+            )
+            tried = offset + knots(segments, found)
             if np.array_equal(tried, offset):
                 break
         return offset

@@ -15,7 +15,8 @@ free; where the target stops the correction has no slope; straight lines have a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -48,11 +49,13 @@ class LiftedCorrection:
     cubic: np.ndarray
     left: np.ndarray
 
-    def knots(self, segments: Segments) -> np.ndarray:
-        """Values [m] at the knots, (m + 1, 3)."""
-        t = segments.duration[-1]
-        c, v, a, j = self.cubic[-1]
-        return np.vstack([self.cubic[:, 0], c + v * t + a * t**2 / 2.0 + j * t**3 / 6.0])
+
+def knots(segments: Segments, cubic: np.ndarray) -> np.ndarray:
+    """Values [m] of cubics (m, 4, 3) at the knots, (m + 1, 3)."""
+    t = segments.duration[-1]
+    c, v, a, j = cubic[-1]
+    return np.vstack([cubic[:, 0], c + v * t + a * t**2 / 2.0 + j * t**3 / 6.0])
+
 
 
 class Lifted:
@@ -73,98 +76,90 @@ class Lifted:
             self._made = part.start, (outputs(arm, segments) * self._unit, step, *chosen)
         return self._made[1]
 
-    def least_squares(
-        self, deviation: np.ndarray, weight: np.ndarray, smoothness: float, pull: np.ndarray | None = None
-    ) -> LiftedCorrection:
+    def cut(self, part: slice) -> Lifted:
+        """The response on the segments of ``part`` alone, in the units of the whole path."""
+        window = copy.copy(self)
+        window._arm, window._segments = self._arm.cut(part), self._segments.cut(part)
+        window._conditions, window._made = self._conditions.cut(part), None
+        return window
+
+    def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> LiftedCorrection:
         """The best correction of deviations d0 [m], (m, parts, 3), under weights W (m, parts, 3, 3).
 
         smoothness: weight of the change of the correction's third (of straight lines: second) difference over a
-        segment of the usual length; pull: further slopes of half the cost by the cubics, (m, 4, 3).
+        segment of the usual length.
         """
-        m, size, r = len(self._segments), 2 * self.order + 9, self.order
+        m, size = len(self._segments), 2 * self.order + 9
         later, linear = np.zeros((size, size)), np.zeros(size)
-        bend = np.zeros((size + CONTROLS, size + CONTROLS))
-        if not self.smooth:
-            difference = np.zeros((3, size + CONTROLS))  # what is free minus v of the state
-            difference[:, 2 * r + 3 : 2 * r + 6], difference[:, size : size + 3] = -np.eye(3), np.eye(3)
-            bend = smoothness * difference.T @ difference
-        blocks = list(self._segments.blocks())
+        blocks, ends = list(self._segments.blocks()), []  # P and p of the last knot of each block
 
         def go_back(part: slice, later: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             """Policy and push of a block; P and p of its last knot become those of its first."""
+            policy, factor = self._policy(part, weight[part], smoothness, later)
             output, step, from_state, free = self._matrices(part)
-            weighted = np.swapaxes(output, -1, -2) @ weight[part]
-            cost = np.sum(weighted @ output, axis=1)
-            slope = np.sum(weighted @ deviation[part, ..., None], axis=1)[..., 0]
-            if pull is not None:
-                slope[:, 2 * r :] += pull[part].reshape(-1, 12) * self._unit[2 * r :]
-            if self.smooth:  # weight of j
-                cost[:, 2 * r + 9 :, 2 * r + 9 :] += smoothness * np.eye(3)
-            policy, push = np.zeros((len(step), CONTROLS, size)), np.zeros((len(step), CONTROLS))
-            _backward(cost, slope, step, from_state, free, bend, later, linear, policy, push)
+            slope = np.sum(np.swapaxes(output, -1, -2) @ (weight[part] @ deviation[part, ..., None]), axis=1)[..., 0]
+            push = np.zeros((len(step), CONTROLS))
+            _backward_slope(slope, step, from_state, free, policy, factor, linear, push)
             return policy, push
 
-        ends = []  # P and p of the last knot of each block
         for part in reversed(blocks):
             ends.append((later.copy(), linear.copy()))
             first = go_back(part, later, linear)  # at the end that of the first block
-        start = first_state(self._arm, self._conditions, self._unit)
-        chosen = start.T @ later @ start
-        chosen += np.diag(np.where(np.diag(chosen) > 0.0, TINY * np.trace(chosen), 1.0))
-        state = -start @ np.linalg.solve(chosen, start.T @ linear)
+        state = self._start(later, linear)
         cubic, left = np.zeros((m, 4, 3)), np.array(deviation)
         for part in blocks:
             end = ends.pop()
             policy, push = first if part.start == 0 else go_back(part, *end)
             output, step, from_state, free = self._matrices(part)
-            local = np.zeros((len(step), 2 * r + 12))
+            local = np.zeros((len(step), size + 3))
             _forward(step, from_state, free, policy, push, state, local)
             left[part] += (output @ local[:, None, :, None])[..., 0]
-            cubic[part] = (local * self._unit)[:, 2 * r :].reshape(-1, 4, 3)
+            cubic[part] = (local * self._unit)[:, -12:].reshape(-1, 4, 3)
         return LiftedCorrection(cubic, left)
 
-    def least_mean_square(
-        self,
-        plants: Sequence[tuple[ArmResponse, np.ndarray]],
-        shares: np.ndarray,
-        weight: np.ndarray,
-        smoothness: float,
-        settled: float,
-    ) -> LiftedCorrection:
-        """The correction with the least mean cost of n plants, each with response H_k, deviation d_k and share s_k.
+    def prepared(self, weight: np.ndarray, smoothness: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the function from the slope of a cost by the cubics (m, 4, 3) to the cubics that are best with it.
 
-        sum_k s_k H_k^T W (d_k + H_k c) / n + S c = 0   where the mean of s_k (d_k + H_k c)^T W (d_k + H_k c) is least
-
-        Conjugate gradients [HestenesStiefel1952] among the corrections that the knots allow, preconditioned by
-        ``least_squares`` with the response of the model. They end where a step gains less than ``settled`` [m^2], so
-        plants without a deviation leave no correction. Memory and time are linear in the length of the path and in n.
+        Of segments that are one block: the matrices are made once.
         """
-        segments, n = self._segments, len(plants)
+        part, size = slice(0, len(self._segments)), 2 * self.order + 9
+        later = np.zeros((size, size))
+        policy, factor = self._policy(part, weight, smoothness, later)
+        _, step, from_state, free = self._matrices(part)
 
-        def slope(cubic: np.ndarray, share: float) -> np.ndarray:
-            """Slope of half the cost by the cubics, with this share of the deviations."""
-            total = self._roughness(cubic, smoothness)
-            for counted, (arm, deviation) in zip(shares / n, plants, strict=True):
-                left = share * deviation + arm.follow(segments, cubic)
-                total += counted * arm.pull(segments, (weight @ left[..., None])[..., 0])
-            return total
+        def solve(slope: np.ndarray) -> np.ndarray:
+            linear, push, local = np.zeros(size), np.zeros((len(step), CONTROLS)), np.zeros((len(step), size + 3))
+            local[:, -12:] = slope.reshape(-1, 12) * self._unit[-12:]
+            _backward_slope(local, step, from_state, free, policy, factor, linear, push)
+            _forward(step, from_state, free, policy, push, self._start(later, linear), local)
+            return (local * self._unit)[:, -12:].reshape(-1, 4, 3)
 
-        mean = np.mean([deviation for _, deviation in plants], axis=0)
-        cubic, zero = np.zeros((len(segments), 4, 3)), np.zeros_like(mean)
-        rest, direction, before = slope(cubic, 1.0), cubic, np.inf
-        steps = 30  # most conjugate gradients
-        for _ in range(steps):
-            better = self.least_squares(zero, weight, smoothness, rest).cubic
-            gain = -float(np.sum(rest * better))
-            if not gain > settled:
-                break
-            direction = better + gain / before * direction
-            bent = slope(direction, 0.0)
-            step = gain / np.sum(direction * bent)
-            cubic, rest, before = cubic + step * direction, rest + step * bent, gain
-        return LiftedCorrection(cubic, mean + self._arm.follow(segments, cubic))
+        return solve
 
-    def _roughness(self, cubic: np.ndarray, smoothness: float) -> np.ndarray:
+    def _policy(self, part: slice, weight: np.ndarray, smoothness: float, later: np.ndarray):
+        """Policy of a block and factors of what is free; P of its last knot becomes that of its first."""
+        size = len(later)
+        output, step, from_state, free = self._matrices(part)
+        cost = np.sum(np.swapaxes(output, -1, -2) @ weight @ output, axis=1)
+        bend = np.zeros((size + CONTROLS, size + CONTROLS))
+        if self.smooth:  # weight of j
+            cost[:, size:, size:] += smoothness * np.eye(3)
+        else:
+            difference = np.zeros((3, size + CONTROLS))  # what is free minus v of the state
+            difference[:, size - 6 : size - 3], difference[:, size : size + 3] = -np.eye(3), np.eye(3)
+            bend = smoothness * difference.T @ difference
+        policy, factor = np.zeros((len(step), CONTROLS, size)), np.zeros((len(step), CONTROLS, CONTROLS))
+        _backward(cost, step, from_state, free, bend, later, policy, factor)
+        return policy, factor
+
+    def _start(self, later: np.ndarray, linear: np.ndarray) -> np.ndarray:
+        """The best state at the first knot."""
+        start = first_state(self._arm, self._conditions, self._unit)
+        chosen = start.T @ later @ start
+        chosen += np.diag(np.where(np.diag(chosen) > 0.0, TINY * np.trace(chosen), 1.0))
+        return -start @ np.linalg.solve(chosen, start.T @ linear)
+
+    def roughness(self, cubic: np.ndarray, smoothness: float) -> np.ndarray:
         """Slopes of half the cost of the smoothness, (m, 4, 3)."""
         slope, unit = np.zeros_like(cubic), self._unit[2 * self.order + 3 :: 3]
         if self.smooth:
@@ -199,15 +194,15 @@ class Lifted:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _backward(cost, slope, step, from_state, free, bend, later, linear, policy, push):
-    """Fill the best free numbers of each segment, policy x + push; P and p of the last knot become those of the first.
+def _backward(cost, step, from_state, free, bend, later, policy, factor):
+    """Fill policies and factors of each segment; P of the last knot becomes that of the first.
 
     bend: cost of the change of slope of straight lines, (x + CONTROLS, x + CONTROLS); 0: none.
     """
     # one number at a time where no matrix is multiplied: Numba compiles an assignment of arrays, and ``solve``, for
     # seconds each
     size, count, width = later.shape[0], policy.shape[1], step.shape[2]
-    both, factor = np.zeros((width, size + count)), np.zeros((count, count))
+    both = np.zeros((width, size + count))
     for k in range(len(step) - 1, -1, -1):
         bent = False
         for i in range(width):
@@ -221,31 +216,44 @@ def _backward(cost, slope, step, from_state, free, bend, later, linear, policy, 
             for j in range(width):
                 inner[i, j] += cost[k, i, j]
         total = both.T @ (inner @ both)
-        gradient = np.zeros(size + count)
-        for i in range(width):
-            value = slope[k, i]
-            for j in range(size):
-                value += step[k, j, i] * linear[j]
-            for j in range(size + count):
-                gradient[j] += both[i, j] * value
         if bent:
             for i in range(size + count):
                 for j in range(size + count):
                     total[i, j] += bend[i, j]
-        _factorise(total, size, factor)
+        _factorise(total, size, factor[k])
         for j in range(size):
-            _substitute(factor, total[size:, j], policy[k, :, j])
-        _substitute(factor, gradient[size:], push[k])
+            _substitute(factor[k], total[size:, j], policy[k, :, j])
         for i in range(size):
-            linear[i] = gradient[i]
-            for c in range(count):
-                linear[i] += total[i, size + c] * push[k, c]
             for j in range(size):
                 for c in range(count):
                     total[i, j] += total[i, size + c] * policy[k, c, j]
         for i in range(size):
             for j in range(size):
                 later[i, j] = 0.5 * (total[i, j] + total[j, i])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _backward_slope(slope, step, from_state, free, policy, factor, linear, push):
+    """Fill the push of each segment: its best free numbers are policy x + push; p of the last knot becomes that of the
+    first. slope: of half the cost by y, (m, y)."""
+    size, count, width = linear.size, policy.shape[1], step.shape[2]
+    gradient = np.zeros(size + count)
+    for k in range(len(step) - 1, -1, -1):
+        for j in range(size + count):
+            gradient[j] = 0.0
+        for i in range(width):
+            value = slope[k, i]
+            for j in range(size):
+                value += step[k, j, i] * linear[j]
+            for j in range(size):
+                gradient[j] += from_state[k, i, j] * value
+            for j in range(count):
+                gradient[size + j] += free[k, i, j] * value
+        _substitute(factor[k], gradient[size:], push[k])
+        for j in range(size):
+            linear[j] = gradient[j]
+            for c in range(count):
+                linear[j] += policy[k, c, j] * gradient[size + c]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -145,7 +145,7 @@ class Lag:
         b, c = slope + delay, bend + slope * delay + delay**2 / 2.0
         return cls(c**-0.5, 0.5 * b * c**-0.5) if c else None
 
-    def _matrices(self, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def matrices(self, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Matrices of segments (m,) [s]: (y, y') at the end from those at the start, (m, 2, 2), and from a cubic,
         (m, 2, 4); the cubic from (y, y') at both ends, (m, 4, 4)."""
         w, z, t = self.frequency, self.damping, duration
@@ -162,14 +162,14 @@ class Lag:
 
     def follow(self, segments: Segments, cubic: np.ndarray) -> np.ndarray:
         """Cubics (m, 4, 3) of the motors that follow cubics (m, 4, 3), equal at the knots."""
-        free, driven, hermite = self._matrices(segments.duration)
+        free, driven, hermite = self.matrices(segments.duration)
         state = np.stack([cubic[0, 0], np.zeros(3)])
         start, end = _run(free, driven @ cubic, state)
         return hermite @ np.concatenate([start, end], axis=1)
 
     def pull(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
         """Adjoint of ``follow``: slopes (m, 4, 3) of a cost by its result to those by its cubics."""
-        free, driven, hermite = self._matrices(segments.duration)
+        free, driven, hermite = self.matrices(segments.duration)
         ends = np.swapaxes(hermite, 1, 2) @ slope  # by (y, y') at both ends
         ends[:-1, 2:] += ends[1:, :2]  # all but the first by that at the end of a segment
         added = np.concatenate([ends[:-1, 2:][::-1], ends[:1, :2]])
@@ -246,6 +246,12 @@ class ArmResponse:
             gain=self.gain * gain,
             softness=self.softness * softness,
         )
+
+    def modes(self, chosen: np.ndarray) -> ArmResponse:
+        """The arm with some of its modes alone, (r,) bool."""
+        fields = {name: getattr(self, name)[:, chosen] for name in ("frequency", "damping", "inward", "push")}
+        carry, outward = self.carry[:, chosen][:, :, chosen], self.outward[:, :, chosen]
+        return dataclasses.replace(self, carry=carry, outward=outward, **fields)
 
     def factors_on(self, model: ArmResponse) -> ArmFactors:
         """Return the factors that scaled ``model`` to this arm."""

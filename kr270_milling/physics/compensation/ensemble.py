@@ -1,0 +1,194 @@
+"""The response of many robots to one correction: slopes of their mean cost, all robots at once.
+
+The numbers of one segment are y = [u, p, y, y', c, v, a, j]: modal coordinates u of the arm relative to its motors and
+p = u' + L v, which no corner of the motors' path changes (L: reference -> modal coordinates), place and velocity of the
+motors, and the cubic of the correction. One matrix for each kind of segment (posture, duration) leads to the motion
+of the tool in each part and to [u, p, y, y'] at the next knot. The compiled loop multiplies the matrices of all robots.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numba import njit
+
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, outputs, transitions
+from kr270_milling.physics.compensation.response import ArmResponse, Segments
+
+MOTORS = 6  #: numbers of place and velocity of the motors
+WINDOW = 1024  #: segments that are solved at once
+REACH = 3.0  #: [s], before and after a window: so long two corrections of the same deviation differ
+STEPS = 30  #: most conjugate gradients
+
+
+def least_mean_square(
+    arm: ArmResponse,
+    segments: Segments,
+    conditions: KnotConditions,
+    robots: Sequence[tuple[ArmResponse, np.ndarray]],
+    shares: np.ndarray,
+    weight: np.ndarray,
+    smoothness: float,
+    settled: float,
+) -> np.ndarray:
+    """Cubics (m, 4, 3) of the correction with the least mean cost of n robots: response H_k, deviation d_k, share s_k.
+
+    sum_k s_k H_k^T W (d_k + H_k c) / n + S c = 0   where the mean of s_k (d_k + H_k c)^T W (d_k + H_k c) is least
+
+    arm: of the model. Conjugate gradients [HestenesStiefel1952] among the corrections that the knots allow,
+    preconditioned by ``Lifted`` with the slow modes of a mean robot. They end where a step gains less than ``settled``
+    [m^2], so robots without a deviation leave no correction. Windows of the path are solved one by one, each together
+    with the path beside it. Time is linear in the length of the path, memory does not grow with it.
+    """
+    count, m = np.array([response.frequency[0] for response, _ in robots]), len(segments)
+    slow = arm.frequency[0] * float(np.median(segments.duration)) < 4.0  # [rad]: a correction moves no faster mode
+    between = np.exp(np.log(count / arm.frequency[0]).mean(axis=0))
+    # assumed: robots that differ in frequency answer in the mean as one with three times the damping
+    mean = Lifted(arm.scaled(between, 3.0).modes(slow), segments, conditions)
+    cubic, beside = np.zeros((m, 4, 3)), int(np.ceil(REACH / np.median(segments.duration)))
+
+    def solve(first: int) -> None:
+        inner = slice(first, min(first + WINDOW, m))
+        part = slice(max(0, inner.start - beside), min(m, inner.stop + beside))
+        lifted, ensemble = mean.cut(part), Ensemble(robots, shares, segments, weight, part)
+        precondition = lifted.prepared(weight[part], smoothness)
+        found = np.zeros((part.stop - part.start, 4, 3))
+        rest, direction, before = ensemble.slope(found, 1.0), found, np.inf
+        for _ in range(STEPS):
+            better = precondition(rest)
+            gain = -float(np.sum(rest * better))
+            if not gain > settled * len(found) / m:
+                break
+            direction = better + gain / before * direction
+            bent = ensemble.slope(direction, 0.0) + lifted.roughness(direction, smoothness)
+            step = gain / np.sum(direction * bent)
+            found, rest, before = found + step * direction, rest + step * bent, gain
+        cubic[inner] = found[inner.start - part.start :][: inner.stop - inner.start]
+
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        list(pool.map(solve, range(0, m, WINDOW)))
+    return cubic
+
+
+class Ensemble:
+    """Robots with response, deviation [m] (m, parts, 3) and share of the cost, along a ``part`` of a path."""
+
+    def __init__(
+        self,
+        robots: Sequence[tuple[ArmResponse, np.ndarray]],
+        shares: np.ndarray,
+        segments: Segments,
+        weight: np.ndarray,
+        part: slice,
+    ):
+        whole, self._shares = np.arange(len(segments)), shares / len(robots)
+        rows = np.stack([whole if arm.posture is None else arm.posture for arm, _ in robots])
+        after = np.append(rows[:, 1:], rows[:, -1:], axis=1)
+        kinds = np.vstack([np.diff(segments.time_ns), rows, after])[:, part]
+        _, first, self._kind = np.unique(kinds, axis=1, return_index=True, return_inverse=True)
+        sample = Segments(np.append(0, np.cumsum(kinds[0, first])), segments.parts)
+        first += part.start
+        following = np.minimum(first + 1, whole[-1])
+        matrices = [_matrix(arm.cut(first), arm.cut(following).inward, sample) for arm, _ in robots]
+        self._matrix = np.ascontiguousarray(np.stack(matrices, axis=-1).swapaxes(1, 2))
+        deviations = np.stack([deviation[part] for _, deviation in robots], axis=-1)
+        self._deviation = deviations.reshape(len(deviations), -1, len(robots))
+        self._weight = np.ascontiguousarray(weight[part])
+
+    def slope(self, cubic: np.ndarray, share: float) -> np.ndarray:
+        """Slope of half the cost by cubics (m, 4, 3), with this share of the deviations."""
+        pulled, flat = np.zeros((len(cubic), 12)), np.ascontiguousarray(cubic).reshape(-1, 12)
+        _slope(self._kind, self._matrix, share * self._deviation, self._weight, self._shares, flat, pulled)
+        return pulled.reshape(-1, 4, 3)
+
+
+def _matrix(arm: ArmResponse, next_inward: np.ndarray, segments: Segments) -> np.ndarray:
+    """Motion of the tool in each part and [u, p, y, y'] at the next knot from y, (kinds, 3 parts + 2 r + 6, 2 r + 18)."""
+    r, m = arm.order, len(segments)
+    inward, after = (rows if arm.moves else np.zeros_like(rows) for rows in (arm.inward, next_inward))
+    moved, swung = outputs(arm, segments).reshape(m, -1, 2 * r + 12), transitions(arm, segments)[:, : 2 * r]
+    for matrix in (moved, swung):
+        matrix[:, :, 2 * r + 3 : 2 * r + 6] -= matrix[:, :, r : 2 * r] @ inward
+    powers = segments.duration[:, None] ** np.arange(3) / [1.0, 1.0, 2.0]
+    swung[:, r:, 2 * r + 3 :] += (powers[:, None, :, None] * after[:, :, None]).reshape(m, r, 9)
+    answer = np.zeros((m, moved.shape[1] + 2 * r + MOTORS, 2 * r + MOTORS + 12))
+    arm_rows, motor_rows = slice(0, moved.shape[1] + 2 * r), slice(moved.shape[1] + 2 * r, None)
+    both = np.concatenate([moved, swung], axis=1)
+    answer[:, arm_rows, : 2 * r] = both[:, :, : 2 * r]
+    if arm.lag is None:
+        answer[:, arm_rows, 2 * r + MOTORS :] = both[:, :, 2 * r :]
+        return answer
+    free, driven, hermite = arm.lag.matrices(segments.duration)
+    ends = np.concatenate([free, driven], axis=2)
+    cubic = hermite[:, :, 2:] @ ends
+    cubic[:, :, :2] += hermite[:, :, :2]
+    ends, cubic = (np.kron(rows, np.eye(3)) for rows in (ends, cubic))
+    answer[:, arm_rows, 2 * r :] = both[:, :, 2 * r :] @ cubic
+    answer[:, motor_rows, 2 * r :] = ends
+    return answer
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _slope(kind, matrix, left, weight, shares, cubic, pulled):
+    """Add the slopes by cubics (m, 12) to ``pulled``; left: the deviations, (m, 3 parts, n), changed.
+
+    matrix: (kinds, y, 3 parts and states, n).
+    """
+    _, width, height, n = matrix.shape
+    m, parts = weight.shape[:2]
+    states, moved = width - 12, 3 * parts
+    y, answer = np.zeros((width, n)), np.zeros((height, n))
+    for i in range(3):  # the motors are on the first value of the correction
+        for e in range(n):
+            y[states - 6 + i, e] = cubic[0, i]
+    for k in range(m):
+        t = kind[k]
+        for j in range(12):
+            for e in range(n):
+                y[states + j, e] = cubic[k, j]
+        for i in range(height):
+            for e in range(n):
+                answer[i, e] = 0.0
+        for j in range(width):
+            for i in range(height):
+                for e in range(n):
+                    answer[i, e] += matrix[t, j, i, e] * y[j, e]
+        for i in range(moved):
+            for e in range(n):
+                left[k, i, e] += answer[i, e]
+        for j in range(states):
+            for e in range(n):
+                y[j, e] = answer[moved + j, e]
+    back = np.zeros(n)
+    for i in range(height):
+        for e in range(n):
+            answer[i, e] = 0.0
+    for k in range(m - 1, -1, -1):
+        t = kind[k]
+        for p in range(parts):
+            for i in range(3):
+                for e in range(n):
+                    value = 0.0
+                    for j in range(3):
+                        value += weight[k, p, i, j] * left[k, 3 * p + j, e]
+                    answer[3 * p + i, e] = shares[e] * value
+        for j in range(width):
+            for e in range(n):
+                back[e] = 0.0
+            for i in range(height):
+                for e in range(n):
+                    back[e] += matrix[t, j, i, e] * answer[i, e]
+            for e in range(n):
+                y[j, e] = back[e]
+        for j in range(states):
+            for e in range(n):
+                answer[moved + j, e] = y[j, e]
+        for j in range(12):
+            for e in range(n):
+                pulled[k, j] += y[states + j, e]
+    for i in range(3):
+        for e in range(n):
+            pulled[0, i] += y[states - 6 + i, e]
