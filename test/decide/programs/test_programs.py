@@ -37,7 +37,7 @@ from kr270_milling.decide.programs.files import (
 )
 from kr270_milling.decide.programs.krl import Setup, trajectory_hash, write_krl
 from kr270_milling.decide.programs.krl_motion import knot_notes
-from kr270_milling.decide.programs.points import point_numbers
+from kr270_milling.decide.programs.points import point_numbers, program_points
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
 from kr270_milling.live.rsi.telegram import Elements, read_elements
@@ -168,7 +168,9 @@ def test_a_program_larger_than_the_memory_has_parts_that_begin_and_end_above_the
     program = Program(name="A234567890123456", motion=motion, memory=10e3)
     whole, knots, (one,) = write(tmp_path / "whole", program.replace(memory=4e6), run, run)
     files, same, parts = write(tmp_path / "parts", program, run, run)
-    (before, stopped), (pose, stops) = (read_krl(tmp_path / name, f"{program.name}_CMP") for name in ("whole", "parts"))
+    (before, stopped, _), (pose, stops, _) = (
+        read_krl(tmp_path / name, f"{program.name}_CMP") for name in ("whole", "parts")
+    )
     assert one == (0, len(run) - 1) and same.tolist() == knots.tolist()
     np.testing.assert_array_equal(pose.position, before.position)
     np.testing.assert_array_equal(stops, stopped)
@@ -324,7 +326,8 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
         file = next(tmp_path.glob(f"joints_{name}_*.csv"))
         assert file.read_text().partition("\n")[0] == "time_s," + ",".join(f"joint_{j}_deg" for j in range(1, 7))
         table = np.loadtxt(file, delimiter=",", skiprows=1)
-        knots = point_numbers(cell.krl.replace(motion=motion), target, swayed(target))
+        program = cell.krl.replace(motion=motion)
+        knots = point_numbers(program, target, swayed(target))
         assert_flange(read, cell.arm, np.radians(table[knots, 1:]))
         assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
         assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
@@ -536,11 +539,21 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     )
     folder = files[f"krl_{motion.lower()}"][0].parent
     main = f"{cell.krl.name}_CMP"
-    (pose, stops), robot = read_krl(folder, main), Robot(folder, main)
+    (pose, stops, auxiliary), robot = read_krl(folder, main), Robot(folder, main)
+    assert np.flatnonzero(auxiliary).tolist() == robot.auxiliary and bool(robot.auxiliary) == (motion == "LIN")
     assert [0, *(np.array(robot.rests) - 1)] == np.flatnonzero(stops).tolist()
     assert pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
     assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
     assert time_law(path_of(cell)) in text
+
+
+def from_circle(places: np.ndarray, a: np.ndarray, m: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distances of places (n, 3) from the circle through three points: as far from all of them, in their plane."""
+    axis = np.cross(m - a, b - a)
+    centre = np.linalg.solve([m - a, b - a, axis], [(m - a) @ (m + a) / 2, (b - a) @ (b + a) / 2, axis @ a])
+    above = (places - a) @ axis / np.linalg.norm(axis)
+    around = np.sqrt(np.sum((places - centre) ** 2, axis=1) - above**2)
+    return np.hypot(around - np.linalg.norm(a - centre), above)
 
 
 @pytest.mark.parametrize("motion", ["SPLINE", "LIN"])
@@ -554,16 +567,21 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
         robot = Robot(next(tmp_path.glob("krl_*")), f"MILLING_{kind}")
         assert max(speed for _, speed in robot.points[1:]) < 1.01 * planned.feed(planned.time_ns).max()
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(planned.position, axis=0), axis=1))])
-        knots, ends = point_numbers(program, target, run), [0, *(np.array(robot.rests) - 1)]
+        knots, auxiliary = program_points(program, target, run)
+        ends = [0, *(np.array(robot.rests) - 1)] if motion == "SPLINE" else np.flatnonzero(~auxiliary)
         for first, last in pairwise(ends):
             points, inner = slice(first, last + 1), np.arange(knots[first], knots[last] + 1)
             place = 1e-3 * robot.column("XYZ")[points]
-            straight = motion == "LIN" or last == first + 1
-            spline = (make_interp_spline if straight else CubicSpline)(
-                way[knots[points]], place, *([1] if straight else [0, "natural"])
-            )
-            gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
+            if auxiliary[first + 1]:
+                gap = from_circle(planned.position[inner], *place)
+            else:
+                straight = last == first + 1
+                spline = (make_interp_spline if straight else CubicSpline)(
+                    way[knots[points]], place, *([1] if straight else [0, "natural"])
+                )
+                gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
             assert gap.max() < program.tolerance + 0.1 * UM  # places are written to 0.1 um
+    assert auxiliary.any() == (motion == "LIN")
     assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
     apart = point_numbers(program.replace(point_spacing=1e-3, tolerance=0.0), target, run)
     for planned in (target, run):
@@ -596,9 +614,9 @@ def test_a_program_of_lin_motions_is_judged_by_its_blended_path(part):
     exact, blended = (
         written_trajectory(cell.replace(krl=program.replace(blend_distance=d)), target, "LIN") for d in (0.0, 2e-3)
     )
-    knots = point_numbers(program, target, target)
-    stops = target.standing[knots]
-    expected = places_on_program(target, knots, target.position[knots], stops, False, program.blend_distance)
+    knots, auxiliary = program_points(program, target, target)
+    stops, blend = target.standing[knots], program.blend_distance
+    expected = places_on_program(target, knots, target.position[knots], stops, False, blend, auxiliary)
     np.testing.assert_allclose(blended.position, expected, atol=1e-7)
     assert np.linalg.norm(blended.position - exact.position, axis=1).max() > 5e-6
 
