@@ -109,17 +109,17 @@ def program_points(
     to the knots of both trajectories as the lines are, or in the tolerance, and the tool does not turn on it.
     """
     points, fixed = point_numbers(program, original, revised, fixed), original.standing if fixed is None else fixed
-    kept, auxiliary = np.ones(len(points), bool), np.zeros(len(points), bool)
+    stays, auxiliary = np.ones(len(points), bool), np.zeros(len(points), bool)
     if program.motion == "LIN" and program.tolerance:
         runs = [original] if revised is original else [original, revised]
         for run in runs:
             turning = np.any(np.diff(run.quaternion, axis=0) != 0, axis=1)
             fixed = fixed | np.append(turning, False) | np.append(False, turning)
         places = np.array([run.position for run in runs])
-        kept, auxiliary = _arcs(program.tolerance, places, points, fixed[points])
+        stays, auxiliary = _arcs(program.tolerance, places, points, fixed[points])
         before = _errors(program, runs, points)
         while auxiliary.any():
-            chosen = np.flatnonzero(kept)
+            chosen = np.flatnonzero(stays)
             after = _errors(program, runs, points[chosen], auxiliary[chosen])
             limit, worst = (np.maximum.reduceat(error, points[chosen[:-1]]) for error in (before, after))
             wrong = worst > np.maximum(program.tolerance, limit)
@@ -130,35 +130,35 @@ def program_points(
                 break
             auxiliary[chosen[middle]] = False
             for k in middle:
-                kept[chosen[k - 1] : chosen[k + 1]] = True
-    return points[kept], auxiliary[kept]
+                stays[chosen[k - 1] : chosen[k + 1]] = True
+    return points[stays], auxiliary[stays]
 
 
 @njit(cache=True, nogil=True)
 def _arcs(tolerance, places, points, fixed):
     """Return which points stay and which are auxiliary; each arc as long as it can be, from the first point on."""
-    last, kept, auxiliary = len(points) - 1, np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    last, stays, auxiliary = len(points) - 1, np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
     start = stop = 0
     while start < last:
         if stop <= start:
             stop = start + 1
             while stop < last and not fixed[stop]:
                 stop += 1
-        end, step, found = start + 2, 1, False
+        end, step, fits = start + 2, 1, False
         while step:
             middle, turn = (start + end + step) // 2, -1.0
             if end + step <= stop:
                 turn = _turn(tolerance, places, points[start], points[middle], points[end + step])
             if turn >= 0.0:
-                end, step, found = end + step, 2 * step, turn > SMALLEST
+                end, step, fits = end + step, 2 * step, turn > SMALLEST
             else:
                 step //= 2
-        if found:
+        if fits:
             middle = (start + end) // 2
-            kept[start + 1 : end] = False
-            kept[middle] = auxiliary[middle] = True
-        start = end if found else start + 1
-    return kept, auxiliary
+            stays[start + 1 : end] = False
+            stays[middle] = auxiliary[middle] = True
+        start = end if fits else start + 1
+    return stays, auxiliary
 
 
 @njit(cache=True, nogil=True)
