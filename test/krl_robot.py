@@ -11,12 +11,12 @@ NUMBER = r"-?\d+\.?\d*"
 PLACE = rf"\{{X {NUMBER},Y {NUMBER},Z {NUMBER}(,A {NUMBER},B {NUMBER},C {NUMBER})?\}}"  # A, B, C as before if left out
 SRC = [r"&ACCESS RVP", r"&REL 1", r"&PARAM EDITMASK = \*", r"DEF [A-Z]\w*\( \)", r";.*", r"BAS\(#INITMOV,0\)",
        r"\$(TOOL|BASE)=\{[XYZABC0-9 ,.-]*\}", r"\$(TOOL|BASE)=(TOOL|BASE)_DATA\[\d+\]", r"\$IPO_MODE=#BASE",
-       r"\$ORI_TYPE=#VAR", r"\$ADVANCE=3", rf"\$APO\.CDIS={NUMBER}",
+       r"\$ORI_TYPE=#VAR", r"\$CIRC_TYPE=#BASE", r"\$ADVANCE=3", rf"\$APO\.CDIS={NUMBER}",
        rf"\$(ACC|JERK)\.CP={NUMBER}", rf"\$(VEL|ACC)\.ORI[12]={NUMBER}", r"BAS\(#VEL_PTP,\d+\)",
        r"\$LOAD=\{M .*,CM \{X .*\}\}", r"PTP X(HOME|APPROACH)", r"LIN XRETRACT", r"WAIT SEC \d+\.\d", r"HALT",
        r"\$OUT\[\d+\]=(TRUE|FALSE)", r"[A-Z]\w*\( \)", r"SPLINE", r"ENDSPLINE",
-       rf"SPL {PLACE}( WITH \$VEL\.CP={NUMBER})?", rf"\$VEL\.CP={NUMBER}", rf"LIN {PLACE}( C_DIS)?", r"LIN XP\d+",
-       r"END"]  # fmt: skip
+       rf"SPL {PLACE}( WITH \$VEL\.CP={NUMBER})?", rf"\$VEL\.CP={NUMBER}", r"LIN XP\d+", r"END",
+       rf"(LIN |CIRC {PLACE},){PLACE}( C_DIS)?"]  # fmt: skip
 DAT = [*SRC[:3], r"DEFDAT [A-Z]\w*", r";.*", r"EXT BAS \(BAS_COMMAND :IN,REAL :IN\)",
        rf"DECL FRAME XP\d+=\{{X {NUMBER},Y {NUMBER},Z {NUMBER},A {NUMBER},B {NUMBER},C {NUMBER}\}}",
        r"DECL FRAME XRETRACT=\{X .*\}", r"DECL E6AXIS XHOME=\{A1 .*,E6 0.0\}",
@@ -42,6 +42,7 @@ class Robot:
         self.directory, self.points, self.rests, self.state = directory, [], [], {}
         self.steps: list[str] = []  # every line of the main module and what it calls, in the order of execution
         self.starts: list[int] = []  # points to which a part of the program begins
+        self.auxiliary: list[int] = []  # points that are the auxiliary ones of arcs, in their order
         self.comments: list[tuple[int, int]] = []  # number that a comment gives the next point, and its order
         self.run(main)
 
@@ -71,11 +72,15 @@ class Robot:
                 else:
                     self.points.append((starts[match[1]], 0.0))
                 self.starts.append(len(self.points))
-            elif match := re.fullmatch(r"(LIN|SPL) \{(.*)\}(.*)", line):
-                speed = match[3].partition("=")[2] or self.state["$VEL.CP"]
+            elif match := re.fullmatch(r"(LIN|SPL|CIRC) (?:\{(.*)\},)?\{(.*)\}(.*)", line):
+                speed = float(match[4].partition("=")[2] or self.state["$VEL.CP"])
                 assert in_block == (match[1] == "SPL")
-                self.points.append((self.points[-1][0] | values(match[2]), float(speed)))
-                if match[1] == "LIN" and not match[3]:
+                assert (match[1] == "CIRC") == bool(match[2])
+                if match[2]:
+                    self.auxiliary.append(len(self.points))
+                    self.points.append((self.points[-1][0] | values(match[2]), speed))
+                self.points.append((self.points[-1][0] | values(match[3]), speed))
+                if match[1] != "SPL" and not match[4]:
                     self.rests.append(len(self.points))
 
     def matrix(self, name: str) -> np.ndarray:

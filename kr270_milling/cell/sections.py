@@ -332,7 +332,7 @@ class Program(Record):
     """Names, motions and the machine's own commands of the robot programs."""
 
     name: str = parameter("MILLING", text="module name, to which _ORG_001 and the like are added")
-    motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN")
+    motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN and CIRC")
     line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
     # assumed: a KR C4 has about 4 MB for programs, of which other programs take their share
     memory: float = parameter(

@@ -1,7 +1,8 @@
 """The motion of a robot program between its points: a C2 spline with an exact stop at both ends of each SPLINE block.
 
 A program has points and no slopes. The planner, the score of a program and the reader of a program take the slopes
-from here, so that all of them use the motion that the controller runs. LIN: straight lines, ``velocity=None``.
+from here, so that all of them use the motion that the controller runs. LIN: straight lines and arcs,
+``velocity=None``.
 
 A program may have fewer points than the plan has knots. The points alone determine the path, ``places_on_program``; the
 time law determines where on the path the tool is.
@@ -82,46 +83,85 @@ def spline_slopes(time: np.ndarray, values: np.ndarray, fixed: np.ndarray, slope
 
 
 def places_on_program(
-    run: Trajectory, knots: np.ndarray, points: np.ndarray, stops: np.ndarray, spline: bool, blend=0.0
+    run: Trajectory,
+    knots: np.ndarray,
+    points: np.ndarray,
+    stops: np.ndarray,
+    spline: bool,
+    blend: float | np.ndarray = 0.0,
+    auxiliary: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the place [m], (n, 3), of each knot of a planned run on the path through the points of its program.
 
     knots: those that are points, (p,), the first and the last included; points [m], (p, 3); stops (p,) bool: ends of
     the SPLINE blocks. A place is as far along the path as the knot is along the chords of the run. spline: the C2 cubic
-    spline over that distance in each block, without curvature at its ends; else straight lines. blend [m], a number or
-    (p,): distance from a point where the tool leaves its line for a parabola to the next line, at most half
-    of a line [mxAutomation]; none at stops.
+    spline over that distance in each block, without curvature at its ends; else straight lines, and arcs through the
+    auxiliary points, (p,) bool, and the points before and after them. blend [m], a number or (p,): distance from a
+    point where the tool leaves its line or arc for a parabola to the next one, at most half of a line or arc
+    [mxAutomation]; none at stops.
     """
     travelled = np.concatenate([[0.0], np.cumsum(chords(run))])
     step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
-    first, last = step * _natural_slopes(step, move / step, stops) if spline else (move, move)
+    turn, normal = _arcs(points, auxiliary)
+    if spline:
+        first, last = step * _natural_slopes(step, move / step, stops)
+    else:
+        across = np.sin(turn / 2) * np.cross(normal, move)
+        first, last = ((np.cos(turn / 2) * move + sign * across) / np.sinc(turn / 2 / np.pi) for sign in (-1, 1))
+    inward = np.cross(normal, first)
     place = np.empty(run.position.shape)
     for part in blocks(len(run)):
         span = np.searchsorted(knots, np.arange(part.start, part.stop), side="right") - 1
         span = np.clip(span, 0, len(knots) - 2)
         u = (travelled[part] - travelled[knots[span]])[:, None] / step[span]
-        place[part] = hermite(points[span], move[span], first[span], last[span], u)
-        if not spline and np.any(blend):
-            place[part] += _rounding(move, np.where(stops, 0.0, blend), span, u[:, 0])
+        if spline:
+            place[part] = hermite(points[span], move[span], first[span], last[span], u)
+            continue
+        half = turn[span] * u / 2
+        place[part] = points[span] + u * np.sinc(2 * half / np.pi) * first[span]
+        place[part] += u * np.sin(half) * np.sinc(half / np.pi) * inward[span]
+        if np.any(blend):
+            place[part] += _rounding(first, last, turn[:, 0] > 0.0, np.where(stops, 0.0, blend), span, u[:, 0])
     return place
 
 
-def _rounding(move: np.ndarray, blend: np.ndarray, span: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _arcs(points: np.ndarray, auxiliary: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the turn [rad], (p - 1, 1), of the way from point to point about an axis, (p - 1, 3); 0 for a line.
+
+    From the start a of an arc to its auxiliary point m the way turns by twice the angle at the end b, and from m to b
+    by twice the angle at a (inscribed angles).
+    """
+    turn, normal = np.zeros((len(points) - 1, 1)), np.zeros((len(points) - 1, 3))
+    middle = np.flatnonzero(np.zeros(0) if auxiliary is None else auxiliary)
+    a, m, b = (points[middle + k] for k in (-1, 0, 1))
+    across = np.cross(m - a, b - a)
+    size = np.linalg.norm(across, axis=1)
+    turn[middle - 1, 0] = 2.0 * np.arctan2(size, np.sum((a - b) * (m - b), axis=1))
+    turn[middle, 0] = 2.0 * np.arctan2(size, np.sum((m - a) * (b - a), axis=1))
+    normal[middle - 1] = normal[middle] = across / size[:, None]
+    return turn, normal
+
+
+def _rounding(
+    first: np.ndarray, last: np.ndarray, arc: np.ndarray, blend: np.ndarray, span: np.ndarray, u: np.ndarray
+) -> np.ndarray:
     """Return the way [m], (m, 3), from places u (m,) on their lines ``span`` (m,) to the parabolas at the points.
 
-    move (p - 1, 3): lines between the points; blend (p,) [m]. From d before to d after a point the parabola is
-    P + t^2 d e_k - (1 - t)^2 d e_(k-1), t from 0 to 1, e the directions: it misses the point by d (e_k - e_(k-1)) / 4.
+    first, last (p - 1, 3): tangents of the lines and halves of arcs at both ends, as long as these; arc (p - 1,): half
+    of an arc; blend (p,) [m]. From d before to d after a point the parabola is P + t^2 d e_k - (1 - t)^2 d e_(k-1), t
+    from 0 to 1, e the directions: it misses the point by d (e_k - e_(k-1)) / 4. At an arc that way is added to it.
     """
-    length = np.linalg.norm(move, axis=1)
-    direction = move / np.where(length > 0.0, length, 1.0)[:, None]
+    length = np.linalg.norm(first, axis=1)
+    begins, ends = (row / np.where(length > 0.0, length, 1.0)[:, None] for row in (first, last))
+    most = np.where(arc, length, length / 2.0)
     distance = np.zeros(len(blend))
-    distance[1:-1] = np.minimum(blend[1:-1], np.minimum(length[:-1], length[1:]) / 2.0)
+    distance[1:-1] = np.minimum(blend[1:-1], np.minimum(most[:-1], most[1:]))
     way = np.zeros((len(u), 3))
     for point, signed in ((span, u * length[span]), (span + 1, (u - 1.0) * length[span])):
         d = distance[point]
         inside = np.abs(signed) < d
         at, d, signed = point[inside], d[inside, None], signed[inside, None]
-        before, after = direction[at - 1], direction[at]
+        before, after = ends[at - 1], begins[at]
         t = 0.5 + 0.5 * signed / d
         line = signed * np.where(signed < 0.0, before, after)
         way[inside] = t**2 * d * after - (1.0 - t) ** 2 * d * before - line

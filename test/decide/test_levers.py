@@ -17,7 +17,7 @@ from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.levers import RATIOS, levers, softened
 from kr270_milling.decide.programs.files import knot_feeds, write_programs
 from kr270_milling.decide.programs.gcode import write_gcode
-from kr270_milling.decide.programs.points import fixed_knots, point_numbers
+from kr270_milling.decide.programs.points import fixed_knots, program_points
 from kr270_milling.decide.tolerance import after_passes, judge
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.physics.robot.kinematics import pose
@@ -167,11 +167,12 @@ def test_a_robot_program_holds_the_feed_of_each_stretch_within_2_percent(tmp_pat
     (source,) = [file for file in files[f"krl_{motion.lower()}"] if file.name.endswith("CMP.src")]
     feeds = knot_feeds(path_of(cell), len(target))
     program = cell.krl.replace(motion=motion)
-    knots = point_numbers(program, target, swayed(target), fixed_knots(target.standing, feeds))
+    knots, auxiliary = program_points(program, target, swayed(target), fixed_knots(target.standing, feeds))
+    knots = knots[~auxiliary]
     speeds, usual = [], 0.0
     for line in source.read_text().partition("XP1")[2].splitlines():
         speed = re.search(r"\$VEL.CP=([\d.]+)", line)
-        if re.match("(SPL|LIN) {", line):
+        if re.match("(SPL|LIN|CIRC) {", line):
             speeds.append(float(speed[1]) if speed else usual)
         elif speed:
             usual = float(speed[1])

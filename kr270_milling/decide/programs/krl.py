@@ -3,8 +3,9 @@
 NAME_ORG and NAME_CMP are a main module each (.src, .dat), which calls NAME_ORG_001, ... when the points exceed the line
 limit. XP of a comment is the number of the next point: XPk is knot k-1 of both trajectories. SPLINE: SPL segments with
 their speed, one block from stop to stop; between the points the motion is that of ``path.controller_motion``. LIN:
-straight lines, blended by C_DIS except where the tool stops. The robot also stops where one module ends and the next
-begins, so modules end at stops where they can. A dwell is not written: the speed of the next move covers its time.
+straight lines and arcs (CIRC), blended by C_DIS except where the tool stops. The robot also stops where one module ends
+and the next begins, so modules end at stops where they can. A dwell is not written: the speed of the next move covers
+its time.
 
 The main module goes from home to the safe height above the first point, down to it, along the path, up and home; the
 spindle's and the coolant's own commands come from ``program``. Programs of more bytes than ``program.memory`` are parts
@@ -40,7 +41,7 @@ from kr270_milling.decide.programs.krl_motion import (
     point_speeds,
     position_text,
 )
-from kr270_milling.decide.programs.points import fixed_knots, point_numbers
+from kr270_milling.decide.programs.points import fixed_knots, program_points
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
@@ -116,8 +117,8 @@ def write_krl(
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
     runs = {"ORG": original, "CMP": revised}
-    points = point_numbers(program, original, revised, fixed_knots(original.standing, feeds))
-    comments, rests = point_comments(points, notes), original.standing[points]
+    points, auxiliary = program_points(program, original, revised, fixed_knots(original.standing, feeds))
+    comments, rests = point_comments(points, notes, auxiliary), original.standing[points]
     splits = rests & np.all([run.position[points, 2] >= setup.top for run in runs.values()], axis=0)
     frame_lines = 25  # of a module beside template and motions: heading, first and last lines
     most = program.line_limit - frame_lines - sum(map(len, _head_and_foot(program, setup, "XP1")))
@@ -125,17 +126,18 @@ def write_krl(
         raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
     parts = [(1, len(points))]
     while True:
-        modules = [modules_of(program, part, rests, comments, most) for part in parts]
+        modules = [modules_of(program, part, rests, auxiliary, comments, most) for part in parts]
         if sum(map(len, modules)) > 999:
             raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
         ends = [(int(points[start - 1]), int(points[end - 1])) for start, end in parts]
         files: dict[Path, list[str]] = {}
         size = 0
         for kind, run in runs.items():
-            rows, speed = _rows(run)[points], point_speeds(program, run, points, feeds)
+            rows, speed = _rows(run)[points], point_speeds(program, run, points, auxiliary, feeds)
+            of_points = rows, speed, rests, auxiliary
             moves = [
                 [
-                    motion_lines(program, rows[a:b], speed[a:b], rests[a:b], comments[a:b], setup.speed_digits)
+                    motion_lines(program, setup.speed_digits, comments[a:b], *(row[a:b] for row in of_points))
                     for a, b in own
                 ]
                 for own in modules

@@ -78,17 +78,19 @@ def knot_notes(lines: Sequence[int] | np.ndarray, features: Sequence[str]) -> li
     return [(int(line), names[feature]) for line, feature in zip(lines, features, strict=True)]
 
 
-def point_comments(points: np.ndarray, notes: Sequence[tuple[int, str]]) -> list[str]:
+def point_comments(points: np.ndarray, notes: Sequence[tuple[int, str]], auxiliary: np.ndarray) -> list[str]:
     """Return the comment before each point, (p,): its number, line and feature; empty for most points.
 
-    A comment is before the first point of a feature, and at the latest 10 points after a change of the line.
+    A comment is before the first point of a feature, and at the latest 10 points after a change of the line. The end of
+    an arc, which is in the line of its auxiliary point, has none.
     """
     rare, often = 50, 10  # points from one comment to the next
     comments, noted, last = [], (0, ""), 0
     for i, k in enumerate(points.tolist()):
         line, feature = notes[k] if notes else (0, "")
         other = line != noted[0]
-        if i and (feature != noted[1] or i - last >= (often if other else rare) or (other and last == 0)):
+        due = feature != noted[1] or i - last >= (often if other else rare) or (other and last == 0)
+        if due and i and not auxiliary[i - 1]:
             text = f"; XP{k + 1}" + f" line {line}" * bool(line) + f" ({feature})" * (feature != noted[1])
             noted, last = (line, feature), i
             comments.append(text)
@@ -114,16 +116,24 @@ def parts_of(count: int, splits: np.ndarray, most: int) -> list[tuple[int, int]]
 
 
 def modules_of(
-    program: Program, part: tuple[int, int], rests: np.ndarray, comments: Sequence[str], most: int
+    program: Program,
+    part: tuple[int, int],
+    rests: np.ndarray,
+    auxiliary: np.ndarray,
+    comments: Sequence[str],
+    most: int,
 ) -> list[tuple[int, int]]:
     """Ranges of the points of a part, [from, to), one for each module of ``most`` lines; they end at stops if near.
 
-    rests: mask (p,) of points. Raises TrajectoryError for more points than the modules of a main module can hold.
+    rests, auxiliary: masks (p,) of points. Raises TrajectoryError for more points than the modules of a main module can
+    hold.
     """
     pieces, lines = [], 0
     start, last = part
     for i in range(start, last):
         lines += (2 if program.motion == "LIN" else 1 + 3 * bool(rests[i])) + bool(comments[i])
+        if auxiliary[i]:  # it stays with its end
+            continue
         if lines > most - 4 or (rests[i] and lines > 0.75 * most):
             pieces.append((start, i + 1))
             start, lines = i + 1, 0
@@ -136,9 +146,15 @@ def modules_of(
 
 
 def motion_lines(
-    program: Program, rows: np.ndarray, speed: np.ndarray, rests: np.ndarray, comments: Sequence[str], digits: int = 3
+    program: Program,
+    digits: int,
+    comments: Sequence[str],
+    rows: np.ndarray,
+    speed: np.ndarray,
+    rests: np.ndarray,
+    auxiliary: np.ndarray,
 ) -> list[str]:
-    """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module.
+    """SPLINE blocks from stop to stop, or LIN and CIRC motions blended by C_DIS, over the points of one module.
 
     rows (q, 6): X, Y, Z [mm], A, B, C [deg]. A, B, C are written where they change, at the first point and behind a
     comment, where an operator may enter: a place keeps what it leaves out from the place before. Public programs that
@@ -149,26 +165,33 @@ def motion_lines(
     rests = rests.copy()
     rests[-1] = True
     spline = program.motion == "SPLINE"
-    begins, usual, turned = True, "", np.full(3, np.nan)
+    begins, usual, turned, motion = True, "", np.full(3, np.inf), "LIN "
     for i, (feed, rest) in enumerate(zip(feeds, rests.tolist(), strict=True)):
         if begins or not spline:  # a block has its usual speed, which its segments need not state
             block = feeds[i : i + int(np.argmax(rests[i:])) + 1] if spline else [feed]
             most = Counter(block).most_common(1)[0][0]
             lines += [most] * (most != usual) + ["SPLINE"] * spline
             usual = most
-        turns = not i or bool(comments[i]) or np.abs(rows[i, 3:] - turned).max() > TURNED
+        turns = bool(comments[i]) or np.abs(rows[i, 3:] - turned).max() > TURNED
+        lines += [comments[i]] * bool(comments[i])
+        if auxiliary[i]:  # its A, B, C do not count
+            motion = f"CIRC {{{frame_text(rows[i, :3], shortest)}}},"
+            turned = np.full(3, np.inf) if turns else turned
+            continue
         turned = rows[i, 3:] if turns else turned
         place = f"{{{frame_text(rows[i, : 6 if turns else 3], shortest)}}}"
-        lines += [comments[i]] * bool(comments[i])
         if spline:
             lines += [f"SPL {place}" + f" WITH {feed}" * (feed != usual), *["ENDSPLINE"] * rest]
         else:
-            lines.append(f"LIN {place}" + " C_DIS" * (not rest and program.blend_distance > 0.0))
+            lines.append(motion + place + " C_DIS" * (not rest and program.blend_distance > 0.0))
+            motion = "LIN "
         begins = rest
     return lines
 
 
-def point_speeds(program: Program, run: Trajectory, points: np.ndarray, feeds: np.ndarray | None = None) -> np.ndarray:
+def point_speeds(
+    program: Program, run: Trajectory, points: np.ndarray, auxiliary: np.ndarray, feeds: np.ndarray | None = None
+) -> np.ndarray:
     """Largest speed [m/s], (p,), on the way to each point, of the mean speeds between knots; 0 for the first.
 
     The controller plans its own ramps up to that speed. feeds: of ``fixed_knots``; where the feed changes on the way,
@@ -187,4 +210,7 @@ def point_speeds(program: Program, run: Trajectory, points: np.ndarray, feeds: n
         lower[np.isnan(feeds[1:] + feeds[:-1])] = np.inf
         fastest = np.minimum(fastest, np.minimum.reduceat(lower, points[:-1]))
     slowest = 1e-3  # [m/s], the step of the speeds that are written
-    return np.concatenate([[0.0], np.maximum(fastest, slowest)])
+    speed = np.concatenate([[0.0], np.maximum(fastest, slowest)])
+    middle = np.flatnonzero(auxiliary)  # both halves of an arc have one speed
+    speed[middle] = speed[middle + 1] = np.maximum(speed[middle], speed[middle + 1])
+    return speed

@@ -4,6 +4,9 @@ A point more is a block more for the planner of the controller. The points there
 between two points is halved where a knot is farther than ``program.tolerance`` from its place on the path through the
 points (``path.controller_motion``), and points that are not needed are left out again. The controller plans the ramps
 along the path itself.
+
+LIN motions have arcs where one replaces points. SPLINE blocks have none: a controller stops where SCIRC meets SLIN or
+another SCIRC, and SPL segments need a tenth fewer points with arcs between them than without.
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.trajectory import LEVER, Trajectory, turned
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
+#: [rad], [m], least turn of an arc and least distance of its three points; assumed: places are written to 0.1 um
+SMALLEST, APART = math.radians(5.0), 1e-4
 
 
 def fixed_knots(stops: np.ndarray, feeds: np.ndarray | None) -> np.ndarray:
@@ -95,6 +100,94 @@ def _thinned(
     return chosen
 
 
+def program_points(
+    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of ``point_numbers`` with the arcs of LIN motions, (p,), and which are auxiliary points, (p,).
+
+    An arc has its auxiliary point in the middle and replaces two points or more, none of them fixed (n,). It is as near
+    to the knots of both trajectories as the lines are, or in the tolerance, and the tool does not turn on it.
+    """
+    points, fixed = point_numbers(program, original, revised, fixed), original.standing if fixed is None else fixed
+    stays, auxiliary = np.ones(len(points), bool), np.zeros(len(points), bool)
+    if program.motion == "LIN" and program.tolerance:
+        runs = [original] if revised is original else [original, revised]
+        for run in runs:
+            turning = np.any(np.diff(run.quaternion, axis=0) != 0, axis=1)
+            fixed = fixed | np.append(turning, False) | np.append(False, turning)
+        places = np.array([run.position for run in runs])
+        stays, auxiliary = _arcs(program.tolerance, places, points, fixed[points])
+        before = _errors(program, runs, points)
+        while auxiliary.any():
+            chosen = np.flatnonzero(stays)
+            after = _errors(program, runs, points[chosen], auxiliary[chosen])
+            limit, worst = (np.maximum.reduceat(error, points[chosen[:-1]]) for error in (before, after))
+            wrong = worst > np.maximum(program.tolerance, limit)
+            near = np.convolve(wrong, np.ones(3), "same") > 0.0  # with the blending to both sides
+            middle = np.flatnonzero(auxiliary[chosen])
+            middle = middle[near[middle - 1] | near[middle]]
+            if not middle.size:
+                break
+            auxiliary[chosen[middle]] = False
+            for k in middle:
+                stays[chosen[k - 1] : chosen[k + 1]] = True
+    return points[stays], auxiliary[stays]
+
+
+@njit(cache=True, nogil=True)
+def _arcs(tolerance, places, points, fixed):
+    """Return which points stay and which are auxiliary; each arc as long as it can be, from the first point on."""
+    last, stays, auxiliary = len(points) - 1, np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    start = stop = 0
+    while start < last:
+        if stop <= start:
+            stop = start + 1
+            while stop < last and not fixed[stop]:
+                stop += 1
+        end, step, fits = start + 2, 1, False
+        while step:
+            middle, turn = (start + end + step) // 2, -1.0
+            if end + step <= stop:
+                turn = _turn(tolerance, places, points[start], points[middle], points[end + step])
+            if turn >= 0.0:
+                end, step, fits = end + step, 2 * step, turn > SMALLEST
+            else:
+                step //= 2
+        if fits:
+            middle = (start + end) // 2
+            stays[start + 1 : end] = False
+            stays[middle] = auxiliary[middle] = True
+        start = end if fits else start + 1
+    return stays, auxiliary
+
+
+@njit(cache=True, nogil=True)
+def _turn(tolerance, places, first, middle, last):
+    """Return the smallest turn [rad] of the arcs of all runs through three knots; below 0 where a knot is not near."""
+    least = math.pi
+    for run in places:
+        a, u, v = run[first], run[middle] - run[first], run[last] - run[first]
+        normal = np.cross(u, v)
+        size = np.sqrt(np.sum(normal**2))
+        if size == 0.0:
+            return -1.0
+        turn = 2 * (np.arctan2(size, np.sum(v * (v - u))) + np.arctan2(size, np.sum(u * v)))
+        normal /= size
+        centre = (np.cross(normal, u) * np.sum(v**2) - np.cross(normal, v) * np.sum(u**2)) / (2 * size)
+        radius, length = np.sqrt(np.sum(centre**2)), 0.0
+        for k in range(first + 1, last + 1):
+            way = run[k] - a - centre
+            across = np.sum(way * normal)
+            along = np.sqrt(np.sum((way - across * normal) ** 2)) - radius
+            if along**2 + across**2 > tolerance**2:
+                return -1.0
+            length += np.sqrt(np.sum((run[k] - run[k - 1]) ** 2))
+        if turn > math.pi or length > 1.001 * radius * turn + tolerance:  # more than one turn
+            return -1.0
+        least = min(least, turn if min(np.sum(u**2), np.sum((v - u) ** 2)) > APART**2 else 0.0)
+    return least
+
+
 @dataclass(frozen=True)
 class ProgramBlocks:
     """Load on the planner of a controller."""
@@ -126,13 +219,14 @@ def program_blocks(
     program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
 ) -> ProgramBlocks:
     """Return the size of the blocks of the program of ``revised``; fixed: as of ``point_numbers``."""
-    points = point_numbers(program, original, revised, fixed)
+    points, auxiliary = program_points(program, original, revised, fixed)
+    error = _errors(program, [original, revised], points, auxiliary).max()
+    points = points[~auxiliary]
     time = original.time_ns[points]
     step = np.diff(time)
     shortest = int(np.argmin(step))
     ahead = np.searchsorted(time, time + 1_000_000_000) - np.arange(len(time))
     length = math.dist(*revised.position[points[shortest : shortest + 2]])
-    error = _errors(program, [original, revised], points).max()
     return ProgramBlocks(
         len(points),
         original.duration_ns * 1e-9,
@@ -173,12 +267,12 @@ def _near(spacing, original, revised, k, before):
     return min(apart, np.sqrt(np.sum((revised[k] - revised[before]) ** 2))) < spacing
 
 
-def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.ndarray:
+def _errors(program: Program, runs: list[Trajectory], points: np.ndarray, auxiliary=None) -> np.ndarray:
     """Return the distance [m] of each knot from its place on the program, (n,), the largest of the runs."""
     stops, worst = runs[0].standing[points], np.zeros(len(runs[0]))
     for run in runs:
         spline = program.motion == "SPLINE"
-        place = places_on_program(run, points, run.position[points], stops, spline, program.blend_distance)
+        place = places_on_program(run, points, run.position[points], stops, spline, program.blend_distance, auxiliary)
         worst = np.maximum(worst, np.linalg.norm(place - run.position, axis=1))
         if run.turns:
             written = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])

@@ -27,7 +27,7 @@ from kr270_milling.path.trajectory import Trajectory
 SOFTER = 0.8  #: share of the acceleration of the second time law
 NOWHERE = Pose(np.zeros(3), np.eye(3))
 CALL = re.compile(r"([A-Z]\w*)\( \)")
-MOTION = re.compile(r"(SPL|LIN) \{(X [^}]*)\}( C_DIS)?(?: WITH .*)?")
+MOTION = re.compile(r"(SPL|LIN|CIRC)(?: \{(X [^}]*)\},| )\{(X [^}]*)\}( C_DIS)?(?: WITH .*)?")
 START = re.compile(r"DECL FRAME XP\d+=\{(.*)\}")
 
 
@@ -44,12 +44,12 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     with tempfile.TemporaryDirectory() as folder:
         notes = notes_of(path, len(planned))
         _, k, _ = krl.write_krl(folder, program, setup, target, commanded, notes, knot_feeds(path, len(planned)))
-        pose, stops = read_krl(folder, "WRITTEN_CMP")
+        pose, stops, auxiliary = read_krl(folder, "WRITTEN_CMP")
     position = planned.position[k] + pose.position - commanded.position[k]
     quaternion = planned.quaternion[k]
     if commanded is planned:
         quaternion = quaternion_from_rotation(pose.rotation)
-    return _as_run(planned, target, k, position, quaternion, stops, cell.krl.replace(motion=motion))
+    return _as_run(planned, target, k, position, quaternion, stops, auxiliary, cell.krl.replace(motion=motion))
 
 
 def _as_run(
@@ -59,11 +59,12 @@ def _as_run(
     position: np.ndarray,
     quaternion: np.ndarray,
     stops: np.ndarray,
+    auxiliary: np.ndarray,
     program: Program,
 ) -> Trajectory:
     """The motion through the points of a program, with the time law of the plan."""
     spline = program.motion == "SPLINE"
-    place = places_on_program(planned, knots, position, stops, spline, program.blend_distance)
+    place = places_on_program(planned, knots, position, stops, spline, program.blend_distance, auxiliary)
     turned = Trajectory(planned.time_ns[knots], position, quaternion).sample_orientation(planned.time_ns)
     run = Trajectory(planned.time_ns, place, turned, None, planned.frame)
     if not spline:
@@ -113,41 +114,42 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
     return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=most_rows)
 
 
-def read_krl(directory, main: str) -> tuple[Pose, np.ndarray]:
+def read_krl(directory, main: str) -> tuple[Pose, np.ndarray, np.ndarray]:
     """Read the modules ``main``.src and .dat, and those that it calls, in the order of the motion.
 
-    Returns the poses of the points in $BASE, (p,), and where the robot stops, (p,); the first point is the end of the
-    approach. Raises InputError for mixed motions.
+    Returns the poses of the points in $BASE, (p,), where the robot stops, (p,), and which points are auxiliary ones of
+    arcs, (p,); the first point is the end of the approach. Raises InputError for mixed motions.
     """
     rows: list[list[float]] = []
     stops: list[bool] = []
-    kinds: set[str] = set()
+    auxiliary: list[bool] = []
+    kinds: set[bool] = set()
+
+    def add(text: str, stop: bool, middle: bool = False) -> None:
+        row = [float(item[2:]) for item in text.split(",")]  # X, Y, Z [mm] and, where they are stated, A, B, C [deg]
+        rows.append(row + rows[-1][len(row) :] if rows else row)
+        stops.append(stop)
+        auxiliary.append(middle)
 
     def run(module: str) -> None:
         path = next(Path(directory).rglob(f"{module}.src"), Path(directory, f"{module}.src"))
         data = path.with_suffix(".dat")
         start = START.search(data.read_text(encoding="ascii")) if data.is_file() else None
         if start and not rows:
-            rows.append(_frame(start[1]))
-            stops.append(True)
+            add(start[1], True)
         for line in path.read_text(encoding="ascii").splitlines():
             if match := CALL.fullmatch(line):
                 run(match[1])
             elif line == "ENDSPLINE":
                 stops[-1] = True
             elif match := MOTION.fullmatch(line):
-                kinds.add(match[1])
-                row = _frame(match[2])
-                rows.append([*row, *rows[-1][len(row) :]])
-                stops.append(match[1] == "LIN" and not match[3])
+                kinds.add(match[1] == "SPL")
+                if match[2]:
+                    add(match[2], False, True)
+                add(match[3], match[1] != "SPL" and not match[4])
 
     run(main)
     if len(kinds) != 1:
-        raise InputError(main, "the path must have SPL motions or LIN motions, at least one and not both")
+        raise InputError(main, "the path must have SPL motions or LIN and CIRC motions, at least one and not both")
     places = np.array(rows)
-    return Pose.from_abc(places[:, :3] * 1e-3, np.radians(places[:, 3:])), np.array(stops)
-
-
-def _frame(text: str) -> list[float]:
-    """X, Y, Z [mm] and, where they are stated, A, B, C [deg]."""
-    return [float(item[2:]) for item in text.split(",")]
+    return Pose.from_abc(places[:, :3] * 1e-3, np.radians(places[:, 3:])), np.array(stops), np.array(auxiliary)

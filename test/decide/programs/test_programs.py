@@ -37,7 +37,7 @@ from kr270_milling.decide.programs.files import (
 )
 from kr270_milling.decide.programs.krl import Setup, trajectory_hash, write_krl
 from kr270_milling.decide.programs.krl_motion import knot_notes
-from kr270_milling.decide.programs.points import point_numbers
+from kr270_milling.decide.programs.points import point_numbers, program_points
 from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
 from kr270_milling.live.rsi.telegram import Elements, read_elements
@@ -168,7 +168,9 @@ def test_a_program_larger_than_the_memory_has_parts_that_begin_and_end_above_the
     program = Program(name="A234567890123456", motion=motion, memory=10e3)
     whole, knots, (one,) = write(tmp_path / "whole", program.replace(memory=4e6), run, run)
     files, same, parts = write(tmp_path / "parts", program, run, run)
-    (before, stopped), (pose, stops) = (read_krl(tmp_path / name, f"{program.name}_CMP") for name in ("whole", "parts"))
+    (before, stopped, _), (pose, stops, _) = (
+        read_krl(tmp_path / name, f"{program.name}_CMP") for name in ("whole", "parts")
+    )
     assert one == (0, len(run) - 1) and same.tolist() == knots.tolist()
     np.testing.assert_array_equal(pose.position, before.position)
     np.testing.assert_array_equal(stops, stopped)
@@ -324,7 +326,8 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
         file = next(tmp_path.glob(f"joints_{name}_*.csv"))
         assert file.read_text().partition("\n")[0] == "time_s," + ",".join(f"joint_{j}_deg" for j in range(1, 7))
         table = np.loadtxt(file, delimiter=",", skiprows=1)
-        knots = point_numbers(cell.krl.replace(motion=motion), target, swayed(target))
+        program = cell.krl.replace(motion=motion)
+        knots = point_numbers(program, target, swayed(target))
         assert_flange(read, cell.arm, np.radians(table[knots, 1:]))
         assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
         assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
@@ -536,11 +539,25 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     )
     folder = files[f"krl_{motion.lower()}"][0].parent
     main = f"{cell.krl.name}_CMP"
-    (pose, stops), robot = read_krl(folder, main), Robot(folder, main)
+    (pose, stops, auxiliary), robot = read_krl(folder, main), Robot(folder, main)
+    assert np.flatnonzero(auxiliary).tolist() == robot.auxiliary and bool(robot.auxiliary) == (motion == "LIN")
     assert [0, *(np.array(robot.rests) - 1)] == np.flatnonzero(stops).tolist()
     assert pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
     assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
     assert time_law(path_of(cell)) in text
+
+
+def angle_between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.sum(one * other, axis=1))
+
+
+def from_circle(places: np.ndarray, a: np.ndarray, m: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distances of places (n, 3) from the circle through three points: as far from all of them, in their plane."""
+    axis = np.cross(m - a, b - a)
+    centre = np.linalg.solve([m - a, b - a, axis], [(m - a) @ (m + a) / 2, (b - a) @ (b + a) / 2, axis @ a])
+    above = (places - a) @ axis / np.linalg.norm(axis)
+    around = np.sqrt(np.sum((places - centre) ** 2, axis=1) - above**2)
+    return np.hypot(around - np.linalg.norm(a - centre), above)
 
 
 @pytest.mark.parametrize("motion", ["SPLINE", "LIN"])
@@ -554,16 +571,21 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
         robot = Robot(next(tmp_path.glob("krl_*")), f"MILLING_{kind}")
         assert max(speed for _, speed in robot.points[1:]) < 1.01 * planned.feed(planned.time_ns).max()
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(planned.position, axis=0), axis=1))])
-        knots, ends = point_numbers(program, target, run), [0, *(np.array(robot.rests) - 1)]
+        knots, auxiliary = program_points(program, target, run)
+        ends = [0, *(np.array(robot.rests) - 1)] if motion == "SPLINE" else np.flatnonzero(~auxiliary)
         for first, last in pairwise(ends):
             points, inner = slice(first, last + 1), np.arange(knots[first], knots[last] + 1)
             place = 1e-3 * robot.column("XYZ")[points]
-            straight = motion == "LIN" or last == first + 1
-            spline = (make_interp_spline if straight else CubicSpline)(
-                way[knots[points]], place, *([1] if straight else [0, "natural"])
-            )
-            gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
+            if auxiliary[first + 1]:
+                gap = from_circle(planned.position[inner], *place)
+            else:
+                straight = last == first + 1
+                spline = (make_interp_spline if straight else CubicSpline)(
+                    way[knots[points]], place, *([1] if straight else [0, "natural"])
+                )
+                gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
             assert gap.max() < program.tolerance + 0.1 * UM  # places are written to 0.1 um
+    assert auxiliary.any() == (motion == "LIN")
     assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
     apart = point_numbers(program.replace(point_spacing=1e-3, tolerance=0.0), target, run)
     for planned in (target, run):
@@ -589,6 +611,70 @@ def test_lin_motions_are_blended_by_the_parabola_that_touches_both_lines(blend, 
     np.testing.assert_allclose(np.linalg.norm(place[1000] - line[1000]), d * np.sqrt(2) / 4, atol=1e-12)
 
 
+def bends(seed: int) -> tuple[Trajectory, Trajectory]:
+    """Rows of arcs and lines in planes of space, one after the other with kinks, and a smooth correction."""
+    random = np.random.default_rng(seed)
+    place, rows = np.zeros(3), [np.zeros((1, 3))]
+    for _ in range(12):
+        across, along = Rotation.random(random_state=random).as_matrix()[:2]
+        angle = np.linspace(0.0, random.uniform(0.1, 9.0), random.integers(3, 60))[1:, None]
+        radius = random.uniform(1e-3, 50e-3)
+        row = along * angle if random.random() < 0.3 else across * (1 - np.cos(angle)) + along * np.sin(angle)
+        rows.append(place + radius * row)
+        place = rows[-1][-1]
+    path = np.concatenate(rows)
+    target = Trajectory(np.arange(len(path)) * 12_000_000, path, TOOL_DOWN)
+    return target, target.with_position(path + 30 * UM * np.sin(path / 7e-3 + [1.0, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_arcs_replace_points_and_the_reader_of_foreign_krl_finds_all_knots_on_them(tmp_path, seed):
+    """An arc turns by 5 to 180 deg; the reader has chords of 2 um. A tool that turns, or SPLINE, has no arcs."""
+    target, run = bends(seed)
+    program = Program(motion="LIN", tolerance=5 * UM)
+    files, knots, _ = write(tmp_path, program, target, run)
+    robot = Robot(tmp_path, "MILLING_CMP")
+    assert_recovered(robot, run, knots)
+    path = read_krl_program(tmp_path / "MILLING_CMP.src", "", 0.05).position
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    dense = make_interp_spline(way, path, 1)(np.arange(0.0, way[-1], 2 * UM))
+    assert cKDTree(dense).query(run.position)[0].max() < program.tolerance + 2 * UM + 1 * UM  # half a step of dense
+    middle = np.array(robot.auxiliary)
+    a, m, b = (1e-3 * robot.column("XYZ")[middle + k] for k in (-1, 0, 1))
+    turn = 2 * np.pi - 2 * angle_between(a - m, b - m)  # inscribed angle
+    assert len(middle) > 2 and np.degrees(turn).min() > 5 - 0.1 and np.degrees(turn).max() < 180 + 0.1
+    assert len(knots) < len(point_numbers(program, target, run))
+    leaning = Trajectory(run.time_ns, run.position, Rotation.from_rotvec(np.array(run.position)).as_quat())
+    for other, last in (
+        (program.replace(motion="SPLINE"), run),
+        (program.replace(tolerance=0.0), run),
+        (program, leaning),
+    ):
+        assert not program_points(other, target, last)[1].any()
+
+
+@pytest.mark.parametrize("kink", [0.0, 0.3, -1.2])
+def test_two_arcs_are_blended_from_tangent_to_tangent_and_stay_arcs_elsewhere(kink):
+    """Arcs of radius 10 and 5 mm, turned by 2 and -1 rad; the blending misses their corner by d |e_k - e_(k-1)| / 4."""
+    s, d = np.linspace(0.0, 1.0, 20_001)[:, None], 1e-3
+    turned = np.concatenate([2.0 * s[:-1], 2.0 + kink - s])
+    step = np.diff(np.concatenate([20e-3 * s[:-1], 20e-3 + 5e-3 * s]), axis=0)
+    step = step * np.hstack([np.cos(turned), np.sin(turned), 0 * turned])[:-1]
+    arcs = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
+    run = Trajectory(np.arange(len(arcs)), arcs, TOOL_DOWN)
+    knots = np.array([0, 10_000, 20_000, 29_000, 40_000])
+    stops, auxiliary = np.isin(knots, [0, 40_000]), np.isin(knots, [10_000, 29_000])
+    place = places_on_program(run, knots, arcs[knots], stops, False, d, auxiliary)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(step, axis=1))])
+    rounded = np.abs(way - way[20_000]) < d
+    np.testing.assert_allclose(place[~rounded], arcs[~rounded], atol=0.2 * UM)  # ``step`` has chords of 1 um
+    miss = np.linalg.norm(place[20_000] - arcs[20_000])
+    np.testing.assert_allclose(miss, d * np.sin(abs(kink) / 2) / 2, atol=0.2 * UM)
+    direction = np.diff(place, axis=0)
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    assert np.linalg.norm(np.diff(direction, axis=0), axis=1).max() < 3e-3
+
+
 def test_a_program_of_lin_motions_is_judged_by_its_blended_path(part):
     cell, original = part
     program = cell.krl.replace(motion="LIN", tolerance=50e-6, blend_distance=2e-3)
@@ -596,9 +682,9 @@ def test_a_program_of_lin_motions_is_judged_by_its_blended_path(part):
     exact, blended = (
         written_trajectory(cell.replace(krl=program.replace(blend_distance=d)), target, "LIN") for d in (0.0, 2e-3)
     )
-    knots = point_numbers(program, target, target)
-    stops = target.standing[knots]
-    expected = places_on_program(target, knots, target.position[knots], stops, False, program.blend_distance)
+    knots, auxiliary = program_points(program, target, target)
+    stops, blend = target.standing[knots], program.blend_distance
+    expected = places_on_program(target, knots, target.position[knots], stops, False, blend, auxiliary)
     np.testing.assert_allclose(blended.position, expected, atol=1e-7)
     assert np.linalg.norm(blended.position - exact.position, axis=1).max() > 5e-6
 
