@@ -226,8 +226,8 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
     nodes = min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + BLOCK  # of which a last block may look beyond its tile
     footprint = (2 * p.reach + 3) ** 2
     if p.profile is not None:
-        lost = np.zeros((2 * bins, p.profile.length.size))
-        edge = EdgeBins(np.zeros(nodes // RUN + 1, np.uint16), lost, np.zeros(2 * bins))
+        lost = np.zeros((2 * bins, p.profile.length.size + 1))
+        edge = EdgeBins(np.zeros(nodes // RUN + 1, np.uint16), lost, np.zeros(2 * bins), np.zeros(10 * RUN, np.float32))
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
     return EngagementState(

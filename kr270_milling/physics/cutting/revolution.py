@@ -31,6 +31,7 @@ from kr270_milling.physics.cutting.engagement import (
     CONTACT,
     FLOOR_LEVEL,
     FLOOR_NEAR,
+    LOG_LOST,
     RIM,
     SINES,
     layer_force,
@@ -44,6 +45,8 @@ from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
 from kr270_milling.physics.cutting.tilted import lower_tilted
 
+# rows of ``EdgeBins.work``
+BESIDE, SHARE, GOAL, PART, AT, SINE, FAR, REST, LOST = (RUN * k for k in range(1, 10))
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 
@@ -185,93 +188,127 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
 
 @inlined
 def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry):
-    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins."""
-    logged, total, new = s.ints[LOGGED], 0, 0
-    room = logged + high - low < s.log_place.size
-    log_lost = 1 << 62
-    if not room:
-        logged = log_lost
-    shape, edges, outer = p.profile, s.edge, (r - RIM) * (r - RIM)
-    last_piece, bins = shape.edges.size - 1, p.widths.size
-    for j in range(low, high + 1):
-        v = j - v0
-        along, beside = a * ahead_x + v * ahead_y, v * ahead_x - a * ahead_y
-        if along <= 0.0 and not behind:
-            continue
-        share = 1.0
-        if slope != 0.0 and along < m + r:
-            guess = min(np.int64(abs(beside) * entry), ENTRIES)
-            lead = slope * shape.lead[guess]
-            if lead > 0.5 * r:  # over a flat end that rises
-                near = along - min(max(along, 0.0), m)
-                k = min(np.int64(math.sqrt(near * near + beside * beside) * entry), ENTRIES)
-                if max(below, below + sinks) - shape.height[k] < s.rest[np.uint64(base + j)] + 0.5:
-                    continue
-                lead = _lead(p, slope, beside, r, entry)
-            share = min(max((along - lead) * inverse, 0.0), 1.0)
-        elif along < m and inverse > 0.0:
-            share = max(along * inverse, 0.0)
-        away = along - share * m
+    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
+
+    The loops over all nodes of the run have no branches, so that they become vector instructions.
+    """
+    shape, edges, first = p.profile, s.edge, low & ~(RUN - 1)
+    last_piece, bins, work = shape.length.size - 1, p.widths.size, edges.work
+    whole, zero, one, half, most = (
+        np.float32(inverse == 0.0),
+        np.float32(0),
+        np.float32(1),
+        np.float32(0.5),
+        np.float32(ENTRIES),
+    )
+    a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
+    inverse_, entry_, r_, deepest = np.float32(inverse), np.float32(entry), np.float32(r), np.float32(LEVELS)
+    outer, sines, beyond = np.float32((r - RIM) * (r - RIM)), np.float32(0.5 * SINES), np.float32(BEYOND + 0.5 * SINES)
+    below_, sinks_, tiny = np.float32(below), np.float32(sinks), np.float32(1e-9)
+    back = np.float32(-np.inf) if behind else zero
+    for n in range(RUN):
+        v = v_ + np.float32(n)
+        along = a_ * x_ + v * y_
+        work[n] = along
+        work[BESIDE + n] = v * x_ - a_ * y_
+        work[SHARE + n] = min(max(along * inverse_, whole), one)
+    if slope != 0.0:
+        for n in range(low - first, high - first + 1):
+            bar = s.rest[np.uint64(base + first + n)] + 0.5
+            work[SHARE + n] = _ramp_share(p, work[n], work[BESIDE + n], m, slope, inverse, r, entry, below, sinks, bar)
+    for n in range(RUN):
+        along, beside, share = work[n], work[BESIDE + n], work[SHARE + n]
+        gone = share * m_
+        away, middle = along - gone, along - half * gone
         square = away * away + beside * beside
-        if square > outer and slope != 0.0:  # the deepest place is where the tool comes to cover the node, or leaves it
-            half = math.sqrt(max(outer - beside * beside, 0.0))
-            share = min(max(share, (along - half) * inverse), max((along + half) * inverse, 0.0), 1.0)
-            away = along - share * m
-            square = away * away + beside * beside
-        k = np.int64(math.sqrt(square) * entry)
-        part = 1.0
-        if square > outer:
-            sides = 2.0 * (abs(a - share * m * ahead_x) + abs(v - share * m * ahead_y))
-            part = (r * r - square) / sides + 0.5
-            if part <= 0.0:
-                continue
-            part = min(part, 1.0)
-        k = min(k, ENTRIES)
-        within = min(math.sqrt(square) * entry - k, 1.0)
-        tip = below + share * sinks
-        goal = min(tip - (shape.height[k] + within * (shape.height[k + 1] - shape.height[k])), float(LEVELS))
-        place = np.uint64(base + j)
-        before, rest = np.int64(s.pool[place]), np.int64(s.rest[place])
-        after = np.int64(goal + 0.5) if part >= 1.0 else rest + np.int64(part * (goal - rest) + 0.5)
-        if goal <= rest or after <= before:
+        work[AT + n] = min(math.sqrt(square) * entry_, most)
+        sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
+        part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
+        work[PART + n] = part if square > outer else one
+        work[SINE + n] = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
+        far = along * along + beside * beside
+        work[FAR + n] = math.sqrt(far) * entry_ if far < outer else most
+    for n in range(RUN):
+        at = work[AT + n]
+        k = np.uint64(at)
+        work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+    for n in range(RUN):
+        place = np.uint64(base + first) + np.uint64(n)
+        before, rest, part = s.pool[place], s.rest[place], work[PART + n]
+        goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
+        fresh = goal > np.float32(rest) and work[n] > back and first + n >= low and first + n <= high
+        after = (
+            np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * (goal - np.float32(rest)) + half)
+        )
+        lost = max(after - np.int32(before), np.int32(0)) if fresh else np.int32(0)
+        work[GOAL + n], work[REST + n], work[LOST + n] = goal, np.float32(rest), np.float32(lost)
+        s.pool[place] = np.uint16(np.int32(before) + lost)
+        s.rest[place] = np.uint16(after) if part >= one and lost > np.int32(0) else rest
+    logged, total, new = s.ints[LOGGED], 0, 0
+    room = logged + RUN < s.log_place.size
+    if not room:
+        logged = LOG_LOST
+    for n in range(RUN):
+        lost, rest = np.int64(work[LOST + n]), np.float64(work[REST + n])
+        if lost == 0:
             continue
+        place = np.uint64(base + first + n)
+        before = np.int64(s.pool[place]) - lost
         if room:
             s.log_place[np.uint64(logged)], s.log_level[np.uint64(logged)] = place, before
-            s.log_rest[np.uint64(logged)] = rest
+            s.log_rest[np.uint64(logged)] = np.uint16(rest)
             logged += 1
-        s.pool[place] = after
-        if part >= 1.0:
-            s.rest[place] = after
-        lost = after - before
         total += lost
         new += before == 0
         # seen from the middle of the way on which the tool cuts this column
-        away += 0.5 * share * m
-        reach = math.sqrt(away * away + beside * beside) + 1e-9
-        far = math.sqrt(along * along + beside * beside)
-        angle = np.int64(p.front[np.int64(BEYOND + 0.5 * SINES * (1.0 + beside / reach))])
-        top = shape.piece[min(np.int64(far * entry), ENTRIES)] if far < r - RIM else np.int16(last_piece)
-        if away < 0.0:
+        share = np.float64(work[SHARE + n])
+        angle, top = np.int64(p.front[np.uint64(work[SINE + n])]), np.int64(shape.piece[np.uint64(work[FAR + n])])
+        if work[n] < half * work[SHARE + n] * m_:
             angle, top = angle + bins, min(top, last_piece - 1)
         if inverse == 0.0:
             top = min(top, last_piece - 1)
         level = below + 0.5 * share * sinks
-        z, end, each = level - goal, level - rest, lost / (goal - rest)
-        b = np.int64(min(shape.piece[k], top))
-        while b < top:
-            edge = shape.edges[b + 1]
-            if edge > z:
-                if edge >= end:
-                    break
-                edges.lost[angle, b] += each * (edge - z)
-                z = edge
-            b += 1
-        edges.lost[angle, b] += each * (end - z)
-        if b == last_piece:
-            edges.raised[angle] += each * (end - z) * 0.5 * (end + z)
+        z, end = level - work[GOAL + n], level - rest
+        each = lost / (end - z)
+        b = min(np.int64(shape.piece[np.uint64(work[AT + n])]), top)
+        row = edges.lost[angle]
+        if top == last_piece and end > shape.edges[top]:
+            side = max(z, shape.edges[top])
+            edges.raised[angle] += each * (end - side) * 0.5 * (end + side)
+        while True:  # two pieces at once: most columns need no second round, which no processor predicts
+            first_edge, second_edge = shape.edges[np.uint64(b + 1)], shape.edges[np.uint64(b + 2)]
+            first_edge = min(max(first_edge, z), end) if b < top else end
+            second_edge = min(max(second_edge, z), end) if b + 1 < top else end
+            row[np.uint64(b)] += each * (first_edge - z)
+            row[np.uint64(b + 1)] += each * (second_edge - first_edge)
+            b, z = b + 2, second_edge
+            if z >= end:
+                break
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
     s.floats[LEVEL_SUM] += total * p.level_step
+
+
+@inlined
+def _ramp_share(p, along, beside, m, slope, inverse, r, entry, below, sinks, bar):
+    """Return the share of a step that sinks or rises after which the tool is deepest above a node."""
+    share = 1.0
+    if along < m + r:
+        lead = slope * p.profile.lead[min(np.int64(abs(beside) * entry), ENTRIES)]
+        if lead > 0.5 * r:  # over a flat end that rises
+            near = along - min(max(along, 0.0), m)
+            k = min(np.int64(math.sqrt(near * near + beside * beside) * entry), ENTRIES)
+            if max(below, below + sinks) - p.profile.height[k] < bar:
+                return 1.0
+            lead = _lead(p, slope, beside, r, entry)
+        share = min(max((along - lead) * inverse, 0.0), 1.0)
+    away, outer = along - share * m, (r - RIM) * (r - RIM)
+    if (
+        away * away + beside * beside > outer
+    ):  # the deepest place is where the tool comes to cover the node, or leaves it
+        half = math.sqrt(max(outer - beside * beside, 0.0))
+        share = min(max(share, (along - half) * inverse), max((along + half) * inverse, 0.0), 1.0)
+    return share
 
 
 @inlined
