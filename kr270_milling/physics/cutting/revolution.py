@@ -332,7 +332,7 @@ def _load(s, p, motion, frame, passes, wrench):
     motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers.
     """
     m, side, dz, turn_1, turn_2 = motion
-    shape, cell = p.profile, p.spacing * p.spacing * p.level_step
+    shape, cell, each = p.profile, p.spacing * p.spacing * p.level_step, 1.0 / passes
     teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
     size = math.sqrt(m * m + side * side + dz * dz) + p.radius * math.sqrt(turn_1 * turn_1 + turn_2 * turn_2)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
@@ -342,54 +342,57 @@ def _load(s, p, motion, frame, passes, wrench):
         mean_c = ahead * p.cosines[q] / width
         mean_d = d * p.cosines[q] / (width * p.directions[q, 0])
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
-        own = 0
+        own, changes = 0, (forward > 0.0) != (dz <= 0.0)
         for n in range(last + 1):
             b = n if k < bins else last - n
             volume = s.edge.lost[k, b] + left
             if volume <= 0.0:
                 continue
-            if s.edge.lost[k, b] > 0.0:
+            if volume > left:
                 own = b
+            sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
             middle = shape.middle[min(b, last - 1)]
-            if b == last and s.edge.lost[k, b] > 0.0:
+            if b == last and volume > left:
                 middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
-            swing = turning * (middle * shape.sine[b] + shape.cosine_area[b])
-            normal = forward * shape.sine[b] - dz * shape.cosine[b] + swing
-            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * shape.lever[b]
-            tilt = shape.bend[b] * abs(forward * shape.cosine[b] + dz * shape.sine[b])
-            spread = 0.5 * width * abs(m * d) * shape.sine[b] + tilt
-            room, crossed = width * shape.length[b], (forward > 0.0) != (dz <= 0.0) and normal < spread
-            if crossed:  # d.n changes its sign within the bin
-                room *= 0.5 * (normal + spread) / max(spread, 1e-12)
-                normal = 0.5 * (normal + spread)
-                area = normal * shape.lever[b]
+            swing = turning * (middle * sine + shape.cosine_area[b])
+            normal = forward * sine - dz * cosine + swing
+            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * lever
+            crossed, amount = False, volume * cell
+            if changes:
+                spread = 0.5 * width * abs(m * d) * sine + shape.bend[b] * abs(forward * cosine + dz * sine)
+                crossed = normal < spread
+                if crossed:  # d.n changes its sign within the bin
+                    room *= 0.5 * (normal + spread) / max(spread, 1e-12)
+                    normal = 0.5 * (normal + spread)
+                    area = normal * lever
             lost = not area > 0.0 or not room > 0.0  # the next piece, with more d.n, has lost this volume
             if lost and n < last:
                 left = volume
                 continue
             if lost:  # no piece moves into the material at this angle: nodes beside the line d.n = 0
                 b = own
-                room = width * shape.length[b]
-                normal = max(size, volume * cell / (room * shape.lever[b]))
-                area = normal * shape.lever[b]
-            left, share = 0.0, volume * cell / (area * room)
-            if crossed and share > MOST:
-                share, area = MOST, volume * cell / (MOST * room)
-                normal = area / shape.lever[b]
-            lever, edge, h = area / normal, teeth * share * room, normal / passes
-            if shape.cosine[b] > 1.0 - LEVEL:
+                sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
+                normal = max(size, amount / (room * lever))
+                area = normal * lever
+            left = 0.0
+            if crossed and amount > MOST * area * room:
+                area = amount / (MOST * room)
+                normal = area / lever
+            share = teeth * amount / (area * normal)
+            edge, h = share * normal, normal * each
+            if cosine > 1.0 - LEVEL:
                 f_t, f_r = layer_force(p, h)
                 f_a = 0.0
                 contact += edge
                 thrust += f_r * edge
             else:
                 f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
-            out, up = -f_r * shape.sine[b] - f_a * shape.cosine[b], f_r * shape.cosine[b] - f_a * shape.sine[b]
+            out, up = -f_r * sine - f_a * cosine, f_r * cosine - f_a * sine
             x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
-            moment_x += shape.lever[b] * d * z - middle * y
-            moment_y += middle * x - shape.lever[b] * c * z
-            torque += f_t * edge * lever
+            moment_x += lever * d * z - middle * y
+            moment_y += middle * x - lever * c * z
+            torque += f_t * share * area
             total, raised = total + volume, raised + volume * middle
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
