@@ -46,7 +46,8 @@ from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
 from kr270_milling.physics.cutting.tilted import lower_tilted
 
 # rows of ``EdgeBins.work``
-BESIDE, SHARE, GOAL, PART, AT, SINE, FAR, REST, LOST = (RUN * k for k in range(1, 10))
+BESIDE, SHARE, GOAL, PART, AT, SINE, FAR, REST, LOST, END = (RUN * k for k in range(1, 11))
+ONE = np.uint64(1)
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 
@@ -180,10 +181,6 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
             if goal < s.edge.highest[run] + 0.5:
                 continue
             _run(s, p, i, j, end, place, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry)
-            least = np.uint16(LEVELS)
-            for n in range(RUN):
-                least = min(least, s.pool[run * np.uint64(RUN) + np.uint64(n)])
-            s.edge.highest[run] = least
 
 
 @inlined
@@ -193,19 +190,21 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
     shape, edges, first = p.profile, s.edge, low & ~(RUN - 1)
-    last_piece, bins, work = shape.length.size - 1, p.widths.size, edges.work
-    whole, zero, one, half, most = (
-        np.float32(inverse == 0.0),
-        np.float32(0),
-        np.float32(1),
-        np.float32(0.5),
-        np.float32(ENTRIES),
-    )
+    last_piece, work = np.uint64(shape.length.size - 1), edges.work
+    none, zero, one, half, tiny = np.int32(0), np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
+    most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
-    inverse_, entry_, r_, deepest = np.float32(inverse), np.float32(entry), np.float32(r), np.float32(LEVELS)
+    inverse_, entry_, r_, below_, sinks_ = (
+        np.float32(inverse),
+        np.float32(entry),
+        np.float32(r),
+        np.float32(below),
+        np.float32(sinks),
+    )
     outer, sines, beyond = np.float32((r - RIM) * (r - RIM)), np.float32(0.5 * SINES), np.float32(BEYOND + 0.5 * SINES)
-    below_, sinks_, tiny = np.float32(below), np.float32(sinks), np.float32(1e-9)
     back = np.float32(-np.inf) if behind else zero
+    moves = inverse > 0.0
+    whole, side = (zero, most) if moves else (one, most - one)  # a way straight down has no side
     for n in range(RUN):
         v = v_ + np.float32(n)
         along = a_ * x_ + v * y_
@@ -217,76 +216,73 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
             bar = s.rest[np.uint64(base + first + n)] + 0.5
             work[SHARE + n] = _ramp_share(p, work[n], work[BESIDE + n], m, slope, inverse, r, entry, below, sinks, bar)
     for n in range(RUN):
-        along, beside, share = work[n], work[BESIDE + n], work[SHARE + n]
-        gone = share * m_
+        along, beside, gone = work[n], work[BESIDE + n], work[SHARE + n] * m_
         away, middle = along - gone, along - half * gone
         square = away * away + beside * beside
         work[AT + n] = min(math.sqrt(square) * entry_, most)
         sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
         part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
         work[PART + n] = part if square > outer else one
-        work[SINE + n] = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
+        # seen from the middle of the way on which the tool cuts this column
+        sine = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
+        work[SINE + n] = sine if middle >= zero else sine + table
         far = along * along + beside * beside
-        work[FAR + n] = math.sqrt(far) * entry_ if far < outer else most
+        work[FAR + n] = min(math.sqrt(far) * entry_ if far < outer else most, side if middle >= zero else most - one)
     for n in range(RUN):
         at = work[AT + n]
         k = np.uint64(at)
         work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+    total, new, least = np.int32(0), np.int32(0), np.int32(LEVELS)
     for n in range(RUN):
         place = np.uint64(base + first) + np.uint64(n)
-        before, rest, part = s.pool[place], s.rest[place], work[PART + n]
-        goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
-        fresh = goal > np.float32(rest) and work[n] > back and first + n >= low and first + n <= high
-        after = (
-            np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * (goal - np.float32(rest)) + half)
+        before, rest, part, sunk = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[SHARE + n] * sinks_
+        goal = min(below_ + sunk - work[GOAL + n], deepest)
+        height = goal - np.float32(rest)
+        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
+        fresh = height > zero and work[n] > back and first + n >= low and first + n <= high
+        lost = max(after - before, none) if fresh else none
+        s.pool[place] = np.uint16(before + lost)
+        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
+        work[LOST + n], work[REST + n], work[END + n] = (
+            np.float32(lost),
+            np.float32(rest),
+            below_ + half * sunk - np.float32(rest),
         )
-        lost = max(after - np.int32(before), np.int32(0)) if fresh else np.int32(0)
-        work[GOAL + n], work[REST + n], work[LOST + n] = goal, np.float32(rest), np.float32(lost)
-        s.pool[place] = np.uint16(np.int32(before) + lost)
-        s.rest[place] = np.uint16(after) if part >= one and lost > np.int32(0) else rest
-    logged, total, new = s.ints[LOGGED], 0, 0
-    room = logged + RUN < s.log_place.size
-    if not room:
-        logged = LOG_LOST
-    for n in range(RUN):
-        lost, rest = np.int64(work[LOST + n]), np.float64(work[REST + n])
-        if lost == 0:
-            continue
-        place = np.uint64(base + first + n)
-        before = np.int64(s.pool[place]) - lost
-        if room:
-            s.log_place[np.uint64(logged)], s.log_level[np.uint64(logged)] = place, before
-            s.log_rest[np.uint64(logged)] = np.uint16(rest)
-            logged += 1
-        total += lost
-        new += before == 0
-        # seen from the middle of the way on which the tool cuts this column
-        share = np.float64(work[SHARE + n])
-        angle, top = np.int64(p.front[np.uint64(work[SINE + n])]), np.int64(shape.piece[np.uint64(work[FAR + n])])
-        if work[n] < half * work[SHARE + n] * m_:
-            angle, top = angle + bins, min(top, last_piece - 1)
-        if inverse == 0.0:
-            top = min(top, last_piece - 1)
-        level = below + 0.5 * share * sinks
-        z, end = level - work[GOAL + n], level - rest
-        each = lost / (end - z)
-        b = min(np.int64(shape.piece[np.uint64(work[AT + n])]), top)
-        row = edges.lost[angle]
-        if top == last_piece and end > shape.edges[top]:
-            side = max(z, shape.edges[top])
-            edges.raised[angle] += each * (end - side) * 0.5 * (end + side)
-        while True:  # two pieces at once: most columns need no second round, which no processor predicts
-            first_edge, second_edge = shape.edges[np.uint64(b + 1)], shape.edges[np.uint64(b + 2)]
-            first_edge = min(max(first_edge, z), end) if b < top else end
-            second_edge = min(max(second_edge, z), end) if b + 1 < top else end
-            row[np.uint64(b)] += each * (first_edge - z)
-            row[np.uint64(b + 1)] += each * (second_edge - first_edge)
-            b, z = b + 2, second_edge
-            if z >= end:
-                break
-    s.ints[LOGGED] = logged
+        work[GOAL + n] = below_ + half * sunk - goal
+        total, least = total + lost, min(least, before + lost)
+        new += np.int32(before == none and lost > none)
     s.ints[NODES_CUT] += new
     s.floats[LEVEL_SUM] += total * p.level_step
+    edges.highest[np.uint64(base + first) // np.uint64(RUN)] = least
+    logged = s.ints[LOGGED]
+    s.ints[LOGGED] = LOG_LOST
+    if logged + RUN < s.log_place.size:
+        for n in range(RUN):
+            if work[LOST + n] > zero:
+                place = np.uint64(base + first + n)
+                s.log_place[np.uint64(logged)] = place
+                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
+                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
+                logged += 1
+        s.ints[LOGGED] = logged
+    for n in range(RUN):
+        lost = np.float64(work[LOST + n])
+        if lost == 0.0:
+            continue
+        row, top = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
+        z, end, b = np.float64(work[GOAL + n]), np.float64(work[END + n]), shape.piece[np.uint64(work[AT + n])]
+        each, b = lost / (end - z), min(np.uint64(b), top)
+        if top == last_piece and end > shape.edges[top]:
+            start = max(z, shape.edges[top])
+            edges.raised[p.front[np.uint64(work[SINE + n])]] += each * (end - start) * 0.5 * (end + start)
+        while True:  # two pieces at once: few columns need a second round, which no processor predicts
+            first_edge = min(max(shape.edges[b + ONE], z), end) if b < top else end
+            second_edge = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
+            row[b] += each * (first_edge - z)
+            row[b + ONE] += each * (second_edge - first_edge)
+            b, z = b + ONE + ONE, second_edge
+            if z >= end:
+                break
 
 
 @inlined
