@@ -51,6 +51,7 @@ class EdgeBins(NamedTuple):
     highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
     lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
+    work: np.ndarray  # (6 RUN,): scratch of the nodes of a run
 
 
 def edge_parts(tool: Tool) -> np.ndarray:
@@ -159,7 +160,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
         (height / stock.level_step).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.int16),
-        edges[:, 1] / stock.level_step,
+        np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),
         **columns,
         rims=edges[:, 0].copy(),
         parts=parts,

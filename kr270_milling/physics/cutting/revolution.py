@@ -31,6 +31,7 @@ from kr270_milling.physics.cutting.engagement import (
     CONTACT,
     FLOOR_LEVEL,
     FLOOR_NEAR,
+    LOG_LOST,
     RIM,
     SINES,
     layer_force,
@@ -44,6 +45,9 @@ from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
 from kr270_milling.physics.cutting.tilted import lower_tilted
 
+# rows of ``EdgeBins.work``
+BESIDE, SHARE, GOAL, PART, AT, SINE, FAR, REST, LOST, END = (RUN * k for k in range(1, 11))
+ONE = np.uint64(1)
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 
@@ -177,101 +181,130 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
             if goal < s.edge.highest[run] + 0.5:
                 continue
             _run(s, p, i, j, end, place, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry)
-            least = np.uint16(LEVELS)
-            for n in range(RUN):
-                least = min(least, s.pool[run * np.uint64(RUN) + np.uint64(n)])
-            s.edge.highest[run] = least
 
 
 @inlined
 def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry):
-    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins."""
-    logged, total, new = s.ints[LOGGED], 0, 0
-    room = logged + high - low < s.log_place.size
-    log_lost = 1 << 62
-    if not room:
-        logged = log_lost
-    shape, edges, outer = p.profile, s.edge, (r - RIM) * (r - RIM)
-    last_piece, bins = shape.edges.size - 1, p.widths.size
-    for j in range(low, high + 1):
-        v = j - v0
-        along, beside = a * ahead_x + v * ahead_y, v * ahead_x - a * ahead_y
-        if along <= 0.0 and not behind:
-            continue
-        share = 1.0
-        if slope != 0.0 and along < m + r:
-            guess = min(np.int64(abs(beside) * entry), ENTRIES)
-            lead = slope * shape.lead[guess]
-            if lead > 0.5 * r:  # over a flat end that rises
-                near = along - min(max(along, 0.0), m)
-                k = min(np.int64(math.sqrt(near * near + beside * beside) * entry), ENTRIES)
-                if max(below, below + sinks) - shape.height[k] < s.rest[np.uint64(base + j)] + 0.5:
-                    continue
-                lead = _lead(p, slope, beside, r, entry)
-            share = min(max((along - lead) * inverse, 0.0), 1.0)
-        elif along < m and inverse > 0.0:
-            share = max(along * inverse, 0.0)
-        away = along - share * m
+    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
+
+    The loops over all nodes of the run have no branches, so that they become vector instructions.
+    """
+    shape, edges, first = p.profile, s.edge, low & ~(RUN - 1)
+    last_piece, work = np.uint64(shape.length.size - 1), edges.work
+    none, zero, one, half, tiny = np.int32(0), np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
+    most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
+    a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
+    inverse_, entry_, r_, below_, sinks_ = (
+        np.float32(inverse),
+        np.float32(entry),
+        np.float32(r),
+        np.float32(below),
+        np.float32(sinks),
+    )
+    outer, sines, beyond = np.float32((r - RIM) * (r - RIM)), np.float32(0.5 * SINES), np.float32(BEYOND + 0.5 * SINES)
+    back = np.float32(-np.inf) if behind else zero
+    moves = inverse > 0.0
+    whole, side = (zero, most) if moves else (one, most - one)  # a way straight down has no side
+    for n in range(RUN):
+        v = v_ + np.float32(n)
+        along = a_ * x_ + v * y_
+        work[n] = along
+        work[BESIDE + n] = v * x_ - a_ * y_
+        work[SHARE + n] = min(max(along * inverse_, whole), one)
+    if slope != 0.0:
+        for n in range(low - first, high - first + 1):
+            bar = s.rest[np.uint64(base + first + n)] + 0.5
+            work[SHARE + n] = _ramp_share(p, work[n], work[BESIDE + n], m, slope, inverse, r, entry, below, sinks, bar)
+    for n in range(RUN):
+        along, beside, gone = work[n], work[BESIDE + n], work[SHARE + n] * m_
+        away, middle = along - gone, along - half * gone
         square = away * away + beside * beside
-        if square > outer and slope != 0.0:  # the deepest place is where the tool comes to cover the node, or leaves it
-            half = math.sqrt(max(outer - beside * beside, 0.0))
-            share = min(max(share, (along - half) * inverse), max((along + half) * inverse, 0.0), 1.0)
-            away = along - share * m
-            square = away * away + beside * beside
-        k = np.int64(math.sqrt(square) * entry)
-        part = 1.0
-        if square > outer:
-            sides = 2.0 * (abs(a - share * m * ahead_x) + abs(v - share * m * ahead_y))
-            part = (r * r - square) / sides + 0.5
-            if part <= 0.0:
-                continue
-            part = min(part, 1.0)
-        k = min(k, ENTRIES)
-        within = min(math.sqrt(square) * entry - k, 1.0)
-        tip = below + share * sinks
-        goal = min(tip - (shape.height[k] + within * (shape.height[k + 1] - shape.height[k])), float(LEVELS))
-        place = np.uint64(base + j)
-        before, rest = np.int64(s.pool[place]), np.int64(s.rest[place])
-        after = np.int64(goal + 0.5) if part >= 1.0 else rest + np.int64(part * (goal - rest) + 0.5)
-        if goal <= rest or after <= before:
-            continue
-        if room:
-            s.log_place[np.uint64(logged)], s.log_level[np.uint64(logged)] = place, before
-            s.log_rest[np.uint64(logged)] = rest
-            logged += 1
-        s.pool[place] = after
-        if part >= 1.0:
-            s.rest[place] = after
-        lost = after - before
-        total += lost
-        new += before == 0
+        work[AT + n] = min(math.sqrt(square) * entry_, most)
+        sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
+        part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
+        work[PART + n] = part if square > outer else one
         # seen from the middle of the way on which the tool cuts this column
-        away += 0.5 * share * m
-        reach = math.sqrt(away * away + beside * beside) + 1e-9
-        far = math.sqrt(along * along + beside * beside)
-        angle = np.int64(p.front[np.int64(BEYOND + 0.5 * SINES * (1.0 + beside / reach))])
-        top = shape.piece[min(np.int64(far * entry), ENTRIES)] if far < r - RIM else np.int16(last_piece)
-        if away < 0.0:
-            angle, top = angle + bins, min(top, last_piece - 1)
-        if inverse == 0.0:
-            top = min(top, last_piece - 1)
-        level = below + 0.5 * share * sinks
-        z, end, each = level - goal, level - rest, lost / (goal - rest)
-        b = np.int64(min(shape.piece[k], top))
-        while b < top:
-            edge = shape.edges[b + 1]
-            if edge > z:
-                if edge >= end:
-                    break
-                edges.lost[angle, b] += each * (edge - z)
-                z = edge
-            b += 1
-        edges.lost[angle, b] += each * (end - z)
-        if b == last_piece:
-            edges.raised[angle] += each * (end - z) * 0.5 * (end + z)
-    s.ints[LOGGED] = logged
+        sine = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
+        work[SINE + n] = sine if middle >= zero else sine + table
+        far = along * along + beside * beside
+        work[FAR + n] = min(math.sqrt(far) * entry_ if far < outer else most, side if middle >= zero else most - one)
+    for n in range(RUN):
+        at = work[AT + n]
+        k = np.uint64(at)
+        work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+    total, new, least = np.int32(0), np.int32(0), np.int32(LEVELS)
+    for n in range(RUN):
+        place = np.uint64(base + first) + np.uint64(n)
+        before, rest, part, sunk = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[SHARE + n] * sinks_
+        goal = min(below_ + sunk - work[GOAL + n], deepest)
+        height = goal - np.float32(rest)
+        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
+        fresh = height > zero and work[n] > back and first + n >= low and first + n <= high
+        lost = max(after - before, none) if fresh else none
+        s.pool[place] = np.uint16(before + lost)
+        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
+        work[LOST + n], work[REST + n], work[END + n] = (
+            np.float32(lost),
+            np.float32(rest),
+            below_ + half * sunk - np.float32(rest),
+        )
+        work[GOAL + n] = below_ + half * sunk - goal
+        total, least = total + lost, min(least, before + lost)
+        new += np.int32(before == none and lost > none)
     s.ints[NODES_CUT] += new
     s.floats[LEVEL_SUM] += total * p.level_step
+    edges.highest[np.uint64(base + first) // np.uint64(RUN)] = least
+    logged = s.ints[LOGGED]
+    s.ints[LOGGED] = LOG_LOST
+    if logged + RUN < s.log_place.size:
+        for n in range(RUN):
+            if work[LOST + n] > zero:
+                place = np.uint64(base + first + n)
+                s.log_place[np.uint64(logged)] = place
+                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
+                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
+                logged += 1
+        s.ints[LOGGED] = logged
+    for n in range(RUN):
+        lost = np.float64(work[LOST + n])
+        if lost == 0.0:
+            continue
+        row, top = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
+        z, end, b = np.float64(work[GOAL + n]), np.float64(work[END + n]), shape.piece[np.uint64(work[AT + n])]
+        each, b = lost / (end - z), min(np.uint64(b), top)
+        if top == last_piece and end > shape.edges[top]:
+            start = max(z, shape.edges[top])
+            edges.raised[p.front[np.uint64(work[SINE + n])]] += each * (end - start) * 0.5 * (end + start)
+        while True:  # two pieces at once: few columns need a second round, which no processor predicts
+            first_edge = min(max(shape.edges[b + ONE], z), end) if b < top else end
+            second_edge = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
+            row[b] += each * (first_edge - z)
+            row[b + ONE] += each * (second_edge - first_edge)
+            b, z = b + ONE + ONE, second_edge
+            if z >= end:
+                break
+
+
+@inlined
+def _ramp_share(p, along, beside, m, slope, inverse, r, entry, below, sinks, bar):
+    """Return the share of a step that sinks or rises after which the tool is deepest above a node."""
+    share = 1.0
+    if along < m + r:
+        lead = slope * p.profile.lead[min(np.int64(abs(beside) * entry), ENTRIES)]
+        if lead > 0.5 * r:  # over a flat end that rises
+            near = along - min(max(along, 0.0), m)
+            k = min(np.int64(math.sqrt(near * near + beside * beside) * entry), ENTRIES)
+            if max(below, below + sinks) - p.profile.height[k] < bar:
+                return 1.0
+            lead = _lead(p, slope, beside, r, entry)
+        share = min(max((along - lead) * inverse, 0.0), 1.0)
+    away, outer = along - share * m, (r - RIM) * (r - RIM)
+    if (
+        away * away + beside * beside > outer
+    ):  # the deepest place is where the tool comes to cover the node, or leaves it
+        half = math.sqrt(max(outer - beside * beside, 0.0))
+        share = min(max(share, (along - half) * inverse), max((along + half) * inverse, 0.0), 1.0)
+    return share
 
 
 @inlined
@@ -295,7 +328,7 @@ def _load(s, p, motion, frame, passes, wrench):
     motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers.
     """
     m, side, dz, turn_1, turn_2 = motion
-    shape, cell = p.profile, p.spacing * p.spacing * p.level_step
+    shape, cell, each = p.profile, p.spacing * p.spacing * p.level_step, 1.0 / passes
     teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
     size = math.sqrt(m * m + side * side + dz * dz) + p.radius * math.sqrt(turn_1 * turn_1 + turn_2 * turn_2)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
@@ -305,54 +338,57 @@ def _load(s, p, motion, frame, passes, wrench):
         mean_c = ahead * p.cosines[q] / width
         mean_d = d * p.cosines[q] / (width * p.directions[q, 0])
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
-        own = 0
+        own, changes = 0, (forward > 0.0) != (dz <= 0.0)
         for n in range(last + 1):
             b = n if k < bins else last - n
             volume = s.edge.lost[k, b] + left
             if volume <= 0.0:
                 continue
-            if s.edge.lost[k, b] > 0.0:
+            if volume > left:
                 own = b
+            sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
             middle = shape.middle[min(b, last - 1)]
-            if b == last and s.edge.lost[k, b] > 0.0:
+            if b == last and volume > left:
                 middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
-            swing = turning * (middle * shape.sine[b] + shape.cosine_area[b])
-            normal = forward * shape.sine[b] - dz * shape.cosine[b] + swing
-            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * shape.lever[b]
-            tilt = shape.bend[b] * abs(forward * shape.cosine[b] + dz * shape.sine[b])
-            spread = 0.5 * width * abs(m * d) * shape.sine[b] + tilt
-            room, crossed = width * shape.length[b], (forward > 0.0) != (dz <= 0.0) and normal < spread
-            if crossed:  # d.n changes its sign within the bin
-                room *= 0.5 * (normal + spread) / max(spread, 1e-12)
-                normal = 0.5 * (normal + spread)
-                area = normal * shape.lever[b]
+            swing = turning * (middle * sine + shape.cosine_area[b])
+            normal = forward * sine - dz * cosine + swing
+            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * lever
+            crossed, amount = False, volume * cell
+            if changes:
+                spread = 0.5 * width * abs(m * d) * sine + shape.bend[b] * abs(forward * cosine + dz * sine)
+                crossed = normal < spread
+                if crossed:  # d.n changes its sign within the bin
+                    room *= 0.5 * (normal + spread) / max(spread, 1e-12)
+                    normal = 0.5 * (normal + spread)
+                    area = normal * lever
             lost = not area > 0.0 or not room > 0.0  # the next piece, with more d.n, has lost this volume
             if lost and n < last:
                 left = volume
                 continue
             if lost:  # no piece moves into the material at this angle: nodes beside the line d.n = 0
                 b = own
-                room = width * shape.length[b]
-                normal = max(size, volume * cell / (room * shape.lever[b]))
-                area = normal * shape.lever[b]
-            left, share = 0.0, volume * cell / (area * room)
-            if crossed and share > MOST:
-                share, area = MOST, volume * cell / (MOST * room)
-                normal = area / shape.lever[b]
-            lever, edge, h = area / normal, teeth * share * room, normal / passes
-            if shape.cosine[b] > 1.0 - LEVEL:
+                sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
+                normal = max(size, amount / (room * lever))
+                area = normal * lever
+            left = 0.0
+            if crossed and amount > MOST * area * room:
+                area = amount / (MOST * room)
+                normal = area / lever
+            share = teeth * amount / (area * normal)
+            edge, h = share * normal, normal * each
+            if cosine > 1.0 - LEVEL:
                 f_t, f_r = layer_force(p, h)
                 f_a = 0.0
                 contact += edge
                 thrust += f_r * edge
             else:
                 f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
-            out, up = -f_r * shape.sine[b] - f_a * shape.cosine[b], f_r * shape.cosine[b] - f_a * shape.sine[b]
+            out, up = -f_r * sine - f_a * cosine, f_r * cosine - f_a * sine
             x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
-            moment_x += shape.lever[b] * d * z - middle * y
-            moment_y += middle * x - shape.lever[b] * c * z
-            torque += f_t * edge * lever
+            moment_x += lever * d * z - middle * y
+            moment_y += middle * x - lever * c * z
+            torque += f_t * share * area
             total, raised = total + volume, raised + volume * middle
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
