@@ -182,7 +182,7 @@ def _of_pass(
     """Return reversals of the load, exchange and vibration of a simulated pass, as fields of ``Checked``; findings."""
     path = path_of(cell)
     jumps = load_reversals(arm_of(cell), path, run, ran)
-    share, text, findings = exchange_share(path, ran)
+    share, text, findings = exchange_share(path, ran, cell.tolerances)
     residue = residue_of(cell, ran.result)
     if residue.word == "grows":
         if stability and stability.word_at(path, residue.time) == "stable":

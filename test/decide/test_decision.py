@@ -207,7 +207,7 @@ def test_best_takes_learned_only_with_a_tracker(tmp_path, few_robots):
 def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):
     cell = small_part(tmp_path, GCODE)
     ran = simulate(cell)
-    share, _, findings = exchange_share(path_of(cell), ran)
+    share, _, findings = exchange_share(path_of(cell), ran, cell.tolerances)
     feed_per_tooth = path_of(cell).feed_rate / (cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth)
     assert share == pytest.approx(ran.result.correction.max() / feed_per_tooth) and not findings
     strict = cell.replace(exchange=cell.exchange.replace(stop_correction=0.5 * share))

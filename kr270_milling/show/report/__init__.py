@@ -123,7 +123,7 @@ def report_text(
         more=[texts.typographic(t) for t in tables if t.rows],
         details=texts.details(passes),
         inputs=texts.input_rows(cell.arm, robot["joints"][0]),
-        warning=texts.warning(path, passes),
+        warning=texts.warning(cell, passes),
         assumptions=assumptions(cell, paper),
         configuration=[(key, texts.shown(value, key)) for key, value in flatten(cell).items()],
         charts=charts,

@@ -19,7 +19,6 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.arm_model import modal_models
@@ -213,8 +212,9 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
     return TextTable("Forces and exchange", columns, tuple(rows), note)
 
 
-def warning(path: CellPath, passes: Sequence[ScoredPass]) -> str:
+def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """Return a sentence about the pass with the coarsest exchange if the exchange was too coarse, else ""."""
-    shares = [(scored.name, exchange_share(path, scored)) for scored in passes]
+    path = path_of(cell)
+    shares = [(scored.name, exchange_share(path, scored, cell.tolerances)) for scored in passes]
     name, (share, text, _) = max(shares, key=lambda item: item[1][0])
     return f"pass {name}: {text}" if share > path.exchange.warn_correction else ""
