@@ -34,7 +34,7 @@ from kr270_milling.show.commands.console import now, steps
 from kr270_milling.show.commands.options import make_parser
 from kr270_milling.show.commands.options import run as run_command
 from kr270_milling.show.report import report_text
-from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
+from kr270_milling.show.report.series import series_columns, series_lines
 from kr270_milling.show.report.study_page import figure_of, fragment, points, write_page
 from kr270_milling.show.report.tables import TABLE_2
 from kr270_milling.studies.maps.lobes import lobes
@@ -120,8 +120,7 @@ class Pass(Shown, jobs.ScoredPass):
 
     def to_frame(self) -> pandas.DataFrame:
         """Return every series as a pandas frame, units in the column names; raises MillingError without pandas."""
-        rows = series_rows(self.result, path_of(self.cell).target)
-        return _pandas().DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
+        return _pandas().DataFrame(series_columns(self.result, path_of(self.cell).target))
 
     def to_csv(self, path) -> Path:
         """Write every series as CSV; returns the path."""
@@ -610,7 +609,7 @@ def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
     figure = figure_of(title, "", "").set_subplots(rows=2, cols=1, shared_xaxes=True)
     for run in passes:
         which = f" {run.name}" if len(passes) > 1 else ""
-        series = dict(zip(COLUMNS[1:], series_rows(run.result, path_of(run.cell).target).T, strict=True))
+        series = series_columns(run.result, path_of(run.cell).target)
         deviation = series["path_deviation_um"]
         figure.add_scatter(x=run.result.time, y=deviation, name=f"deviation{which}", row=1, col=1)
         for axis in "xyz":

@@ -51,6 +51,14 @@ class Parser(argparse.ArgumentParser):
     def option_names(self) -> list[str]:
         return [name for action in self._actions for name in action.option_strings]
 
+    def show_defaults(self) -> None:
+        """End the help of each option with its default, unless that is nothing or a list, or the help states it."""
+        for action in self._actions:
+            default = action.default
+            if isinstance(default, (int, float, str)) and default not in (False, "", argparse.SUPPRESS):
+                shown = f"{default:g}" if isinstance(default, float) else default
+                action.help = f"{action.help}{'' if 'default' in (action.help or '') else f' (default: {shown})'}"
+
     def _check_value(self, action, value):
         if action.choices is None or value in action.choices:
             return

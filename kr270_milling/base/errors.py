@@ -18,7 +18,7 @@ An error has a separate class only where code catches it alone::
       TrajectoryError, ToolpathError
                             numbers that are no path (path)
       OneFeedError          tests that do not identify a law (studies)
-      RunError, AlreadyRunning, NameRefused
+      RunError, NameRefused
                             the graph of nodes (live)
       UsageError            the command line
 """

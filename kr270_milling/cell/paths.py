@@ -171,6 +171,38 @@ class _Programmed:
     def clock(self) -> Clock:
         return self.exchange.clock(self.tool.spindle_speed)
 
+    @property
+    def timed(self) -> TimedPath | None:
+        """The tool path under the limits of controller and joints; None without a program."""
+        return None
+
+    @property
+    def knot_source(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Line of the program and name of the feature of each knot; empty without a program."""
+        if self.timed is None:
+            return np.zeros(0, np.int64), ()
+        toolpath, block = self.timed.toolpath, self.timed.block
+        return toolpath.line[block], tuple(toolpath.features[n] for n in toolpath.feature[block].tolist())
+
+    def line_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Line of the program at times (n,) [ns]; 0: no program."""
+        return self._of_block(time_ns, "line")
+
+    def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Return whether the tool makes a rapid move at times (n,) [ns]."""
+        return self._of_block(time_ns, "rapid").astype(bool)
+
+    def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Return whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
+        return self._of_block(time_ns, "drilling").astype(bool)
+
+    def _of_block(self, time_ns: np.ndarray, name: str) -> np.ndarray:
+        """Return an array of the tool path at the blocks of times (n,) [ns]; 0 without a program."""
+        values = np.zeros(1, np.int64) if self.timed is None else getattr(self.timed.toolpath, name)
+        if self.timed is None or not values.any():
+            return np.zeros(time_ns.size, values.dtype)
+        return values[self.timed.block_at(time_ns)]
+
 
 @dataclass(frozen=True, eq=False)
 class StraightCut(_Programmed):
@@ -180,7 +212,6 @@ class StraightCut(_Programmed):
     straight = True
     by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
-    timed = None  #: the tool path under the limits of controller and joints
     tilts = False  #: the axis of the tool leaves z of the workpiece while it cuts
     drills = False  #: the program has a drilling cycle
     mills = True  #: the program cuts in more than drilling cycles
@@ -220,23 +251,6 @@ class StraightCut(_Programmed):
             allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
             raise ParameterError("path.feed_rate_m_per_min", self.path.feed_rate * 60.0, allowed)
         check_effort(self.exchange, self.tool, self.stock, duration)
-
-    @property
-    def knot_source(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Line of the program and name of the feature of each knot; empty without a program."""
-        return np.zeros(0, np.int64), ()
-
-    def line_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Line of the program at times (n,) [ns]; 0: no program."""
-        return np.zeros(time_ns.size, np.int64)
-
-    def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Return whether the tool makes a rapid move at times (n,) [ns]."""
-        return np.zeros(time_ns.size, bool)
-
-    def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Return whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
-        return np.zeros(time_ns.size, bool)
 
 
 @functools.lru_cache(maxsize=4)  # simulated robots, which differ in arm, tool and stock, run the same program
@@ -307,20 +321,6 @@ class ProgramPath(_Programmed):
         return self.timed.trajectory
 
     @property
-    def knot_source(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Line of the program and name of the feature of each knot; empty without a program."""
-        toolpath, block = self.timed.toolpath, self.timed.block
-        return toolpath.line[block], tuple(toolpath.features[n] for n in toolpath.feature[block].tolist())
-
-    def line_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Line of the program at times (n,) [ns]; 0: no program."""
-        return self.timed.toolpath.line[self.timed.block_at(time_ns)]
-
-    def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Return whether the tool makes a rapid move at times (n,) [ns]."""
-        return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
-
-    @property
     def tilts(self) -> bool:
         """Return whether the axis of the tool leaves z of the workpiece by more than ``UPRIGHT`` while it cuts."""
         return self.path.tilt > UPRIGHT
@@ -334,11 +334,6 @@ class ProgramPath(_Programmed):
     def mills(self) -> bool:
         """Return whether the program cuts in more than drilling cycles."""
         return bool((~self.fed.toolpath.rapid & ~self.fed.toolpath.drilling).any())
-
-    def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Return whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
-        drilling = self.timed.toolpath.drilling
-        return drilling[self.timed.block_at(time_ns)] if drilling.any() else np.zeros(time_ns.size, bool)
 
     def _unreachable(self, error: ReachError | JointLimitError | SingularityError) -> InputError:
         """The error of the arm with point and line, and a hint where the path is far larger than the stock."""

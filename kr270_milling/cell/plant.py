@@ -43,8 +43,8 @@ class Plant:
         self.target = path_of(model).target
         self.passes = 0  #: run so far
 
-    def run(self, reference: Trajectory, progress=None) -> PassResult:
-        """Run a pass on a fresh workpiece.
+    def run(self, reference: Trajectory, progress=None, heights: bool = False) -> PassResult:
+        """Run a pass on a fresh workpiece; heights: the result has the map of the part.
 
         The result is true, and not what a noisy tracker reports: its ``reference`` is the motion of the motors, with
         repeatability; its deflections contain the backlash.
@@ -53,9 +53,10 @@ class Plant:
         self.passes += 1
         motion = imperfect_course(cell, reference, number, self.target)
         iterations = cell.exchange.iterations
-        model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
+        model, cut = imperfect_arm(cell, reference, arm_model_of(cell, reference)), cut_of(cell)
         silent = path_of(cell).drilling_at
-        return run_pass(model, cut_of(cell), path_of(cell).clock, self.target, motion, iterations, progress, silent)
+        result = run_pass(model, cut, path_of(cell).clock, self.target, motion, iterations, progress, silent)
+        return dataclasses.replace(result, heights=cut.map_heights()[2]) if heights else result
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Trajectory | None = None) -> Trajectory:

@@ -48,19 +48,14 @@ class RunError(MillingError):
         super().__init__(f"{node}: {reason}")
 
 
-class AlreadyRunning(MillingError):
-    """Another graph has the same node names; node is one of them."""
-
-    def __init__(self, node: str):
-        self.node = node
-        super().__init__(
-            f"a node {node} already runs in this ROS domain: stop that graph first, or choose another --namespace or "
-            "ROS_DOMAIN_ID"
-        )
+def already_running(node: str) -> MillingError:
+    """Return the error for another graph with the same names of nodes; node: one of them."""
+    advice = "stop that graph first, or choose another --namespace or ROS_DOMAIN_ID"
+    return MillingError(f"a node {node} already runs in this ROS domain: {advice}")
 
 
 def own_graph(domain: int, namespace: str) -> socket.socket:
-    """Return the right to start the nodes of a namespace in a ROS domain, until it is closed. Raises AlreadyRunning.
+    """Return the right to start the nodes of a namespace in a ROS domain, until it is closed. Raises MillingError.
 
     If two runs start at once, the first has it. The name of a socket is free again when its process ends, and it
     belongs to the network of this host, as the loopback interface does.
@@ -71,7 +66,7 @@ def own_graph(domain: int, namespace: str) -> socket.socket:
     except OSError as error:  # another one: this system has no such names
         if error.errno == errno.EADDRINUSE:
             own.close()
-            raise AlreadyRunning(f"{namespace.rstrip('/')}/{ROBOT}") from None
+            raise already_running(f"{namespace.rstrip('/')}/{ROBOT}") from None
     return own
 
 
@@ -275,7 +270,7 @@ class Graph:
 
     out: an existing directory for cell.yaml, logs and recordings; composed: robot and cut in one process, compensator
     and recorder in another; plant: the cell of robot and cut, where it differs from the cell that the compensator
-    plans with. Raises RunError, AlreadyRunning. The process itself stays in the ROS graph until it ends: Fast DDS
+    plans with. Raises MillingError. The process itself stays in the ROS graph until it ends: Fast DDS
     sometimes blocks a process that leaves (eProsima/Fast-DDS#6502).
     """
 
@@ -326,14 +321,14 @@ class Graph:
         return self
 
     def _refuse_second(self) -> None:
-        """Raise AlreadyRunning before the nodes start: their first messages would disturb nodes started by hand."""
+        """Raise MillingError before the nodes start: their first messages would disturb nodes started by hand."""
         end = time.monotonic() + 0.5  # [s] to discover another graph: five announcements of the profile
         while time.monotonic() < end:
             self.check()
             self.driver.spin()
         others = sorted(self.driver.nodes() & set(map(self.driver.name_of, NODES)))
         if others:
-            raise AlreadyRunning(others[0])
+            raise already_running(others[0])
 
     def _start_nodes(self) -> None:
         cuts = self.out / ("cell.yaml" if self.plant is None else "plant.yaml")
@@ -352,7 +347,7 @@ class Graph:
                 self.driver.expect(node, child.pid)
         self.driver.until(lambda: len(self.driver.reports) == len(NODES), "coming up", UP)
         if self.driver.foreign:
-            raise AlreadyRunning(self.driver.foreign)
+            raise already_running(self.driver.foreign)
 
     def check(self) -> None:
         """Called some 50 times a second while the run waits; raises when the run cannot continue."""

@@ -101,11 +101,11 @@ def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float
     rates = []
     with tempfile.TemporaryDirectory() as directory, kind(cell, Path(directory), composed=composed) as graph:
         for number in range(passes):
-            ran = graph.run_pass(f"pass_{number + 1}")
-            rates.append(path_of(cell).clock.steps(path_of(cell).target.duration_ns) / ran.wall_s)
+            recording, wall, *_ = graph.run_pass(f"pass_{number + 1}")
+            rates.append(path_of(cell).clock.steps(path_of(cell).target.duration_ns) / wall)
             if kind is Graph:
-                lost = pass_from_recording(ran.recording)[1].messages_lost
-                again = None if number else recompute(ran.recording)
+                lost = pass_from_recording(recording)[1].messages_lost
+                again = None if number else recompute(recording)
                 if lost or (again and again.verdict != "identical"):
                     raise RunError(RECORDER, f"{lost} messages lost; recomputed: {again}")
     return max(rates)

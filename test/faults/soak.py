@@ -69,7 +69,7 @@ def run_soak(count: int, out: Path) -> list[Growth]:
         pids = {child.name: child.pid for child in graph.children.values()} | {"runner": os.getpid()}
         rows = {name: Growth(name) for name in pids}
         for number in range(1, count + 1):
-            recording = graph.run_pass(f"pass_{number}").recording
+            recording, *_ = graph.run_pass(f"pass_{number}")
             for name, pid in pids.items():
                 rows[name].look(number, pid)
             for file in recording.glob("*"):

@@ -45,9 +45,9 @@ def test_reaction_and_recording_other_than_the_designed_ones_fail_the_row():
 def own_process(cell, out, composed):
     """In place of a graph: this process, whose passes are nothing."""
 
-    def run_pass(name: str) -> SimpleNamespace:
+    def run_pass(name: str) -> tuple:
         (out / name).write_text("")
-        return SimpleNamespace(recording=out)
+        return (out,)
 
     children = {"recorder": SimpleNamespace(name="recorder", pid=os.getpid())}
     return contextlib.nullcontext(SimpleNamespace(children=children, run_pass=run_pass))

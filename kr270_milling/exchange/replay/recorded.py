@@ -54,7 +54,7 @@ def attached_cell(recording: Recording) -> Cell:
         raise RecordingError(
             recording.path, f"{what} attached, but {CELL_FILE} is needed to recompute it; give it by --cell"
         )
-    if sum(a.size for a in recording.attachments) > 64 * 1024 * 1024:
+    if sum(a.data_size for a in recording.attachments) > 64 * 1024 * 1024:
         raise RecordingError(recording.path, "holds more attachments than a cell needs")
     return _read_attached(recording, CELL_FILE if CELL_FILE in names else parameter_files[0])
 

@@ -140,7 +140,7 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
         topics=topics,
         missing=sum(counter.missing for counter in gaps.values()),
         metadata={k: v for k, v in recording.metadata().items() if k != "rosbag2"},
-        attachments=[dict(name=a.name, media_type=a.media_type, size_bytes=a.size) for a in recording.attachments],
+        attachments=[dict(name=a.name, media_type=a.media_type, size_bytes=a.data_size) for a in recording.attachments],
         profile=recording.profile or "",
         library=recording.library,
     )

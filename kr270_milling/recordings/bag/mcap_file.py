@@ -21,7 +21,18 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Message, Metadata, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    DataEnd,
+    Header,
+    Message,
+    Metadata,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.summary import Summary
 
@@ -52,16 +63,6 @@ class RawMessage(NamedTuple):
     data: bytes
     channel: int = 0
     sequence: int = 0
-
-
-class Attached(NamedTuple):
-    """An attachment without its bytes, and the place of its record."""
-
-    name: str
-    media_type: str
-    size: int  #: [bytes]
-    offset: int
-    end: int
 
 
 class _Whole:
@@ -98,7 +99,7 @@ class McapFile:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.counts: Counter[int] = Counter()  #: channel -> messages
-        self.attachments: list[Attached] = []
+        self.attachments: list[AttachmentIndex] = []
         self.metadata: dict[str, dict[str, str]] = {}
         self.statistics: Statistics | None = None  #: counts in the summary
         self.first: int | None = None  #: [ns], smallest and largest log time; None without a message
@@ -165,10 +166,7 @@ class McapFile:
             or stated.message_count != sum(stated.channel_message_counts.get(number, 0) for number in self.channels)
         ):
             return False
-        self.attachments = [
-            Attached(index.name, index.media_type, index.data_size, index.offset, index.offset + index.length)
-            for index in summary.attachment_indexes
-        ]
+        self.attachments = summary.attachment_indexes
         for index in summary.metadata_indexes:
             record = Metadata.read(_fields(self._read(index.offset + HEAD.size, index.length - HEAD.size)))
             self.metadata[record.name] = record.metadata
@@ -190,7 +188,9 @@ class McapFile:
         elif isinstance(record, Statistics) and self.cut_off:  # in its summary
             self.statistics = record
         elif isinstance(record, Attachment):
-            self.attachments.append(Attached(record.name, record.media_type, len(record.data), offset, end))
+            size = len(record.data)
+            place = AttachmentIndex(offset, end - offset, 0, 0, size, record.name, record.media_type)
+            self.attachments.append(place)
         for item in _content(record):
             if isinstance(item, Schema):
                 self.schemas.setdefault(item.id, item)  # a later one may be that of a damaged summary
@@ -202,10 +202,10 @@ class McapFile:
                 self.first = log_time if self.first is None else min(self.first, log_time)
                 self.last = log_time if self.last is None else max(self.last, log_time)
 
-    def attachment(self, about: Attached) -> bytes:
+    def attachment(self, about: AttachmentIndex) -> bytes:
         """Return the bytes of an attachment; its checksum, which mcap ignores, must fit. Raises RecordingError."""
         try:
-            content = self._read(about.offset + HEAD.size, about.end - about.offset - HEAD.size)
+            content = self._read(about.offset + HEAD.size, about.length - HEAD.size)
             fields = _fields(content)
             data = Attachment.read(fields).data
             crc = int.from_bytes(content[fields.count - 4 : fields.count], "little")

@@ -13,12 +13,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from mcap.records import Channel, Schema
+from mcap.records import AttachmentIndex, Channel, Schema
 
 from kr270_milling.base.errors import InputError, RecordingError, nearest
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.files import find_recording, is_latched, is_rosbag, yaml_text
-from kr270_milling.recordings.bag.mcap_file import LATEST, Attached, McapFile, OnDamage, RawMessage
+from kr270_milling.recordings.bag.mcap_file import LATEST, McapFile, OnDamage, RawMessage
 from kr270_milling.recordings.messages.definitions import (
     RecordedTopic,
     definition,
@@ -32,7 +32,7 @@ class RosbagFile:
 
     cut_off = False
     profile = "ros2"
-    attachments: tuple[Attached, ...] = ()  # rosbag2 has none
+    attachments: tuple[AttachmentIndex, ...] = ()  # rosbag2 has none
 
     def __init__(self, path: Path):
         from rosbags.rosbag2 import Reader
@@ -64,7 +64,7 @@ class RosbagFile:
     def close(self) -> None:
         self._reader.close()
 
-    def attachment(self, about: Attached) -> bytes:
+    def attachment(self, about: AttachmentIndex) -> bytes:
         raise RecordingError(self.path, f"has no attachment {about.name!r}")
 
     def messages(self, names: Mapping[int, str], on_damage: OnDamage | None = None) -> Iterator[RawMessage]:

@@ -90,7 +90,7 @@ def _copy(source: Recording, result: Recovered, writer: BagWriter, progress: Cal
     """Write everything that can be read, and count what is lost."""
     for about in source.attachments:
         if reason := _attachment_damage(source, about.name):
-            result.lost_bytes += about.end - about.offset
+            result.lost_bytes += about.length
             result.dropped.append(reason)
         else:
             writer.add_attachment(about.name, source.attachment(about.name))

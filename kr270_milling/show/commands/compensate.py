@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from rich.text import Text
 
 from kr270_milling.base.column import CONVERGED, TextTable, as_dict, columns, columns_of, fixed, table_of
 from kr270_milling.base.errors import InputError
@@ -42,7 +43,6 @@ from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (
     Answer,
-    Colored,
     command_line,
     joints_text,
     now,
@@ -326,7 +326,7 @@ def _time_law_table(cell, result, whole):
 
 def _shown_tools(jobs, decision, values: dict, args):
     """Yield the output for the terminal: the decision, then each tool."""
-    yield Colored(decision.text, COLORS[decision.level])
+    yield Text(decision.text, f"bold {COLORS[decision.level]}")
     for (cell, result), tool_values in zip(jobs, values["tools"], strict=True):
         yield f"\n{cell.stage}: {cell.tool.diameter * 1e3:g} mm, {cell.tool.teeth} teeth"
         yield f"{result.decision.level}: {result.decision.sentence}"
@@ -343,7 +343,7 @@ def _shown_tools(jobs, decision, values: dict, args):
 
 def _shown(cell, result, decision, values: dict, args, reached):
     """Yield the output for the terminal, the decision first."""
-    yield Colored(decision.text, COLORS[decision.level])
+    yield Text(decision.text, f"bold {COLORS[decision.level]}")
     yield from decision.lines()[1:]
     if reached:
         table = _levers_table(*reached)

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from rich import box
 from rich.console import Console
@@ -27,17 +26,6 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_failure
 
 WIDEST = 1000  # characters of a table
-
-
-class Colored(NamedTuple):
-    """A line that a terminal shows in bold and in a colour; a file or a pipe receives the text alone."""
-
-    text: str
-    color: str
-
-    def print(self) -> None:
-
-        Console(soft_wrap=True).print(Text(self.text, style=f"bold {self.color}"))
 
 
 @dataclass(frozen=True)
@@ -55,8 +43,8 @@ class Answer:
         for part in () if as_json else self.shown:
             if isinstance(part, TextTable):
                 print_table(part)
-            elif isinstance(part, Colored):
-                part.print()
+            elif isinstance(part, Text):  # a terminal shows its style; a file or a pipe receives the text alone
+                Console(soft_wrap=True).print(part)
             else:
                 print(part)
         return self.code

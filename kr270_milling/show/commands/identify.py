@@ -39,10 +39,9 @@ from kr270_milling.show.report.identification.modes import backlash_outcome, mod
 from kr270_milling.studies.identification import comparison, modes
 from kr270_milling.studies.identification import forces as laws
 from kr270_milling.studies.identification import plan as load_tests
-from kr270_milling.studies.identification.compliance import Problem, fit_compliance
+from kr270_milling.studies.identification.compliance import Problem, fit_compliance, read_measurements
 from kr270_milling.studies.identification.doubts import Doubt, hammer_doubts, refuse_units
 from kr270_milling.studies.identification.forces import Sensor, force_series, read_cuts, turn_of
-from kr270_milling.studies.identification.measurements import read_measurements
 from kr270_milling.studies.identification.play import fit_backlash, read_pushes
 from kr270_milling.studies.identification.servo import identified_servo, moved_along, read_move
 from kr270_milling.studies.identification.signals import pose_series, read_signals

@@ -50,16 +50,6 @@ SHARED: dict[str, dict] = {
 }
 
 
-class _WithDefaults(argparse.HelpFormatter):
-    """Help that ends with the default of an option, unless it is nothing or a list, or the text states the default."""
-
-    def _get_help_string(self, action) -> str:
-        text, default = action.help or "", action.default
-        if isinstance(default, (bool, list, tuple)) or not default or default == argparse.SUPPRESS or "default" in text:
-            return text
-        return f"{text} (default: {default:g})" if isinstance(default, float) else f"{text} (default: {default})"
-
-
 def run(args: argparse.Namespace) -> Answer:
     """Import the function of the command and call it."""
     match args.command:
@@ -687,9 +677,9 @@ def make_parser(argv: Sequence[str] | None = None) -> Parser:
 
 def _add_command(commands, name: str, text: str, add, json_default=False, **more) -> None:
     """Add a sub-parser; more: keywords of ``add_parser``."""
-    description = text[0].upper() + text[1:] + "."
-    parser = commands.add_parser(name, description=description, formatter_class=_WithDefaults, **more)
+    parser = commands.add_parser(name, description=text[0].upper() + text[1:] + ".", **more)
     add(parser)
+    parser.show_defaults()
     text = "print one JSON object to standard output"
     parser.add_argument("--json", help=text, action="store_true", default=json_default)
     parser.set_defaults(parser=parser)

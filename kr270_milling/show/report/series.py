@@ -16,18 +16,6 @@ from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
-#: the unit is in the name: s, mm, um, deg, N; times have nine decimals. pose_correction: of the predicted tool pose
-COLUMNS = (
-    "time_s",
-    *(f"{kind}_{axis}_mm" for kind in ("target", "reference", "tool", "actual") for axis in "xyz"),
-    *(f"deflection_{axis}_um" for axis in "xyz"),
-    *(f"deflection_r{axis}_deg" for axis in "xyz"),
-    *(f"force_{axis}_n" for axis in "xyz"),
-    *(f"moment_{axis}_n_m" for axis in "xyz"),
-    "path_deviation_um",
-    "pose_correction_um",
-)
-
 
 def deviation_of(result: PassResult, target: Trajectory) -> np.ndarray:
     """Path deviation of a pass [m], (n,), perpendicular to the feed of the target."""
@@ -64,26 +52,32 @@ def write_series(directory, arm: PlacedArm, target: Trajectory, passes: Sequence
     return series + references
 
 
-def series_rows(result: PassResult, target: Trajectory) -> np.ndarray:
-    """The columns behind the time, (n, 28)."""
-    return np.column_stack(
-        [
-            1e3 * result.target,
-            1e3 * result.reference,
-            1e3 * result.tool,
-            1e3 * result.actual,
-            1e6 * result.deflection[:, :3],
-            np.degrees(result.deflection[:, 3:]),
-            result.wrench,
-            1e6 * deviation_of(result, target),
-            1e6 * result.correction,
-        ]
-    )
+def series_columns(result: PassResult, target: Trajectory) -> dict[str, np.ndarray]:
+    """Return every series of a pass, (n,), by its name, which ends in the unit.
+
+    pose_correction: of the predicted tool pose.
+    """
+    vectors = {
+        "target_{}_mm": 1e3 * result.target,
+        "reference_{}_mm": 1e3 * result.reference,
+        "tool_{}_mm": 1e3 * result.tool,
+        "actual_{}_mm": 1e3 * result.actual,
+        "deflection_{}_um": 1e6 * result.deflection[:, :3],
+        "deflection_r{}_deg": np.degrees(result.deflection[:, 3:]),
+        "force_{}_n": result.wrench[:, :3],
+        "moment_{}_n_m": result.wrench[:, 3:],
+    }
+    series = {"time_s": result.time}
+    for name, rows in vectors.items():
+        series |= {name.format(axis): column for axis, column in zip("xyz", rows.T, strict=True)}
+    deviation, correction = 1e6 * deviation_of(result, target), 1e6 * result.correction
+    return {**series, "path_deviation_um": deviation, "pose_correction_um": correction}
 
 
 def series_lines(result: PassResult, target: Trajectory) -> Iterator[str]:
-    """The lines of the CSV file of a pass: thirteen digits of every number."""
-    yield ",".join(COLUMNS) + "\n"
-    line = ",".join(["%.9f", *["%.13g"] * (len(COLUMNS) - 1)]) + "\n"
-    for row in np.column_stack([result.time, series_rows(result, target)]).tolist():
+    """The lines of the CSV file of a pass: nine decimals of the time, thirteen digits of every other number."""
+    series = series_columns(result, target)
+    yield ",".join(series) + "\n"
+    line = ",".join(["%.9f", *["%.13g"] * (len(series) - 1)]) + "\n"
+    for row in np.column_stack(list(series.values())).tolist():
         yield line % tuple(row)

@@ -19,9 +19,8 @@ from scipy import stats
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.physics.cutting.materials import materials
 from kr270_milling.physics.robot.kinematics import forward
-from kr270_milling.studies.identification.compliance import TILTS, Fit, Problem, fit_compliance
+from kr270_milling.studies.identification.compliance import TILTS, Fit, Measurements, Problem, fit_compliance
 from kr270_milling.studies.identification.forces import FIRST, CutMeasurements, LawFit, contradicting_cut, fit_forces
-from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.modes import Mode
 from kr270_milling.studies.identification.signals import AXES
 

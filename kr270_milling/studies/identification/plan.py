@@ -22,8 +22,7 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.kinematics import forward, singularity_measures
 from kr270_milling.physics.robot.loads import GRAVITY
-from kr270_milling.studies.identification.compliance import Problem
-from kr270_milling.studies.identification.measurements import Measurements, unmeasured
+from kr270_milling.studies.identification.compliance import Measurements, Problem, unmeasured
 
 MARGIN = np.radians(5.0)  #: distance to every joint limit
 CRITERIA = ("test pose", "A", "D")

@@ -14,12 +14,12 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import at_once
-from kr270_milling.cell.models import arm_model_of, cut_of, path_of
-from kr270_milling.cell.plant import coarser, imperfect_arm, imperfect_course, perturbed
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.plant import Plant, coarser, perturbed
 from kr270_milling.decide.part.stations import stations_of
 from kr270_milling.decide.part.surface import ideal_part, remaining_walls, tooth_tips
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
+from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.studies.identification.comparison import LinearFit, line_through
 
 PLACE = ("x_mm", "y_mm")
@@ -185,16 +185,5 @@ def robot_errors(
 
 def _errors(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> np.ndarray:
     """Errors [m], (n,), that a robot leaves at places of the part of a cell; raises MillingError where it fails."""
-    target = path_of(cell).target
-    reference, cut = target if reference is None else reference, cut_of(robot)
-    result = run_pass(
-        imperfect_arm(robot, reference, arm_model_of(robot, reference)),
-        cut,
-        path_of(robot).clock,
-        target,
-        imperfect_course(robot, reference, 0, target),
-        robot.exchange.iterations,
-        silent=path_of(robot).drilling_at,
-    )
-    heights = cut.map_heights()[2] if places.measured.floor.any() else None
-    return places.errors(dataclasses.replace(result, heights=heights))
+    reference = path_of(cell).target if reference is None else reference
+    return places.errors(Plant(cell, robot).run(reference, heights=bool(places.measured.floor.any())))

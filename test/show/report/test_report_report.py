@@ -28,7 +28,7 @@ from kr270_milling.show.report import write_report
 from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, thinned_spectrum
 from kr270_milling.show.report.linked import linked, part_surface
 from kr270_milling.show.report.page import plotly_script
-from kr270_milling.show.report.series import COLUMNS, deviation_of, file_names, write_series
+from kr270_milling.show.report.series import deviation_of, file_names, series_columns, write_series
 from kr270_milling.show.report.straight_cut import machined_profile, micro_step_forces
 from kr270_milling.show.report.tables import assumptions, fixed_text, model_frequencies
 
@@ -183,8 +183,9 @@ def test_every_series_comes_back_with_twelve_digits_and_every_reference_with_its
     paths = write_series(tmp_path, arm_of(cell), path_of(cell).target, passes)
     assert [p.name for p in paths[:3]] == ["original.csv", "linear.csv", "spline.csv"]
     for path, one in zip(paths[:3], passes, strict=True):
-        assert path.read_text().splitlines()[0] == ",".join(COLUMNS)
-        table = dict(zip(COLUMNS, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+        names = list(series_columns(one.result, path_of(cell).target))
+        assert path.read_text().splitlines()[0] == ",".join(names) and len(names) == 27
+        table = dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
         r = one.result
         np.testing.assert_allclose(table["time_s"], r.time_ns * 1e-9, rtol=1e-15)
         for k, axis in enumerate("xyz"):

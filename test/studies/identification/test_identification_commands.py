@@ -17,7 +17,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import serialise
 from kr270_milling.show.commands.console import Answer
-from kr270_milling.studies.identification import measurements
+from kr270_milling.studies.identification import compliance
 from kr270_milling.studies.identification.forces import Sensor, recorded_mean_force
 from kr270_milling.studies.identification.wall import compare_wall, read_wall
 
@@ -160,7 +160,7 @@ def hung_pounds(rows) -> None:
     rows[:] = [row for row in rows if float(row["fx_n"]) == 0.0 == float(row["fy_n"])]
     for row in rows:
         row["mass_kg"] = repr(float(row["fz_n"]) / -9.80665 / 0.45359237)
-        for name in measurements.WRENCH:
+        for name in compliance.WRENCH:
             del row[name]
 
 
@@ -254,7 +254,7 @@ def test_a_shipped_table_raises_no_doubt_and_a_german_spreadsheet_is_the_same_ta
 def campaign(folder, arm=TRUE, signs=1) -> str:
     rng, path = np.random.default_rng(3), str(folder / "campaign.csv")
     tests = measured(loads(rng, 24), arm, rng)
-    measurements.write_measurements(path, dataclasses.replace(tests, q=tests.q * signs))
+    compliance.write_measurements(path, dataclasses.replace(tests, q=tests.q * signs))
     return path
 
 
@@ -332,7 +332,7 @@ def test_the_plan_is_written_as_a_program_and_a_table_to_fill_in(ran):
     assert program.count("PTP {A1 ") == 12 and program.count("HALT") == 24
     with (ran["place"] / "plan" / "plan.csv").open() as stream:
         rows = list(csv.reader(line for line in stream if not line.startswith("#")))
-    assert len(rows) == 13 and set(rows[0]) <= set(measurements.COLUMNS)
+    assert len(rows) == 13 and set(rows[0]) <= set(compliance.COLUMNS)
 
 
 # --- A measured wall beside the predicted wall ---

@@ -23,8 +23,7 @@ from kr270_milling.show.report.identification.comparison import advice
 from kr270_milling.show.report.identification.compliance import reason
 from kr270_milling.studies.identification import comparison
 from kr270_milling.studies.identification.comparison import ComparedSeries
-from kr270_milling.studies.identification.compliance import Problem, fit_compliance
-from kr270_milling.studies.identification.measurements import read_measurements
+from kr270_milling.studies.identification.compliance import Problem, fit_compliance, read_measurements
 from kr270_milling.studies.identification.plan import Planner, candidates, read_test_pose
 
 

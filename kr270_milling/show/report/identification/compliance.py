@@ -14,9 +14,8 @@ from kr270_milling.decide.programs.krl import EXTERNAL, HEAD
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import COLOURS, DIVERGING, figure_of, points
-from kr270_milling.studies.identification.compliance import Fit
+from kr270_milling.studies.identification.compliance import Fit, Measurements, write_measurements
 from kr270_milling.studies.identification.doubts import compliance_doubts
-from kr270_milling.studies.identification.measurements import Measurements, write_measurements
 from kr270_milling.studies.identification.plan import Candidates, Design
 
 COLUMNS = ("number", "arm file", "identified", "95 % +-", "identified by the data")
