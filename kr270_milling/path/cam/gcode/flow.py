@@ -7,8 +7,10 @@ the program, is that of a file with this name in one of ``FOLDERS``.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -111,18 +113,13 @@ class Flow:
 
         A file outside of the folder of the program is not read, whatever a link says.
         """
-        (_, main), wanted = self.files[0], name.removeprefix("SUB ").strip("<>")
-        for folder in (main.parent / folder for folder in FOLDERS):
-            paths = sorted(folder.iterdir()) if folder.is_dir() else []
-            paths = [path for path in paths if _called(path) == wanted and path.is_file() and path.name != main.name]
-            paths = [path for path in paths if path.resolve().is_relative_to(main.parent.resolve())]
-            if len(paths) > 1:
-                raise InputError(main, f"{paths[0].name} and {paths[1].name} are the same sub-program; remove one")
-            if paths:
-                break
-        else:
+        main, paths = self.files[0][1], self._beside.get(name.removeprefix("SUB ").strip("<>"), [])
+        paths = [path for path in paths if path.is_file() and path.resolve().is_relative_to(main.parent.resolve())]
+        if not paths:
             return set()
-        (path,) = paths
+        if len(paths) > 1:
+            raise InputError(main, f"{paths[0].name} and {paths[1].name} are the same sub-program; remove one")
+        path = paths[0]
         if len(self.files) > MOST_FILES:
             raise InputError(main, f"calls sub-programs of more than {MOST_FILES} files")
         if path.stat().st_size > MOST_BYTES:
@@ -139,6 +136,23 @@ class Flow:
         if name in names:  # the file has no other one
             self.programs[name] = names[name]
         return calls
+
+    @cached_property
+    def _beside(self) -> dict[str, list[Path]]:
+        """Return the files of sub-programs by the name or number that calls them: 7 for O0007.nc, L100, POCKET."""
+        main = self.files[0][1]
+        files: dict[str, list[Path]] = {}
+        for folder in FOLDERS[::-1]:
+            names: dict[str, list[Path]] = {}
+            with contextlib.suppress(OSError):  # no such folder
+                for path in sorted((main.parent / folder).iterdir()):
+                    name = "".join(path.stem.split()).upper()
+                    if numbered := re.fullmatch(r"(?:O|(L))?0*([0-9]+)", name):
+                        name = (numbered[1] or "") + numbered[2]
+                    if path.suffix.lower() in ("", *ENDINGS) and path.name != main.name:
+                        names.setdefault(name, []).append(path)
+            files |= names
+        return files
 
     def _scan(self, names: dict[str, int]) -> set[str]:
         """Note the jumps of the last file, and its sub-programs in ``names``; return the names that it calls."""
@@ -414,14 +428,6 @@ class Flow:
         if call.scoped:
             self.variables.scopes.pop()
         return call.back
-
-
-def _called(path: Path) -> str:
-    """Return the number or name by which the sub-program of a file is called: 7 for O0007.nc, L100, POCKET."""
-    name = "".join(path.stem.split()).upper()
-    if numbered := re.fullmatch(r"(?:O|(L))?0*([0-9]+)", name):
-        name = (numbered[1] or "") + numbered[2]
-    return name if path.suffix.lower() in ("", *ENDINGS) else ""
 
 
 def _label(text: str) -> str:
