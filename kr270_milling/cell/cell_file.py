@@ -204,8 +204,8 @@ def _in_program_order(names: Sequence[str], program: SourceProgram, file) -> lis
 def cell_text(cell: Cell) -> str:
     """Return the cell as YAML text; its numbers are read back bit for bit."""
     tree = _without_empty(tree_of(cell))
-    for file in cell.path.files:
-        tree["path"]["file"] = str(file)
+    if cell.path.file:
+        tree["path"]["file"] = str(pathlib.Path(cell.path.file).resolve())
     text = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None, width=110)
     return "# Written by kr270_milling: the cell of this run.\n" + text
 

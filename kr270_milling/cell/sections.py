@@ -130,18 +130,18 @@ class PathSection(Record):
     @property
     def files(self) -> tuple[pathlib.Path, ...]:
         """Absolute paths of the files that a copy of the cell needs, since nodes run in another directory."""
-        return (pathlib.Path(self.file).resolve(),) if self.file else ()
+        files = (pathlib.Path(self.file), *self.source.files) if self.file else ()
+        return tuple(file.resolve() for file in files)
 
     @property
     def sha256(self) -> str:
-        """Hash of the file; empty for a straight cut."""
-        if not self.file:
-            return ""
-        with open(self.file, "rb") as stream:
-            digest = hashlib.sha256()
-            while block := stream.read(1 << 20):
-                digest.update(block)
-        return digest.hexdigest()
+        """Hash of the file, and of those that it calls; empty for a straight cut."""
+        digest = hashlib.sha256()
+        for file in self.files:
+            with open(file, "rb") as stream:
+                while block := stream.read(1 << 20):
+                    digest.update(block)
+        return digest.hexdigest() if self.file else ""
 
     @property
     def source(self) -> SourceProgram:

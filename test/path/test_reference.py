@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import random
+import re
 
 import numpy as np
 import pytest
 from budget import budget
-from samples.rs274 import RS274, difference, random_program
+from samples.rs274 import RS274, difference, ours, random_program
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.gcode import flow
@@ -203,6 +204,83 @@ def test_a_row_of_straight_cuts_gives_the_path_of_its_blocks(tmp_path, monkeypat
             except InputError as error:
                 results.append(str(error))
         assert results[0] == results[1], trial
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_sub_programs_of_other_files_run_as_those_of_the_program(tmp_path, seed):
+    """Also beside ``rs274``, which has no folder of sub-programs."""
+    rng = random.Random(seed)
+    text = random_program(random.Random(seed))
+    while "endsub" not in text:
+        text = random_program(rng)
+    (tmp_path / "whole.nc").write_text(text)
+    folder, main = rng.choice((".", "subroutines", "subs")), tmp_path / "split" / "part.ngc"
+    (main.parent / folder).mkdir(parents=True)
+    for sub, number in re.findall(r"(?s)(O(\d+) sub\n.*?O\2 endsub[^\n]*\n)", text):
+        text = text.replace(sub, "")
+        name = f"{number}.ngc" if folder == "." else rng.choice((f"{number}.NC", f"O{number}.nc", f"o00{number}"))
+        (main.parent / folder / name).write_text("(a sub-program)\n" + sub + "M2\n")
+    main.write_text(text)
+    (moves, sentence, _), (same, other, _) = ours(tmp_path / "whole.nc"), ours(main)
+    assert repr(same) == repr(moves) and re.sub(r"\A\w+(\.\w+)?, line \d+: ", "", other) == sentence
+    assert not (RS274 and folder == "." and difference(main).startswith("differs"))
+
+
+FANUC = "%\nO0007 (POCKET)\nG91 G1 X1 F600\nG90\nM99\n%\n"
+START = "G21 G90\nT1 M6\nG0 X0 Y0 Z0\n"
+
+
+@pytest.mark.parametrize(("call", "file", "text", "end"), [
+    ("M98 P7", "O0007.nc", FANUC, 1), ("M98 P7 L3", "7", FANUC, 3), ("M98 P20007", "7.ngc", FANUC, 2),
+    ("G65 P7", "O7.CNC", FANUC, 1), ("L7 P2", "L007.SPF", "G91 G1 X1 F600\nG90\nM17\n", 2),
+    ("o<a pocket> call [4]", "A Pocket.ngc", "o<a pocket> sub\nG1 X#1 F600\no<a pocket> endsub", 4),
+    ("M98 P7", "subs/O7.nc", "G1 X5 F600\nM98 P8\nM99\n", 6),
+])  # fmt: skip
+def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text, end):
+    (tmp_path / "subs").mkdir()
+    (tmp_path / "subs" / "O8.nc").write_text("G1 X6 F600\nM99\n")
+    (tmp_path / "part.nc").write_text(f"{START}{call}\nM30\n")
+    (tmp_path / file).write_text(text)
+    path = read_gcode(tmp_path / "part.nc")
+    assert 1e3 * path.position[-1, 0] == pytest.approx(end) and set(path.line[1:].tolist()) == {4}
+    assert path.program.files[0] == tmp_path / file
+
+
+@pytest.mark.parametrize(("call", "files", "sentence"), [
+    ("M98 P7", {}, "part.nc, line 4: the sub-program O7 is not in this file, and no file of this name is beside it"),
+    ("M98 P7", {"O8.nc": FANUC}, "O7 is not in this file"),
+    ("M98 P7", {"O7.nc": FANUC.replace("7", "8")}, "O7 is not in this file"),  # the file has another one
+    ("o<../out> call", {"../out.ngc": "o<../out> sub\no<../out> endsub\n"}, "O<../out> is not in this file"),
+    ("o<link> call", {"../link.ngc": "o<link> sub\no<link> endsub\n"}, "O<link> is not in this file"),
+    ("M98 P7", {"O7.nc": FANUC, "0007.nc": FANUC}, "0007.nc and O7.nc are the same sub-program; remove one"),
+    ("M98 P7", {"O7.nc": "G1 X1 F600\n"}, "line 4: O7.nc, line 3: the sub-program does not end"),
+    ("M98 P7", {"O7.nc": "G84 X1 Z-1 R1 F600\nM99"}, "part.nc, line 4: O7.nc, line 1: G84; leave threads"),
+    ("M98 P7", {"O7.nc": "M98 P7\nM99"}, "O7.nc, line 1: more than 10 sub-programs call one another"),
+    ("o<a> call", {"a.ngc": "o<a> sub\no1 sub\no1 endsub\no<a> endsub"}, "a.ngc, line 2: O1 is defined in another"),
+    ("M98 P7", {"O7.nc": "\0"}, "O7.nc, line 1: holds a zero byte"),
+    ("M98 P7", {"O7.nc": "G1 X1" * 4_000_000}, "O7.nc: has more than 16000000 bytes"),
+    ("M98 P1", {f"O{n}.nc": f"M98 P{n + 1}\nM99" for n in range(1, 120)}, "sub-programs of more than 100 files"),
+])  # fmt: skip
+def test_a_sub_program_of_a_file_is_refused_with_one_sentence_that_names_the_file(tmp_path, call, files, sentence):
+    folder = tmp_path / "programs"
+    folder.mkdir()
+    (folder / "part.nc").write_text(f"{START}{call}\nM30\n")
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    (folder / "link.ngc").symlink_to(tmp_path / "link.ngc")
+    with pytest.raises(InputError) as error:
+        read_gcode(folder / "part.nc")
+    assert sentence in str(error.value)
+
+
+def test_a_length_of_the_tool_by_g43_1_leaves_the_height_to_the_next_z(tmp_path):
+    part = tmp_path / "part.nc"
+    part.write_text(f"{START}G43.1 Z-50\nG0 Z5\nG1 X9 F600\nM30\n")
+    assert (1e3 * read_gcode(part).position[-1]).tolist() == pytest.approx([9, 0, 5])
+    for wrong in ("G43.1 Z-50\nG1 X9 F600", "G43.1 H1\nG0 Z5\nG1 X9 F600", "G0 G43.1 Z5\nG1 X9 F600"):
+        part.write_text(f"{START}{wrong}\nM30\n")
+        with pytest.raises(InputError):
+            read_gcode(part)
 
 
 @pytest.mark.skipif(not RS274, reason="rs274 of LinuxCNC is not installed (linuxcnc-uspace); RS274 may name it")

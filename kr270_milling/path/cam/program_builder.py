@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -34,6 +35,8 @@ class ProgramBuilder(PathBuilder):
         self.moved = False  #: True if the tool moved since then: a comment that follows is inside the operation
         self.unknown: list[str] = []  #: axes whose place was not known at the last move without a place
         self.lost = False  #: a move was refused: the place of the tool is unknown
+        self.where = ""  #: of a line in another file than the source: its name and line, as the begin of a sentence
+        self.files: list[Path] = []  #: further files that were read
         self.title = ""
         self.tool = ""  #: in the spindle
         self.frame = {"work offsets": "", "tool lengths": "", "tool edges": ""}  #: kind -> word that is active
@@ -152,7 +155,7 @@ class ProgramBuilder(PathBuilder):
     def doubt(self, kind: str, sentence: str) -> None:
         """Note a word of the tool whose moves are wanted that another control may run in another way."""
         if self.active:
-            self.doubtful.append((kind, sentence, self.line))
+            self.doubtful.append((kind, self.where + sentence, self.line))
 
     @property
     def cuts(self) -> int:
@@ -190,6 +193,8 @@ class ProgramBuilder(PathBuilder):
         self.refusals += 1
         if derived and self.lost:
             return
+        if self.where:
+            reason = self.where + (reason or word)
         refusal = Refusal(line or self.line, one_line(short(word)), one_line(reason), advice)
         self._refused.append((self.tool, refusal))
         self.lost = self.lost or lost
@@ -237,6 +242,7 @@ class ProgramBuilder(PathBuilder):
             base_frame=self.displayed.get("$BASE", ()),
             beside=self.beside.get(chosen, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
+            files=tuple(self.files),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
             doubtful=tuple(self.doubtful),

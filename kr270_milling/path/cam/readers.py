@@ -15,6 +15,7 @@ from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_ab
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import UNITS
 from kr270_milling.base.table import read_table
+from kr270_milling.path.cam.gcode import ENDINGS
 from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import ProgramError, SourceProgram
 from kr270_milling.path.timing import TimedPath
@@ -87,7 +88,7 @@ GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool",
 APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
 #: the reader of each kind of file, by the end of the name; ``cell.sections`` adds recordings, which are above this room
 READERS: dict[str, PathReader] = {
-    **dict.fromkeys((".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt"), GCODE),
+    **dict.fromkeys(ENDINGS, GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
     ".h": PathReader("kr270_milling.path.cam.heidenhain", "read_heidenhain", ("tool", "feed", "machine")),
     ".src": PathReader("kr270_milling.path.cam.krl.reader", "read_krl_program", ("tool", "feed")),

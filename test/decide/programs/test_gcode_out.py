@@ -146,6 +146,7 @@ G2 X1 Y0 I.5
 G5.1 X1.5 Y1 I.5 J0
 G0 Z.5
 o10 endsub
+G43.1 Z-2
 G0 X0 Y0 Z1
 o10 call [.1]
 G52 X2 Z.1
@@ -165,13 +166,20 @@ M30
 """
 
 
-@pytest.mark.parametrize("post", [*POSTS, Path("macro.ngc")], ids=lambda path: path.name)
+@pytest.mark.parametrize("post", [*POSTS, Path("macro.ngc"), Path("files.ngc")], ids=lambda path: path.name)
 def test_programs_of_six_posts_and_one_with_macros_take_any_end_points(tmp_path, post):
-    """In all of them the shift of each point by up to 0.1 mm is read back to the written digits."""
+    """In all of them the shift of each point by up to 0.1 mm is read back to the written digits.
+
+    The sub-program of ``files`` is in another file.
+    """
     tool = "T1" if post.stem == "haas" else ""
-    if post.stem == "macro":
+    macro = post.stem in ("macro", "files")
+    if macro:
+        before, sub, after = re.split(r"(?s)(o10 sub.*endsub\n)", MACRO)
+        (tmp_path / "10.ngc").write_text(sub)
+        text = before + after if post.stem == "files" else MACRO
         post = tmp_path / post
-        post.write_text(MACRO)
+        post.write_text(text)
     path = read_gcode(post, tool)
     source = read_source(post, {path.program.tool})
     written = source.lines_of(path, post, 0.0)
@@ -185,10 +193,7 @@ def test_programs_of_six_posts_and_one_with_macros_take_any_end_points(tmp_path,
     assert np.abs(read.position[moved] - wanted[cut]).max() < 0.13e-6
     lines = iter(copy.read_text().splitlines())
     assert all(line in lines for k, line in enumerate(source.lines, 1) if k not in ends and line)
-    assert (
-        source.written_out == (post.stem == "macro")
-        and read.program.tools[0].diameter == path.program.tools[0].diameter
-    )
+    assert source.written_out == macro and read.program.tools[0].diameter == path.program.tools[0].diameter
     assert [read.features[k] for k in read.feature[moved]] == [path.features[k] for k in path.feature[cut]]
     np.testing.assert_allclose(read.feed[moved], path.feed[cut], rtol=1e-12)
     np.testing.assert_array_equal(read.spindle_speed[moved], path.spindle_speed[cut])

@@ -10,6 +10,7 @@ from hostile import ask
 from rosbags.rosbag2 import StoragePlugin, Writer
 from samples import pass_recording as made
 from samples.recording_samples import STORE
+from samples.small_part import SET
 
 from kr270_milling.base.errors import ConfigError, RecordingError
 from kr270_milling.base.parameter_file import find_file
@@ -103,6 +104,36 @@ def test_a_file_that_an_attached_one_names_must_be_attached_too_and_is_read_ther
         ).tool.teeth
         == 3
     )
+
+
+GCODE_OF_FILES = {
+    "part.nc": "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nM98 P7\nG0 Z2\nM5\nM30\n",
+    "subs/O7.nc": "O7\nG0 Z-.5\nM98 P8\nM99\n", "O8.nc": "G1 X12 F4000\nM99\n",
+}  # fmt: skip
+KRL_OF_FILES = {
+    "part.src": "DEF part()\n$VEL.CP=0.06\nPTP XP1\nsub7()\nEND\n",
+    "part.dat": "DEFDAT part\nDECL E6POS XP1={X -14,Y 0,Z 2}\nENDDAT\n",
+    "sub7.src": "DEF sub7()\nLIN {Z -.5}\nLIN {X 12}\nLIN {Z 2}\nEND\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("files", [GCODE_OF_FILES, KRL_OF_FILES], ids=["gcode", "krl"])
+def test_the_files_of_sub_programs_are_part_of_the_cell_and_of_its_recordings(tmp_path, files):
+    (tmp_path / "subs").mkdir()
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    first, *further = (tmp_path / name for name in files)
+    cell = read_cell(find_file("paper.yaml"), [f"path.file={first}", *SET])
+    assert set(cell.path.files) == {first, *further} and cell.path.files[0] == first
+    attached = {"cell.yaml": cell_text(cell)} | {path.name: path.read_text() for path in cell.path.files}
+    target, marks = path_of(cell).target, {cell.path.sha256}
+    for file in further:
+        file.write_text(file.read_text() + "\n")
+        marks.add(cell.path.sha256)
+    assert len(marks) == len(files)
+    for name in files:
+        (tmp_path / name).unlink()
+    np.testing.assert_array_equal(path_of(cell_in(tmp_path / "r", attached)).target.position, target.position)
 
 
 def test_attached_files_that_name_each_other_many_times_are_refused_at_once(tmp_path):

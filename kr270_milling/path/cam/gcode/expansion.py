@@ -18,7 +18,7 @@ from kr270_milling.path.cam.machine import AXES, MM, NURBS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 
 #: words that stay in their line: dwell, tool length, exact stop, look-ahead
-KEPT = frozenset((4, 8, 9, 43, 49, 61, 61.1, 64))
+KEPT = frozenset((4, 8, 9, 43, 43.1, 49, 61, 61.1, 64))
 #: groups of words that place the coordinates: they stay before the first move
 PLACING = frozenset(("offset", "data", "preset"))
 ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their line
@@ -67,7 +67,11 @@ class _Expansion(Interpreter):
             return 4 not in codes or letter == "T"
         if placing:
             return letter in "LPXYZR"
-        return (letter == "H" and 43 in codes) or (letter == "P" and not codes.isdisjoint((4, 64)))
+        return (
+            (letter == "H" and 43 in codes)
+            or (letter == "Z" and 43.1 in codes)
+            or (letter == "P" and not codes.isdisjoint((4, 64)))
+        )
 
     def _word(self, letter: str, value: Any) -> str:
         if not isinstance(value, float):

@@ -1,22 +1,31 @@
 """Control flow of G-code: sub-programs, conditions and loops, as a list of lines with a table of jumps.
 
 O words and M98/M99 of LinuxCNC, M97 of Haas, IF, GOTO, WHILE and G65 of Fanuc, L sub-programs of Sinumerik. A program
-without them is run line by line, without this module.
+without them is run line by line, without this module. A sub-program that is called by its name or number, and is not in
+the program, is that of a file with this name in one of ``FOLDERS``.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
-from kr270_milling.base.text import short
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.text import read_lines, short
+from kr270_milling.path.cam.gcode import ENDINGS
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.words import MACROS
 
 MOST_BLOCKS = 1_000_000  #: lines that a program with sub-programs or loops runs; assumed
 DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVELS
+#: of files with a sub-program, from the folder of the program; those of the first folder with such a file count
+FOLDERS = (".", "subroutines", "subs")
+MOST_FILES, MOST_BYTES = 100, 16_000_000  #: files with sub-programs of a program, bytes of each; assumed
 #: a text that has one of these somewhere may jump
 MAY_JUMP = re.compile(
     r"M[ \t]*0*9[789](?![0-9])|G[ \t]*65(?![0-9])|GOTO|WHILE|^[ \t/]*(?:N[ \t0-9]+)?(?:L[ \t]*[0-9]"
@@ -33,6 +42,9 @@ NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 REMARK = re.compile(r"\([^)]*\)|;.*")
 HEADER = re.compile(r"[O:]0*([0-9]+)")
 SINUMERIK = re.compile(r"%_N_(L[0-9]+)_SPF", re.I)
+MISSING = "the sub-program {} is not in this file, and no file of this name is beside it"
+NUMBERED = re.compile(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])")  #: calls of a number
+LOCAL = re.compile(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?")
 ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
 #: letters of G65 -> numbers of the parameters (Fanuc, argument specification I)
 ARGUMENTS = dict(zip("ABCIJKDEFHQRSTUVWXYZ", (*range(1, 10), 11, *range(17, 27)), strict=True))
@@ -73,11 +85,14 @@ class Flow:
         self.run_line = run_line
         self.called = False  #: a sub-program was run
         self.jumped = False  #: a line was not run in the order of the file
-        self.lines = lines
+        self.lines = list(lines)  #: of the program and, each after an empty line, of the files that it calls
+        self.files: list[tuple[int, Path]] = [(0, Path(machine.program.source))]  #: with their first lines
+        self.ends: set[int] = set()  #: the empty lines
+        self.part = 0  #: file of the line that runs
         self.controls: dict[int, _Line] = {}
         self.programs: dict[str, int] = {}  #: name of a sub-program -> index of its line
         self.heads: set[int] = set()  #: lines after the numbers of programs
-        self.numbers: dict[int, list[int]] = {}  #: N -> indices of its lines
+        self.numbers: dict[tuple[int, int], list[int]] = {}  #: file, N -> indices of its lines
         self.pairs: dict[int, int] = {}  #: line -> the line that ends its construct, or begins it for an end
         self.branches: dict[int, int] = {}  #: if, elseif -> the next branch
         self.loops: dict[int, int] = {}  #: break, continue -> the line that begins their loop
@@ -85,28 +100,88 @@ class Flow:
         self.counters: dict[tuple[int, int], int] = {}
         self.furthest = 0  #: index after the last line that ran
         self.faults: list[tuple[int, str]] = []
-        self._scan()
+        calls, tried = self._scan(self.programs), set(self.programs)
+        while new := calls - tried:
+            name = min(new)
+            tried.add(name)
+            calls |= self._load(name)
 
     # --- the table of jumps ---
 
-    def _scan(self) -> None:
+    def _load(self, name: str) -> set[str]:
+        """Take a sub-program that the program has not from its file, and return those that it calls; raises InputError.
+
+        A file outside of the folder of the program is not read, whatever a link says.
+        """
+        main, paths = self.files[0][1], self._beside.get(name.removeprefix("SUB ").strip("<>"), [])
+        paths = [path for path in paths if path.is_file() and path.resolve().is_relative_to(main.parent.resolve())]
+        if not paths:
+            return set()
+        if len(paths) > 1:
+            raise InputError(main, f"{paths[0].name} and {paths[1].name} are the same sub-program; remove one")
+        path = paths[0]
+        if len(self.files) > MOST_FILES:
+            raise InputError(main, f"calls sub-programs of more than {MOST_FILES} files")
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(path, f"has more than {MOST_BYTES} bytes, too many for a sub-program")
+        self.ends.add(len(self.lines))
+        self.files.append((len(self.lines) + 1, path))
+        self.lines += ["", *read_lines(path)]
+        self.machine.program.files.append(path)
+        names: dict[str, int] = {}
+        calls = self._scan(names)
+        if not names and not name.startswith("SUB "):  # without its number
+            first = self.files[-1][0]
+            names[name] = first + (self.lines[first].lstrip()[:1] == "%")
+        if name in names:  # the file has no other one
+            self.programs[name] = names[name]
+        return calls
+
+    @cached_property
+    def _beside(self) -> dict[str, list[Path]]:
+        """Return the files of sub-programs by the name or number that calls them: 7 for O0007.nc, L100, POCKET."""
+        main = self.files[0][1]
+        files: dict[str, list[Path]] = {}
+        for folder in FOLDERS[::-1]:
+            names: dict[str, list[Path]] = {}
+            with contextlib.suppress(OSError):  # no such folder
+                for path in sorted((main.parent / folder).iterdir()):
+                    name = "".join(path.stem.split()).upper()
+                    if numbered := re.fullmatch(r"(?:O|(L))?0*([0-9]+)", name):
+                        name = (numbered[1] or "") + numbered[2]
+                    if path.suffix.lower() in ("", *ENDINGS) and path.name != main.name:
+                        names.setdefault(name, []).append(path)
+            files |= names
+        return files
+
+    def _scan(self, names: dict[str, int]) -> set[str]:
+        """Note the jumps of the last file, and its sub-programs in ``names``; return the names that it calls."""
         opened: list[tuple[int, str, str]] = []
-        for index, line in enumerate(self.lines):
-            text = "".join(REMARK.sub("", line).split()).upper()
+        calls: set[str] = set()
+        part = len(self.files) - 1
+        for index in range(self.files[-1][0], len(self.lines)):
+            text = "".join(REMARK.sub("", self.lines[index]).split()).upper()
             if match := NUMBER.match(text.lstrip("/")):
-                self.numbers.setdefault(int(match[1]), []).append(index)
+                self.numbers.setdefault((part, int(match[1])), []).append(index)
             if match := HEADER.fullmatch(text):
-                self.programs.setdefault(match[1], index + 1)
-                self.heads.add(index + 1)
+                names.setdefault(match[1], index + 1)
+                if not part:
+                    self.heads.add(index + 1)
             elif match := SINUMERIK.match(text):
-                self.programs.setdefault(match[1].upper(), index + 1)
+                names.setdefault(match[1].upper(), index + 1)
             elif match := CONTROL.fullmatch(text):
                 control = _Line(_label(match["label"] or ""), match["word"] or match["fanuc"], match["rest"] or "")
                 if match["fanuc"]:
                     control = self._fanuc(match["fanuc"], match["condition"])
                 self.controls[index] = control
-                self._pair(index, control, opened)
+                self._pair(index, control, opened, names)
+                calls |= {f"SUB {control.label}"} if control.word == "CALL" else set()
+            if match := NUMBERED.match(text):
+                calls |= {match[1], f"{int(match[1]) % 10_000}"}  # P30012 is three times O12
+            elif match := LOCAL.fullmatch(text):
+                calls.add(f"L{match[1]}")
         self.faults += [(index, f"{word} of {label or 'its loop'} has no end") for index, label, word in opened]
+        return calls
 
     def _fanuc(self, word: str, rest: str) -> _Line:
         """WHILE [...] DO1, END1; IF [...] GOTO 10, IF [...] THEN #1=5; GOTO 10."""
@@ -115,14 +190,14 @@ class Flow:
             return _Line(f"DO{label}", "WHILE", condition)
         return _Line(f"DO{rest}", "END", "") if word == "END" else _Line("", f"F{word}", rest)
 
-    def _pair(self, index: int, line: _Line, opened: list) -> None:
+    def _pair(self, index: int, line: _Line, opened: list, names: dict[str, int]) -> None:
         label, word, _ = line
         if word in ("SUB", "IF", "DO", "REPEAT") or (word == "WHILE" and (label, "DO") != self._top(opened)):
             if word == "SUB" and any(kind == "SUB" for _, _, kind in opened):
                 self.faults.append((index, f"O{label} is defined in another sub-program"))
             opened.append((index, label, word))
             if word == "SUB":
-                self.programs.setdefault(f"SUB {label}", index + 1)
+                names.setdefault(f"SUB {label}", index + 1)
         elif word in ("ELSEIF", "ELSE", "WHILE", *ENDS):
             if (label, ENDS.get(word, "DO" if word == "WHILE" else "IF")) != self._top(opened):
                 self.faults.append((index, f"{word} of O{label} does not follow its beginning"))
@@ -157,27 +232,43 @@ class Flow:
         machine.calls = True
         if self.faults:
             for index, reason in self.faults:
-                program.refuse("O", reason, MACROS, line=index + 1)
+                self._go(index)
+                program.refuse("O", reason, MACROS)
             return
         index = executed = 0
         refused: set[int] = set()
-        while index < len(self.lines) and not machine.ended and not program.hopeless:
-            refusals, program.line = program.refusals, index + 1
+        count = min(self.ends, default=len(self.lines))  # of the lines of the program
+        while index != count and not machine.ended and not program.hopeless:
+            self._go(index)
+            refusals = program.refusals
             executed += 1
             try:
+                if index in self.ends or index == len(self.lines):
+                    raise _Stop("the sub-program does not end; end it with M99, or with endsub")
                 if executed > MOST_BLOCKS:
                     raise _Stop(f"the program runs more than {MOST_BLOCKS} lines; does a loop end?")
                 following = self._step(index)
             except (_Stop, ExpressionError) as fault:
-                program.refuse(short(self.lines[index].strip()), str(fault), MACROS, lost=True)
+                line = self.lines[index] if index < len(self.lines) else ""
+                program.refuse(short(line.strip()), str(fault), MACROS, lost=True)
                 program.words["refused"] += 1
                 break
-            self.furthest = max(self.furthest, index + 1)
+            if index < count:
+                self.furthest = max(self.furthest, index + 1)
             if program.refusals > refusals:
                 if index in refused:
                     break
                 refused.add(index)
             index = following
+        program.where = ""
+
+    def _go(self, index: int) -> None:
+        """Note the place of a line: that of another file is named, after the line of the program that calls it."""
+        program = self.machine.program
+        self.part = sum(first <= index for first, _ in self.files) - 1
+        first, path = self.files[self.part]
+        program.where = f"{path.name}, line {index - first + 1}: " if self.part else ""
+        program.line = program.line if self.part else index + 1
 
     def _step(self, index: int) -> int:
         """Run a line and return the index of the next one."""
@@ -265,7 +356,7 @@ class Flow:
         return self._numbered(number) if scanner.ended else self._numbered(-1)
 
     def _numbered(self, number: float) -> int:
-        places = self.numbers.get(int(number), [])
+        places = self.numbers.get((self.part, int(number)), [])
         if len(places) != 1 or number != int(number):
             raise _Stop(f"{len(places)} lines have the number N{number:g}")
         return places[0]
@@ -282,7 +373,7 @@ class Flow:
         if name not in self.programs and kind == "M98" and number >= 10_000 and repeats == 1:  # P30012: 3 times O12
             repeats, name = number // 10_000, f"{number % 10_000:g}"
         if name not in self.programs:
-            raise _Stop(f"the sub-program {name if kind == 'L' else 'O' + name} is not in this file")
+            raise _Stop(MISSING.format(name if kind == "L" else "O" + name))
         scope = None
         if kind == "G65":
             scope = 33, {ARGUMENTS[letter]: value for letter, value in arguments.items()}
@@ -297,7 +388,7 @@ class Flow:
             arguments.append(scanner.value())
         start = self.programs.get(f"SUB {label}")
         if start is None:
-            raise _Stop(f"the sub-program O{label.lower()} is not in this file")
+            raise _Stop(MISSING.format("O" + label.lower()))
         if len(arguments) > 30:
             raise _Stop("a sub-program takes 30 values at most")
         values: dict[int | str, float] = dict(enumerate([*arguments, *[0.0] * (30 - len(arguments))], 1))

@@ -423,6 +423,9 @@ class Interpreter(Machine):
         elif word in ("G74", "G75"):
             self.program.refuse(word, advice=ADVICE.get(word, UNKNOWN), lost=True)
             axes.clear()
+        elif word == "G43.1" and ("Z" not in axes or "motion" in groups or not axes.keys().isdisjoint("XYH")):
+            self.program.refuse(word, "G43.1 takes Z alone, the length of the tool", AXES5, lost=True)
+            axes.clear()
         elif word == "G54.4" and axes.get("P"):
             self.program.refuse(word, advice=DATUM, lost=True)
         else:
@@ -436,9 +439,11 @@ class Interpreter(Machine):
                 self.set_tilt(None)
                 self._change(turn=1 + 0j, centre=0j)
             number = f" {word_of('H', axes['H'])}" if word == "G43" and "H" in axes else ""
-            if word in ("G43", "G49"):
+            if word in ("G43", "G43.1", "G49"):
                 self.follow_tip(False)
                 self._length(0.0 if word == "G49" else axes.get("H"), "home" in groups)
+            if word == "G43.1":  # the height of the tip follows from a length that is not known
+                self.position[2] = math.nan
             self._read_over(word + number, axes, letters)
 
     def _length(self, number: float | None, homes: bool = False) -> None:

@@ -119,10 +119,13 @@ class GcodeReader:
         """Up to the end of the program, or of the file."""
         program, cuts, read = self.program, 0, len(lines)
         text = "\n".join(lines).upper()
+        flow = Flow(self.machine, self.variables, self.run_line, lines) if has_flow(text) else None
+        if flow and program.files:
+            text = "\n".join(flow.lines).upper()
+            self.machine.changes = changes_by_m6(flow.lines)
         if self.machine.contour is None and (OFFSET.search(text) or any(word in text for word in CORNERS)):
             self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
-        if has_flow(text):
-            flow = Flow(self.machine, self.variables, self.run_line, lines)
+        if flow:
             flow.run()
             self.computed = self.computed or flow.jumped
             read = flow.furthest if self.machine.ended else read
@@ -139,6 +142,7 @@ class GcodeReader:
         if self.machine.ended or program.hopeless:
             codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[read:])
             program.silent["lines after the end"] += sum(map(bool, codes))
+            program.silent["M99 of the program, which is run once"] += self.machine.end_word == 99
             program.silent = +program.silent
             return
         # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move

@@ -29,6 +29,7 @@ SILENT_G: dict[float, str] = {
     **dict.fromkeys((25, 26), "XYZS"),  # working area, least and largest speed
     **dict.fromkeys((5.1, 64), "PQR"),
     43: "H",
+    43.1: "Z",
     50: "S",
     50.1: "XYZ",
     187: "PE",
@@ -124,7 +125,7 @@ ADVICE = {
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
     **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
-    **_each("G68.3 G68.4 G254 G255 G43.1 G107 G12.1 G7.1", AXES5),
+    **_each("G68.3 G68.4 G254 G255 G107 G12.1 G7.1", AXES5),
     **_each("TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
     **_each(
         "G33 G33.1 G74 G84 G84.2 G84.3 G63 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70",

@@ -127,10 +127,12 @@ class _KrlReader(Machine):
         """Take the routines of a .src file and the data of its .dat file."""
         for data in (path.with_suffix(end) for end in (".dat", ".DAT")):
             if data != path and data.is_file():
+                self.program.files.append(data)
                 for number, text in _lines(data):
                     with contextlib.suppress(KrlError):  # only a statement that needs the value is refused
                         self._declare(_Statement(data, number, text), text)
                 break
+        self.program.files += [path] * (path != self.path)
         lines = iter(_lines(path))
         for number, text in lines:
             match = re.fullmatch(r"(?:GLOBAL\s+)?DEF\s+(\w+)\s*\((.*)\)", text, re.I)
@@ -165,8 +167,9 @@ class _KrlReader(Machine):
         for statement in statements:
             if self.program.hopeless:
                 return
+            self.program.where = f"{statement.file.name}, line {statement.line}: "
             if statement.file == self.path:
-                self.program.line = statement.line
+                self.program.line, self.program.where = statement.line, ""
             refusals, counted, refused = self.program.refusals, self.program.words["counted"], False
             if statement.text[:1] == ";":
                 name, announced = operation_name(statement.text.lstrip("; "))
@@ -178,8 +181,7 @@ class _KrlReader(Machine):
             try:
                 self._statement(statement)
             except (KrlError, ArcError) as error:
-                where = "" if statement.file == self.path else f"{statement.file.name}, line {statement.line}: "
-                self.program.refuse(statement.word, f"{where}{error}", lost=True)
+                self.program.refuse(statement.word, str(error), lost=True)
                 refused = True
             except (TypeError, ValueError, AttributeError, IndexError):  # of a value of another kind, as $VEL=5
                 self.program.refuse(statement.word, f"{short(statement.text)!r} has a value of another kind", lost=True)
