@@ -19,7 +19,7 @@ from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, ou
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
 MOTORS = 6  #: numbers of place and velocity of the motors
-WINDOW = 1024  #: segments that are solved at once
+WINDOW = 4096  #: segments that are solved at once
 REACH = 3.0  #: [s], before and after a window: so long two corrections of the same deviation differ
 STEPS = 30  #: most conjugate gradients
 
@@ -93,16 +93,22 @@ class Ensemble:
         first += part.start
         following = np.minimum(first + 1, whole[-1])
         matrices = [_matrix(arm.cut(first), arm.cut(following).inward, sample) for arm, _ in robots]
-        self._matrix = np.ascontiguousarray(np.stack(matrices, axis=-1).swapaxes(1, 2))
-        deviations = np.stack([deviation[part] for _, deviation in robots], axis=-1)
-        self._deviation = deviations.reshape(len(deviations), -1, len(robots))
+        forward = np.stack(matrices)
+        self._forward, self._backward = (_widened(rows) for rows in (forward, np.swapaxes(forward, -1, -2)))
+        self._deviation = np.stack([deviation[part].reshape(-1, 3 * segments.parts) for _, deviation in robots])
         self._weight = np.ascontiguousarray(weight[part])
 
     def slope(self, cubic: np.ndarray, share: float) -> np.ndarray:
         """Slope of half the cost by cubics (m, 4, 3), with this share of the deviations."""
         pulled, flat = np.zeros((len(cubic), 12)), np.ascontiguousarray(cubic).reshape(-1, 12)
-        _slope(self._kind, self._matrix, share * self._deviation, self._weight, self._shares, flat, pulled)
+        matrices = self._kind, self._forward, self._backward
+        _slope(*matrices, share, self._deviation, self._weight, self._shares, flat, pulled)
         return pulled.reshape(-1, 4, 3)
+
+
+def _widened(rows: np.ndarray) -> np.ndarray:
+    """Zeros behind the rows up to a multiple of 16 numbers, which a processor multiplies without a rest."""
+    return np.pad(rows, [(0, 0)] * 3 + [(0, -rows.shape[-1] % 16)])
 
 
 def _matrix(arm: ArmResponse, next_inward: np.ndarray, segments: Segments) -> np.ndarray:
@@ -131,64 +137,57 @@ def _matrix(arm: ArmResponse, next_inward: np.ndarray, segments: Segments) -> np
     return answer
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _slope(kind, matrix, left, weight, shares, cubic, pulled):
-    """Add the slopes by cubics (m, 12) to ``pulled``; left: the deviations, (m, 3 parts, n), changed.
+# sums in any order, so that the processor takes several numbers at a time
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _slope(kind, forward, backward, share, deviation, weight, shares, cubic, pulled):
+    """Add the slopes by cubics (m, 12) to ``pulled``.
 
-    matrix: (kinds, y, 3 parts and states, n).
+    forward: (n, kinds, 3 parts and states, y), zeros behind y; backward: (n, kinds, y, 3 parts and states).
     """
-    _, width, height, n = matrix.shape
+    n, _, width, height = backward.shape
     m, parts = weight.shape[:2]
     states, moved = width - 12, 3 * parts
-    y, answer = np.zeros((width, n)), np.zeros((height, n))
-    for i in range(3):  # the motors are on the first value of the correction
-        for e in range(n):
-            y[states - 6 + i, e] = cubic[0, i]
-    for k in range(m):
-        t = kind[k]
-        for j in range(12):
-            for e in range(n):
-                y[states + j, e] = cubic[k, j]
-        for i in range(height):
-            for e in range(n):
-                answer[i, e] = 0.0
-        for j in range(width):
-            for i in range(height):
-                for e in range(n):
-                    answer[i, e] += matrix[t, j, i, e] * y[j, e]
-        for i in range(moved):
-            for e in range(n):
-                left[k, i, e] += answer[i, e]
+    left, last = np.zeros((m, moved)), height - moved
+    y, answer, motors = np.zeros(forward.shape[3]), np.zeros(height), states - 6
+    for e in range(n):
         for j in range(states):
-            for e in range(n):
-                y[j, e] = answer[moved + j, e]
-    back = np.zeros(n)
-    for i in range(height):
-        for e in range(n):
-            answer[i, e] = 0.0
-    for k in range(m - 1, -1, -1):
-        t = kind[k]
-        for p in range(parts):
-            for i in range(3):
-                for e in range(n):
+            y[j] = 0.0
+        for j in range(3):  # the motors are on the first value of the correction
+            y[motors + j] = cubic[0, j]
+        for k in range(m):
+            matrix = forward[e, kind[k]]
+            for j in range(12):
+                y[states + j] = cubic[k, j]
+            for i in range(moved):
+                value = share * deviation[e, k, i]
+                for j in range(y.size):
+                    value += matrix[i, j] * y[j]
+                left[k, i] = value
+            for i in range(states):
+                value = 0.0
+                for j in range(y.size):
+                    value += matrix[moved + i, j] * y[j]
+                answer[i] = value
+            for j in range(states):
+                y[j] = answer[j]
+        for i in range(height):
+            answer[i] = 0.0
+        for k in range(m - 1, -1, -1):
+            matrix = backward[e, kind[k]]
+            for p in range(parts):
+                for i in range(3):
                     value = 0.0
                     for j in range(3):
-                        value += weight[k, p, i, j] * left[k, 3 * p + j, e]
-                    answer[3 * p + i, e] = shares[e] * value
-        for j in range(width):
-            for e in range(n):
-                back[e] = 0.0
-            for i in range(height):
-                for e in range(n):
-                    back[e] += matrix[t, j, i, e] * answer[i, e]
-            for e in range(n):
-                y[j, e] = back[e]
-        for j in range(states):
-            for e in range(n):
-                answer[moved + j, e] = y[j, e]
-        for j in range(12):
-            for e in range(n):
-                pulled[k, j] += y[states + j, e]
-    for i in range(3):
-        for e in range(n):
-            pulled[0, i] += y[states - 6 + i, e]
+                        value += weight[k, p, i, j] * left[k, 3 * p + j]
+                    answer[3 * p + i] = shares[e] * value
+            for j in range(width):
+                value = 0.0
+                for i in range(height):
+                    value += matrix[j, i] * answer[i]
+                y[j] = value
+            for j in range(last):
+                answer[moved + j] = y[j] if j < states else 0.0
+            for j in range(12):
+                pulled[k, j] += y[states + j]
+        for j in range(3):
+            pulled[0, j] += y[motors + j]
