@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.column import TextTable
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.record import flatten
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.decide.check import Checked
-from kr270_milling.decide.decision import Decision
+from kr270_milling.decide.check import Checked, check
+from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.part import PartAssessment, assess_all
-from kr270_milling.decide.tolerance import judge
+from kr270_milling.decide.tolerance import Judgement, judge
 from kr270_milling.show.report import page
 from kr270_milling.show.report import tables as texts
-from kr270_milling.show.report.decision_block import asked, finding_rows, judged, limit_bars, tiles
+from kr270_milling.show.report.decision_block import cut_text, finding_rows, limit_bars, tiles
 from kr270_milling.show.report.linked import linked, part_surface, robot_model
 from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.straight_cut import charts_of
@@ -69,7 +70,7 @@ def report_text(
     """
     if not passes:
         raise InputError(title, "a report needs at least one pass")
-    path = path_of(cell)
+    path, then = path_of(cell), "" if len(passes) == 1 else ", and what does compensation change"
     parts = parts or assess_all(cell, passes)
     judgements = [judge(cell, scored, part) for scored, part in zip(passes, parts, strict=True)]
     method = decision.method_text if decision else ""
@@ -112,7 +113,7 @@ def report_text(
         paper=paper,
         paper_source=texts.PAPER,
         names=names,
-        asked=asked(cell, passes),
+        asked=f"How far off does {cell.arm.name} mill {cut_text(path)}{then}?",
         tiles=tiles(names, judgements, decision, checked, method, cell.stage.tool if cell.stage else ""),
         findings=finding_rows(checked),
         limits=limit_bars(decision),
@@ -130,3 +131,17 @@ def report_text(
         has_source=bool(pictures["source"]),
         data=page.to_json(data),
     )
+
+
+def judged(
+    cell: Cell, passes: Sequence[ScoredPass], judgements: Sequence[Judgement]
+) -> tuple[Decision | None, Checked | None]:
+    """Decide on passes that come without a decision, as recordings do: the best of the others against the first.
+
+    Returns None where the path cannot be checked any more.
+    """
+    best = min(range(len(passes)), key=lambda k: (k == 0 < len(passes) - 1, judgements[k].error))
+    with contextlib.suppress(MillingError, OSError):  # the tool path of a recording may be nowhere else
+        checked = check(cell, passes[best].reference, ran=passes[best])
+        return decided(judgements[0], judgements[best], passes[best].name, checked), checked
+    return None, None

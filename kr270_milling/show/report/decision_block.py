@@ -5,45 +5,20 @@ The report judges nothing itself: it shows the ``Decision``, the ``Checked`` pat
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import path_of
 from kr270_milling.cell.paths import CellPath
-from kr270_milling.decide.check import RAPID_MOVES, Checked, check
-from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
+from kr270_milling.decide.check import RAPID_MOVES, Checked
+from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 from kr270_milling.decide.findings import SEVERITIES
 from kr270_milling.decide.tolerance import Judgement, um_text
 from kr270_milling.show.report.tables import micro, typeset
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: colour of the tile
-
-
-def judged(
-    cell: Cell, passes: Sequence[ScoredPass], judgements: Sequence[Judgement]
-) -> tuple[Decision | None, Checked | None]:
-    """Decide on passes that come without a decision, as recordings do: the best of the others against the first.
-
-    Returns None where the path cannot be checked any more.
-    """
-    best = min(range(len(passes)), key=lambda k: (k == 0 < len(passes) - 1, judgements[k].error))
-    with contextlib.suppress(MillingError, OSError):  # the tool path of a recording may be nowhere else
-        checked = check(cell, passes[best].reference, ran=passes[best])
-        return decided(judgements[0], judgements[best], passes[best].name, checked), checked
-    return None, None
-
-
-def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
-    """The question, in one sentence."""
-    then = "" if len(passes) == 1 else ", and what does compensation change"
-    return f"How far off does {cell.arm.name} mill {cut_text(path_of(cell))}{then}?"
 
 
 def cut_text(path: CellPath) -> str:

@@ -10,8 +10,7 @@ from browser import Visit
 from kr270_milling.base.frames import Pose
 from kr270_milling.decide.limits import Limit
 from kr270_milling.decide.tolerance import judge
-from kr270_milling.show.report import write_report
-from kr270_milling.show.report.decision_block import judged
+from kr270_milling.show.report import judged, write_report
 from kr270_milling.show.report.study_page import points, write_page
 
 WORDS = dict(source="cell.yaml", command="kr270_milling demo", date="2026-01-02")
