@@ -142,7 +142,7 @@ MUTATIONS = [
     ("middle of a part", RESPONSE, "(start[:, 1] <<-|+>> end[:, 1]) / 8.0"),
     ("lifted stop", LIFTED, "from_state[k, j] = <<-|>>2.0 / time**2"),
     ("lifted corner", LIFTED, "from_state[corner, rate, v] = <<-|>>jump[corner]"),
-    ("lifted cost to go", LIFTED, "linear[i] <<+|->>= total[i, size + c] * push[k, c]"),
+    ("lifted cost to go", LIFTED, "linear[j] <<+|->>= policy[k, c, j] * gradient[size + c]"),
     ("lifted policy", LIFTED, "total[i, j] <<+|->>= total[i, size + c] * policy"),
     ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> modelled)"),
     ("repeatability", IMPERFECTIONS, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, outputs, transitions
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, outputs, transitions, units
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
 MOTORS = 6  #: numbers of place and velocity of the motors
@@ -43,17 +43,19 @@ def least_mean_square(
     [m^2], so robots without a deviation leave no correction. Windows of the path are solved one by one, each together
     with the path beside it. Time is linear in the length of the path, memory does not grow with it.
     """
-    count, m = np.array([response.frequency[0] for response, _ in robots]), len(segments)
+    frequency, m = np.array([response.frequency[0] for response, _ in robots]), len(segments)
     slow = arm.frequency[0] * float(np.median(segments.duration)) < 4.0  # [rad]: a correction moves no faster mode
-    between = np.exp(np.log(count / arm.frequency[0]).mean(axis=0))
+    between = np.exp(np.log(frequency / arm.frequency[0]).mean(axis=0))
     # assumed: robots that differ in frequency answer in the mean as one with three times the damping
-    mean = Lifted(arm.scaled(between, 3.0).modes(slow), segments, conditions)
+    mean = arm.scaled(between, 3.0).modes(slow)
+    unit = units(mean, segments)
     cubic, beside = np.zeros((m, 4, 3)), int(np.ceil(REACH / np.median(segments.duration)))
 
     def solve(first: int) -> None:
         inner = slice(first, min(first + WINDOW, m))
         part = slice(max(0, inner.start - beside), min(m, inner.stop + beside))
-        lifted, ensemble = mean.cut(part), Ensemble(robots, shares, segments, weight, part)
+        lifted = Lifted(mean.cut(part), segments.cut(part), conditions.cut(part), unit)
+        ensemble = Ensemble(robots, shares, segments, weight, part)
         precondition = lifted.prepared(weight[part], smoothness)
         found = np.zeros((part.stop - part.start, 4, 3))
         rest, direction, before = ensemble.slope(found, 1.0), found, np.inf
@@ -112,7 +114,7 @@ def _widened(rows: np.ndarray) -> np.ndarray:
 
 
 def _matrix(arm: ArmResponse, next_inward: np.ndarray, segments: Segments) -> np.ndarray:
-    """Motion of the tool in each part and [u, p, y, y'] at the next knot from y, (kinds, 3 parts + 2 r + 6, 2 r + 18)."""
+    """Motion of the tool in each part and [u, p, y, y'] at the next knot from y, (kinds, 3 parts + 2 r + 6, y)."""
     r, m = arm.order, len(segments)
     inward, after = (rows if arm.moves else np.zeros_like(rows) for rows in (arm.inward, next_inward))
     moved, swung = outputs(arm, segments).reshape(m, -1, 2 * r + 12), transitions(arm, segments)[:, : 2 * r]

@@ -256,9 +256,7 @@ class Learner:
             self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
             if number + 1 == rounds:
                 break
-            found = least_mean_square(
-                self.arm, segments, self.conditions, drawn, shares, weight, careful, settled
-            )
+            found = least_mean_square(self.arm, segments, self.conditions, drawn, shares, weight, careful, settled)
             tried = offset + knots(segments, found)
             if np.array_equal(tried, offset):
                 break

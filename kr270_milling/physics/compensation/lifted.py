@@ -15,7 +15,6 @@ free; where the target stops the correction has no slope; straight lines have a 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
@@ -57,14 +56,18 @@ def knots(segments: Segments, cubic: np.ndarray) -> np.ndarray:
     return np.vstack([cubic[:, 0], c + v * t + a * t**2 / 2.0 + j * t**3 / 6.0])
 
 
-
 class Lifted:
-    """The response of one arm along one path to every knot, to be solved for any deviation and weight."""
+    """The response of one arm along one path to every knot, to be solved for any deviation and weight.
 
-    def __init__(self, arm: ArmResponse, segments: Segments, conditions: KnotConditions):
+    unit: of the whole path, where the segments are a part of it; see ``units``.
+    """
+
+    def __init__(
+        self, arm: ArmResponse, segments: Segments, conditions: KnotConditions, unit: np.ndarray | None = None
+    ):
         self.order, self.smooth = arm.order, conditions.smooth
         self._arm, self._segments, self._conditions = arm, segments, conditions
-        self._unit = units(arm, segments)
+        self._unit = units(arm, segments) if unit is None else unit
         self._made: tuple[int, tuple[np.ndarray, ...]] | None = None
 
     def _matrices(self, part: slice) -> tuple[np.ndarray, ...]:
@@ -75,13 +78,6 @@ class Lifted:
             chosen = choices(arm, segments, conditions, self._unit, part.start == 0)
             self._made = part.start, (outputs(arm, segments) * self._unit, step, *chosen)
         return self._made[1]
-
-    def cut(self, part: slice) -> Lifted:
-        """The response on the segments of ``part`` alone, in the units of the whole path."""
-        window = copy.copy(self)
-        window._arm, window._segments = self._arm.cut(part), self._segments.cut(part)
-        window._conditions, window._made = self._conditions.cut(part), None
-        return window
 
     def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> LiftedCorrection:
         """The best correction of deviations d0 [m], (m, parts, 3), under weights W (m, parts, 3, 3).

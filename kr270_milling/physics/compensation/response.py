@@ -164,26 +164,9 @@ class Lag:
         """Cubics (m, 4, 3) of the motors that follow cubics (m, 4, 3), equal at the knots."""
         free, driven, hermite = self.matrices(segments.duration)
         state = np.stack([cubic[0, 0], np.zeros(3)])
-        start, end = _run(free, driven @ cubic, state)
+        n, wide = len(free), np.ascontiguousarray(np.repeat(free.reshape(-1, 4, 1), 3, axis=2))
+        start, end = _march(wide, driven @ cubic, np.zeros((n, 3)), np.eye(3)[None], n, state)
         return hermite @ np.concatenate([start, end], axis=1)
-
-    def pull(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
-        """Adjoint of ``follow``: slopes (m, 4, 3) of a cost by its result to those by its cubics."""
-        free, driven, hermite = self.matrices(segments.duration)
-        ends = np.swapaxes(hermite, 1, 2) @ slope  # by (y, y') at both ends
-        ends[:-1, 2:] += ends[1:, :2]  # all but the first by that at the end of a segment
-        added = np.concatenate([ends[:-1, 2:][::-1], ends[:1, :2]])
-        end, start = _run(np.swapaxes(free, 1, 2)[::-1], added, ends[-1, 2:].copy())
-        pulled = np.swapaxes(driven, 1, 2) @ end[::-1]
-        pulled[0, 0] += start[-1, 0]
-        return pulled
-
-
-def _run(free: np.ndarray, added: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """States (m, 2, r) before and after each step x' = F x + b; free (m, 2, 2), added (m, 2, r), state (2, r)."""
-    n, _, r = added.shape
-    wide = np.ascontiguousarray(np.repeat(free.reshape(n, 4, 1), r, axis=2))
-    return _march(wide, np.ascontiguousarray(added), np.zeros((n, r)), np.eye(r)[None], n, state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,44 +259,6 @@ class ArmResponse:
         """
         cubic = self.lag.follow(segments, cubic) if self.lag else cubic
         return self.gain * (segments.powers @ cubic + self.swing(segments, cubic, np.zeros(3)))
-
-    def pull(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
-        """Adjoint of ``follow``: slopes (m, parts, 3) of a cost by the motion of the tool to those by cubics."""
-        slope = self.gain * slope
-        pulled = np.swapaxes(segments.powers, 1, 2) @ slope
-        if self.order and self.moves:
-            pulled += self._pull_swing(segments, slope)
-        return self.lag.pull(segments, pulled) if self.lag else pulled
-
-    def _pull_swing(self, segments: Segments, slope: np.ndarray) -> np.ndarray:
-        """Adjoint of ``swing``, backwards in time: ``state`` (2, r) is the slope of the cost by u and u'."""
-        pulled, jump = np.zeros((len(segments), 4, 3)), np.zeros((len(segments) + 1, 3))
-        state = np.zeros((2, self.order))
-        for part in reversed(list(segments.blocks())):
-            arm, block = self.cut(part), segments.cut(part)
-            duration, place = block.duration[:, None], block.place
-            u = slope[part] @ arm.outward  # by u in each part
-            here, after = arm.free(place), arm.free(duration)
-            added = np.stack([np.sum(h * u, axis=1) for h in here[:2]], axis=1)
-            free = np.stack([h[:, 0] for h in after], axis=1)[:, [0, 2, 1, 3]]
-            turn = np.swapaxes(arm.carry, 1, 2)[::-1]
-            state = state @ arm.carry[-1]
-            last = np.concatenate([turn[1:], np.eye(self.order)[None]])
-            backward = [np.ascontiguousarray(rows) for rows in (free[::-1], added[::-1], last)]
-            ends = _march(backward[0], backward[1], np.zeros(added[:, 0].shape), backward[2], 1, state)
-            end, start = (rows[::-1] for rows in ends)  # at the ends of segments
-            of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0] for f in arm.forced(duration, after))
-            inside = [np.sum(f * u, axis=1) for f in arm.forced(place, here)[:2]]
-            bend = inside[0] + of_bend * end[:, 0] + rate_of_bend * end[:, 1]
-            jerk = inside[1] + of_jerk * end[:, 0] + rate_of_jerk * end[:, 1]
-            for row, values in ((2, bend), (3, jerk)):
-                pulled[part, row] = np.einsum("mr,mrd->md", values, arm.inward)
-            jump[part] = np.einsum("mr,mrd->md", start[:, 1], arm.inward)  # by the corner before each segment
-        before, t = jump[1:], segments.duration[:, None]
-        pulled[:, 1] += before - jump[:-1]
-        pulled[:, 2] += t * before
-        pulled[:, 3] += t**2 / 2.0 * before
-        return pulled
 
     def swing(self, segments: Segments, cubic: np.ndarray, approach: np.ndarray) -> np.ndarray:
         """Displacement delta [m], (m, parts, 3), by the inertia of an arm that follows cubics (m, 4, 3).

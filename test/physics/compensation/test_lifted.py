@@ -15,9 +15,10 @@ from kr270_milling import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation import arm_fit, response
+from kr270_milling.physics.compensation import arm_fit, ensemble, response
 from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
-from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
+from kr270_milling.physics.compensation.ensemble import Ensemble, least_mean_square
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, knots
 from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.response import ArmResponse, Lag, Segments, cubic_coefficients
 
@@ -67,15 +68,31 @@ def test_motors_follow_a_correction_late():
     assert Lag.of(0.0, 0.7, 0.0) is None
 
 
-def test_the_adjoint_of_the_response_has_the_same_inner_product():
-    """<y, H c> = <H^T y, c> for arms whose modes turn from posture to posture, with and without a lag."""
+def test_the_slope_of_many_robots_is_that_of_their_responses_one_by_one():
+    """<slope of c, e> = sum of shares <W H c, H e>: modes that turn from posture to posture, with and without a lag."""
     rng, (m, n, r) = np.random.default_rng(3), (len(SEGMENTS), 4, 3)
-    posture, carry = np.arange(m) * n // m, np.eye(r) + 0.1 * rng.normal(size=(n, r, r))
-    shapes = rng.normal(size=(n, r, 3)), rng.normal(size=(n, 3, r)), np.zeros((n, r, 6))
-    arm = ArmResponse(rng.uniform(30, 90, (n, r)), np.full((n, r), 0.05), *shapes, carry, gain=0.9, posture=posture)
-    cubic, slope = rng.normal(size=(m, 4, 3)) * [[1.0], [1e1], [1e2], [1e3]], rng.normal(size=(m, 16, 3))
-    for one in (arm, dataclasses.replace(arm, lag=Lag(60.0, 0.7)), ArmResponse.rigid(m)):
-        assert np.sum(slope * one.follow(SEGMENTS, cubic)) == pytest.approx(np.sum(cubic * one.pull(SEGMENTS, slope)))
+
+    def arm(**others) -> ArmResponse:
+        posture, carry = np.arange(m) * n // m, np.eye(r) + 0.1 * rng.normal(size=(n, r, r))
+        shapes = rng.normal(size=(n, r, 3)), rng.normal(size=(n, 3, r)), np.zeros((n, r, 6))
+        frequency = rng.uniform(30, 90, (n, r))
+        return ArmResponse(frequency, np.full((n, r), 0.05), *shapes, carry, gain=0.9, posture=posture, **others)
+
+    arms = arm(), arm(lag=Lag(60.0, 0.7)), arm(moves=False), arm(lag=Lag(40.0, 0.7)).cut(slice(0, m))
+    shares, factor = np.array([1.0, 0.3, 0.7, 0.5]), rng.normal(size=(m, 16, 3, 3))
+    weight, deviations = factor @ np.swapaxes(factor, -1, -2), rng.normal(size=(4, m, 16, 3))
+    cubic, other = rng.normal(size=(2, m, 4, 3)) * [[1.0], [1e1], [1e2], [1e3]]
+    robots = list(zip(arms, deviations, strict=True))
+    slope = Ensemble(robots, shares, SEGMENTS, weight, slice(0, m)).slope(cubic, 0.6)
+    expected = 0.0
+    for share, (one, deviation) in zip(shares / 4, robots, strict=True):
+        left = 0.6 * deviation + one.follow(SEGMENTS, cubic)
+        expected += share * np.sum((weight @ left[..., None])[..., 0] * one.follow(SEGMENTS, other))
+    assert np.sum(slope * other) == pytest.approx(expected)
+
+
+ROBOTS = [dataclasses.replace(one_mode(w), lag=Lag(3.0 * w, 0.7)) for w in (36.0, 42.0, 50.0)]
+SHARES = np.array([1.0, 0.3, 0.7])
 
 
 @pytest.mark.parametrize("smooth", [True, False])
@@ -84,15 +101,13 @@ def test_the_least_mean_square_over_robots_has_no_slope_in_any_direction_that_th
     rng, m = np.random.default_rng(5), len(SEGMENTS)
     conditions = KnotConditions(smooth, np.zeros(m + 1, bool), np.zeros(m, bool))
     deviations = rng.normal(50e-6, 20e-6, (3, 1, 1, 3)) * np.ones((3, m, 16, 1))
-    arms = [dataclasses.replace(one_mode(w), lag=Lag(3.0 * w, 0.7)) for w in (36.0, 42.0, 50.0)]
     weight, lifted = np.broadcast_to(np.eye(3), (m, 16, 3, 3)), Lifted(one_mode(), SEGMENTS, conditions)
-    robots = list(zip(arms, deviations, strict=True))
-    shares = np.array([1.0, 0.3, 0.7])
-    best = lifted.least_mean_square(robots, shares, weight, 1e-3, 1e-24).cubic
+    robots = list(zip(ROBOTS, deviations, strict=True))
+    best = least_mean_square(one_mode(), SEGMENTS, conditions, robots, SHARES, weight, 1e-3, 1e-24)
 
     def cost(cubic):
         left = np.array([np.sum((d + arm.follow(SEGMENTS, cubic)) ** 2) for arm, d in robots])
-        return np.mean(shares * left) + np.sum(lifted._roughness(cubic, 1e-3) * cubic)
+        return np.mean(SHARES * left) + np.sum(lifted.roughness(cubic, 1e-3) * cubic)
 
     least = cost(best)
     assert least < 0.8 * cost(np.zeros_like(best))
@@ -100,6 +115,22 @@ def test_the_least_mean_square_over_robots_has_no_slope_in_any_direction_that_th
         way = lifted.least_squares(rng.normal(0.0, 20e-6, (m, 16, 3)), weight, 1e-3).cubic
         ahead, behind = cost(best + way) - least, cost(best - way) - least
         assert min(ahead, behind) > 0.0 and abs(ahead - behind) < 1e-3 * (ahead + behind)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_windows_of_the_path_find_the_least_mean_square_of_the_whole_path(smooth, monkeypatch):
+    """6 s before and after each window of 4 s: modes of 36 rad/s with a damping of 4 % decay to 2e-4."""
+    segments, m = Segments(np.arange(601) * 50_000_000, 4), 600
+    conditions = KnotConditions(smooth, np.arange(m + 1) == 250, np.zeros(m, bool))
+    deviation = np.random.default_rng(6).normal(0.0, 20e-6, (3, m, 4, 3))
+    robots = [(arm.cut(np.zeros(m, int)), one) for arm, one in zip(ROBOTS, deviation, strict=True)]
+    weight = np.broadcast_to(np.eye(3), (m, 4, 3, 3))
+    arm = one_mode().cut(np.zeros(m, int))
+    numbers = arm, segments, conditions, robots, SHARES, weight, 1e-1, 1e-24
+    whole = knots(segments, least_mean_square(*numbers))
+    monkeypatch.setattr(ensemble, "WINDOW", 80)
+    monkeypatch.setattr(ensemble, "REACH", 6.0)
+    np.testing.assert_allclose(knots(segments, least_mean_square(*numbers)), whole, atol=1e-4 * np.abs(whole).max())
 
 
 def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last_by_its_compliance():
