@@ -144,7 +144,8 @@ def _touch_run(parts, place, s, c):
                 _keep(place, n, _sphere(part, place[U + n], place[V + n], s, c))
         elif kind == 1:
             for n in range(RUN):
-                _keep(place, n, _torus(part, place[U + n], place[V + n], s, c))
+                if place[Z + n] == MISSED:
+                    _keep(place, n, _torus(part, place[U + n], place[V + n], s, c))
         elif kind == 2:
             for n in range(RUN):
                 _keep(place, n, _level(part, place[U + n], place[V + n], s, c))
@@ -359,7 +360,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame):
             j, first = max(first, low), first + RUN
             end, n = min(first - 1, high), (j - low // RUN * RUN) // RUN & (RUN - 1)
             if n == 0:
-                _bound_runs(s, p, step, tip_z, x, (j & ~(RUN - 1)) * p.spacing - shift_y)
+                _bound_runs(s, p, step, tip_z, x, (j & ~(RUN - 1)) * p.spacing - shift_y, high // RUN - j // RUN)
             slot = s.table[i >> 8, j >> 8]
             known = 0.0
             if slot >= 0:
@@ -398,15 +399,15 @@ def _rates(p, place, step, t):
 
 
 @inlined
-def _bound_runs(s, p, step, tip_z, x, start):
-    """Fill BOUND and NEAR of RUN runs from the y ``start``.
+def _bound_runs(s, p, step, tip_z, x, start, last):
+    """Fill BOUND and NEAR of RUN runs from the y ``start``, of which ``last`` is the last in use.
 
     No node of a run is lowered below BOUND; NEAR is 0 where the tool covers all cells of a run.
     """
     place, work, half, depth = s.edge.place, s.edge.work, 0.5 * (RUN - 1) * p.spacing, p.top - tip_z
     ux, uy, rim, lowest = step[12], step[13], RIM * p.spacing, 0
     for n in range(RUN):
-        y = start + half + n * (RUN * p.spacing)
+        y = start + half + min(n, last) * (RUN * p.spacing)
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
     _rates(p, place, step, 1.0)
     for n in range(RUN):
@@ -423,10 +424,11 @@ def _bound_runs(s, p, step, tip_z, x, start):
         bound = min(place[LAST + max(n - 1, 0)], place[RISE + min(n + 1, RUN - 1)])
         if place[Z + n] == MISSED:
             work[BOUND + n] = np.float32(bound)
-        lowest += work[BOUND + n] >= np.float32(0.5)
+        lowest += n <= last and work[BOUND + n] >= np.float32(0.5)
     if lowest > 0:
         for n in range(RUN):
-            place[U + n], place[V + n] = place[U + n] - half * uy, place[V + n] - half * ux
+            y = start + n * (RUN * p.spacing)
+            place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
         _inside_run(p.profile.parts, place, step[14], step[15])
         for n in range(RUN):
             work[NEAR + n] = np.float32(n == RUN - 1 or min(place[Z + n], place[Z + min(n + 1, RUN - 1)]) < rim)
@@ -443,7 +445,6 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known):
     depth, levels, rim = p.top - tip_z, 1.0 / p.level_step, RIM * p.spacing
     for n in range(RUN):
         y = start + n * p.spacing
-        place[Y + n] = y
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
         work[PART + n] = np.float32(1.0)
     if near:
@@ -517,7 +518,7 @@ def _sort_column(s, p, step, frame, share, column, lost):
     column: place and lower end from the tip at the end of the step, height, and how far it may be beside the tool [m].
     """
     x, y, z, height, slack = column
-    shape, bins, last = p.profile, p.widths.size, p.profile.length.size - 1
+    shape, bins, last, levels = p.profile, p.widths.size, p.profile.length.size - 1, 1.0 / p.level_step
     back = 1.0 - share
     end_x, end_y, end_z = x + back * step[0], y + back * step[1], z + back * step[2]  # from the tip where it is lowest
     m = step[0] * frame[0] + step[1] * frame[1] + step[2] * frame[2]
@@ -553,9 +554,9 @@ def _sort_column(s, p, step, frame, share, column, lost):
                 across, rho = e2 / radius, radius
             if b < 0:
                 b = np.int64(shape.piece[min(np.int64(rho * entry), ENTRIES)])
-            while b < last and _above(shape, b, rho, h / p.level_step, p.level_step):
+            while b < last and _above(shape, b, rho, h * levels, p.level_step):
                 b += 1
-            while b > 0 and not _above(shape, b - 1, rho, h / p.level_step, p.level_step):
+            while b > 0 and not _above(shape, b - 1, rho, h * levels, p.level_step):
                 b -= 1
             if left == 0 and h > p.end_radius - rho and shape.sine[b] < FLAT and shape.edges[b] < 0.5:
                 while b < last and shape.sine[b] < FLAT:  # nearer to the side, which left it in a cell of its rim
@@ -573,7 +574,7 @@ def _sort_column(s, p, step, frame, share, column, lost):
             angle += bins
         s.edge.lost[angle, b] += each
         if b == last:
-            s.edge.raised[angle] += each * h / p.level_step
+            s.edge.raised[angle] += each * h * levels
 
 
 @inlined
