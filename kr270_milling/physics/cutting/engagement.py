@@ -228,7 +228,13 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
     footprint = (2 * p.reach + 3) ** 2
     if p.profile is not None:
         lost = np.zeros((2 * bins, p.profile.length.size + 1))
-        edge = EdgeBins(np.zeros(nodes // RUN + 1, np.uint16), lost, np.zeros(2 * bins), np.zeros(11 * RUN, np.float32))
+        edge = EdgeBins(
+            np.zeros(nodes // RUN + 1, np.uint16),
+            lost,
+            np.zeros(2 * bins),
+            np.zeros(11 * RUN, np.float32),
+            np.zeros(10 * RUN),
+        )
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
     return EngagementState(

@@ -31,7 +31,6 @@ from kr270_milling.physics.cutting.engagement import (
     CONTACT,
     FLOOR_LEVEL,
     FLOOR_NEAR,
-    LOG_LOST,
     RIM,
     SINES,
     layer_force,
@@ -42,11 +41,11 @@ from kr270_milling.physics.cutting.engagement import (
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
-from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
+from kr270_milling.physics.cutting.runs import GOAL, LOST, PART, REST, SHARE, lower_nodes
+from kr270_milling.physics.cutting.state import LEVEL_SUM
 from kr270_milling.physics.cutting.tilted import lower_tilted
 
-# rows of ``EdgeBins.work``
-BESIDE, SHARE, GOAL, PART, AT, SINE, FAR, REST, LOST, END = (RUN * k for k in range(1, 11))
+ALONG, BESIDE, AT, SINE, FAR, END = (RUN * k for k in range(5, 11))  # further rows of ``EdgeBins.work``
 ONE = np.uint64(1)
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
@@ -76,7 +75,7 @@ def tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
     frame = (e1x, e1y, e1z, e2x, e2y, e2z, ax, ay, az)
     end, axis, before = (second[0], second[1], second[2]), (second[3], second[4], second[5]), first[3:6]
     removed = s.floats[LEVEL_SUM]
-    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame, s.ints[FLOOR_LEVEL] >= 0)
+    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame)
     s.ints[FLOOR_LEVEL] = 0  # known
     if passes <= 0.0 or s.floats[LEVEL_SUM] == removed:
         return 0.0, 0.0, 0.0
@@ -191,7 +190,7 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     """
     shape, edges, first = p.profile, s.edge, low & ~(RUN - 1)
     last_piece, work = np.uint64(shape.length.size - 1), edges.work
-    none, zero, one, half, tiny = np.int32(0), np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
+    zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
     inverse_, entry_, r_, below_, sinks_ = (
@@ -208,15 +207,17 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     for n in range(RUN):
         v = v_ + np.float32(n)
         along = a_ * x_ + v * y_
-        work[n] = along
+        work[ALONG + n] = along
         work[BESIDE + n] = v * x_ - a_ * y_
         work[SHARE + n] = min(max(along * inverse_, whole), one)
     if slope != 0.0:
         for n in range(low - first, high - first + 1):
             bar = s.rest[np.uint64(base + first + n)] + 0.5
-            work[SHARE + n] = _ramp_share(p, work[n], work[BESIDE + n], m, slope, inverse, r, entry, below, sinks, bar)
+            work[SHARE + n] = _ramp_share(
+                p, work[ALONG + n], work[BESIDE + n], m, slope, inverse, r, entry, below, sinks, bar
+            )
     for n in range(RUN):
-        along, beside, gone = work[n], work[BESIDE + n], work[SHARE + n] * m_
+        along, beside, gone = work[ALONG + n], work[BESIDE + n], work[SHARE + n] * m_
         away, middle = along - gone, along - half * gone
         square = away * away + beside * beside
         work[AT + n] = min(math.sqrt(square) * entry_, most)
@@ -232,39 +233,13 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         at = work[AT + n]
         k = np.uint64(at)
         work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
-    total, new, least = np.int32(0), np.int32(0), np.int32(LEVELS)
     for n in range(RUN):
-        place = np.uint64(base + first) + np.uint64(n)
-        before, rest, part, sunk = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[SHARE + n] * sinks_
-        goal = min(below_ + sunk - work[GOAL + n], deepest)
-        height = goal - np.float32(rest)
-        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
-        fresh = height > zero and work[n] > back and first + n >= low and first + n <= high
-        lost = max(after - before, none) if fresh else none
-        s.pool[place] = np.uint16(before + lost)
-        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
-        work[LOST + n], work[REST + n], work[END + n] = (
-            np.float32(lost),
-            np.float32(rest),
-            below_ + half * sunk - np.float32(rest),
-        )
-        work[GOAL + n] = below_ + half * sunk - goal
-        total, least = total + lost, min(least, before + lost)
-        new += np.int32(before == none and lost > none)
-    s.ints[NODES_CUT] += new
-    s.floats[LEVEL_SUM] += total * p.level_step
-    edges.highest[np.uint64(base + first) // np.uint64(RUN)] = least
-    logged = s.ints[LOGGED]
-    s.ints[LOGGED] = LOG_LOST
-    if logged + RUN < s.log_place.size:
-        for n in range(RUN):
-            if work[LOST + n] > zero:
-                place = np.uint64(base + first + n)
-                s.log_place[np.uint64(logged)] = place
-                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
-                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
-                logged += 1
-        s.ints[LOGGED] = logged
+        goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
+        work[GOAL + n] = goal if work[ALONG + n] > back and first + n >= low and first + n <= high else -one
+    lower_nodes(s, p, base, first)
+    for n in range(RUN):
+        level = below_ + half * work[SHARE + n] * sinks_
+        work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
     for n in range(RUN):
         lost = np.float64(work[LOST + n])
         if lost == 0.0:

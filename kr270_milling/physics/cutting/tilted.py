@@ -25,14 +25,17 @@ import math
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined
-from kr270_milling.physics.cutting.engagement import BEYOND, LOG_LOST, RIM, SINES, take_tile
+from kr270_milling.physics.cutting.engagement import BEYOND, RIM, SINES, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
-from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT, UNDERCUT
+from kr270_milling.physics.cutting.runs import BOUND, GOAL, LOST, NEAR, PART, REST, SHARE, lower_nodes
+from kr270_milling.physics.cutting.state import UNDERCUT
 
 MISSED = math.inf  # height of a tool that does not cover a node
 SLICES = 40  # of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
+ROUND = 4  # the same without a level end
 NEWTON = 2  # steps to the moment at which the tool meets a slice
+U, V, X, Y, Z, NU, NV, NZ, LAST, RISE = (RUN * k for k in range(10))  # rows of ``EdgeBins.place``
 FLAT = 1e-9  # [m] and sine of an angle below which a length and a tilt are none
 
 
@@ -48,63 +51,118 @@ def turned_axis(x, y, z):
 @inlined
 def _normal(x, v, rho, sine, cosine, s, c):
     """Return the outward normal along u, v and z, at the place (x, v) of a circle about the axis."""
-    return sine * x * c / rho - cosine * s, sine * v / rho, -sine * x * s / rho - cosine * c
+    each = sine / rho
+    return each * x * c - cosine * s, each * v, -each * x * s - cosine * c
+
+
+@inlined
+def _sphere(part, u, v, s, c):
+    """``touch`` of the ball at the tip of the profile."""
+    corner, middle, each = part[4], part[1] + part[4], 1.0 / part[4]
+    x = u - middle * s
+    square = corner * corner - x * x - v * v
+    root = math.sqrt(max(square, 0.0))
+    z = middle * c - root
+    touches = square >= 0.0 and u * s + z * c <= part[3]
+    return z if touches else MISSED, x * each, v * each, -root * each
+
+
+@inlined
+def _torus(part, u, v, s, c):
+    """``touch`` of a corner that begins beside the axis."""
+    r0, h, top, corner = part[0], part[1], part[3], part[4]
+    middle = h + corner
+    for _ in range(12):
+        x = (u - h * s) / c
+        rho = math.sqrt(x * x + v * v) + 1e-15
+        out = max(rho - r0, 0.0)
+        far = math.sqrt(out * out + (middle - h) * (middle - h))
+        slope = (-out * x * s / (c * rho) - (middle - h)) / far
+        if far - corner <= 2e-9:  # [m]
+            return (h - u * s) / c, *_normal(x, v, rho, out / corner, (middle - h) / corner, s, c)
+        if slope >= 0.0:
+            break
+        h -= (far - corner) / slope
+        if h > top + FLAT:
+            break
+    return MISSED, 0.0, 0.0, -1.0
+
+
+@inlined
+def _level(part, u, v, s, c):
+    """``touch`` of the end, or of a ledge."""
+    x = (u - part[1] * s) / c
+    square = x * x + v * v
+    touches = part[0] * part[0] <= square <= part[2] * part[2]
+    return (part[1] - u * s) / c if touches else MISSED, -s, 0.0, -c
+
+
+@inlined
+def _cone(part, u, v, s, c):
+    """``touch`` of a cone or a cylinder."""
+    sine, cosine, by_c = part[5], part[6], 1.0 / c
+    rise, at = cosine / sine, u * by_c
+    base = part[0] - part[1] * rise
+    a, b = s * by_c * s * by_c - rise * rise, at * s * by_c + base * rise
+    rest = v * v + at * at - base * base
+    square = b * b - a * rest
+    h = rest / (b + math.sqrt(max(square, 0.0)))
+    touches = square >= 0.0 and part[1] <= h <= part[3]
+    x, rho = (u - h * s) * by_c, base + rise * h + 1e-15
+    return (h - u * s) * by_c if touches else MISSED, *_normal(x, v, rho, sine, cosine, s, c)
 
 
 @compiled
 def touch(parts, u, v, s, c):
     """Return the lowest point of the tool at (u, v) from its tip and its outward normal along u, v, z; or MISSED."""
     for k in range(parts.shape[0]):
-        r0, z0, r1, z1, corner = parts[k, 0], parts[k, 1], parts[k, 2], parts[k, 3], parts[k, 4]
-        if corner > 0.0 and r0 < FLAT:  # a sphere
-            middle = z0 + corner
-            x = u - middle * s
-            square = corner * corner - x * x - v * v
-            if square < 0.0:
-                continue
-            root = math.sqrt(square)
-            z = middle * c - root
-            if u * s + z * c <= z1:
-                return z, x / corner, v / corner, -root / corner
-        elif corner > 0.0:  # a torus
-            h, middle = z0, z0 + corner
-            touches = False
-            x = rho = out = far = 1.0
-            for _ in range(12):
-                x = (u - h * s) / c
-                rho = math.sqrt(x * x + v * v) + 1e-15
-                out = max(rho - r0, 0.0)
-                far = math.sqrt(out * out + (middle - h) * (middle - h))
-                slope = (-out * x * s / (c * rho) - (middle - h)) / far
-                if far - corner <= 2e-9:  # [m]
-                    touches = True
-                    break
-                if slope >= 0.0:
-                    break
-                h -= (far - corner) / slope
-                if h > z1 + FLAT:
-                    break
-            if touches:
-                return (h - u * s) / c, *_normal(x, v, rho, out / corner, (middle - h) / corner, s, c)
-        elif parts[k, 5] < FLAT:  # level: the end, or a ledge
-            x = (u - z0 * s) / c
-            square = x * x + v * v
-            if r0 * r0 <= square <= r1 * r1:
-                return (z0 - u * s) / c, -s, 0.0, -c
-        else:  # a cone or a cylinder
-            sine, cosine = parts[k, 5], parts[k, 6]
-            rise = cosine / sine
-            base = r0 - z0 * rise
-            a = s * s / (c * c) - rise * rise
-            b = u * s / (c * c) + base * rise
-            square = b * b - a * (v * v + u * u / (c * c) - base * base)
-            if square < 0.0:
-                continue
-            h = (v * v + u * u / (c * c) - base * base) / (b + math.sqrt(square))
-            if z0 <= h <= z1:
-                x, rho = (u - h * s) / c, base + rise * h + 1e-15
-                return (h - u * s) / c, *_normal(x, v, rho, sine, cosine, s, c)
+        part = parts[k]
+        if part[4] > 0.0:
+            found = _sphere(part, u, v, s, c) if part[0] < FLAT else _torus(part, u, v, s, c)
+        else:
+            found = _level(part, u, v, s, c) if part[5] < FLAT else _cone(part, u, v, s, c)
+        if found[0] != MISSED:
+            return found
     return MISSED, 0.0, 0.0, -1.0
+
+
+@inlined
+def _touch_run(parts, place, s, c):
+    """``touch`` of the nodes of a run, at U and V of ``place``; fills Z and the normal."""
+    for n in range(RUN):
+        place[Z + n] = MISSED
+    for k in range(parts.shape[0]):
+        part = parts[k]
+        kind = (0 if part[0] < FLAT else 1) if part[4] > 0.0 else (2 if part[5] < FLAT else 3)
+        missed = 0
+        for n in range(RUN):
+            missed += place[Z + n] == MISSED
+        if missed == 0:
+            break
+        if kind == 0:
+            for n in range(RUN):
+                _keep(place, n, _sphere(part, place[U + n], place[V + n], s, c))
+        elif kind == 1:
+            for n in range(RUN):
+                if place[Z + n] == MISSED:
+                    _keep(place, n, _torus(part, place[U + n], place[V + n], s, c))
+        elif kind == 2:
+            for n in range(RUN):
+                _keep(place, n, _level(part, place[U + n], place[V + n], s, c))
+        else:
+            for n in range(RUN):
+                _keep(place, n, _cone(part, place[U + n], place[V + n], s, c))
+
+
+@inlined
+def _keep(place, n, found):
+    """Keep the first touch of a node."""
+    z = place[Z + n]
+    first = z == MISSED
+    place[Z + n] = found[0] if first else z
+    place[NU + n] = found[1] if first else place[NU + n]
+    place[NV + n] = found[2] if first else place[NV + n]
+    place[NZ + n] = found[3] if first else place[NZ + n]
 
 
 @compiled
@@ -124,28 +182,56 @@ def _radius_at(parts, h):
     return radius
 
 
+@inlined
+def _widest(part, s, c):
+    """Return radius, lower and upper height and rise of a part of the shadow, and the factor of |v| in its height."""
+    corner, rise, low, high = part[4], 0.0, part[3], part[3]
+    if corner > 0.0:
+        low = high = part[1] + corner
+    elif part[5] > FLAT:  # the height at which the line is widest beside the node
+        bend = part[6] / part[5] * c / max(s, FLAT)
+        if bend < 1.0:
+            return part[0], part[1], part[3], part[6] / part[5], c * bend / math.sqrt(1.0 - bend * bend)
+    return part[0] if corner > 0.0 else part[2], low, high, rise, 0.0
+
+
+@inlined
+def _depth(part, widest, u, v, s, c):
+    """Return how far a node is inside the shadow of a part [m], and the direction out of it along u and v."""
+    r, low, high, rise, beside = widest
+    by_s, by_c = 1.0 / max(s, FLAT), 1.0 / c
+    h = min(max((u + beside * abs(v)) * by_s, low), high)
+    x = (u - h * s) * by_c
+    q, out = math.sqrt(x * x + v * v) + 1e-15, x * by_c
+    each = 1.0 / (math.sqrt(out * out + v * v) + 1e-15)
+    return (r + rise * (h - low) - q) * q * each + part[4], out * each, v * each
+
+
 @compiled
 def inside(parts, u, v, s, c):
     """Return how far a node is inside the shadow of the tool [m], and the direction out of it along u and v."""
-    best, best_u, best_v = -1e9, 1.0, 0.0
+    best = -1e9, 1.0, 0.0
     for k in range(parts.shape[0]):
-        corner, r, h = parts[k, 4], parts[k, 2], parts[k, 3]
-        if corner > 0.0:
-            r, h = parts[k, 0], parts[k, 1] + corner
-        elif parts[k, 5] > FLAT:  # the height at which the line is widest beside the node
-            rise = parts[k, 6] / parts[k, 5]
-            bend = rise * c / max(s, FLAT)
-            if bend < 1.0:
-                h = (u + c * bend * abs(v) / math.sqrt(1.0 - bend * bend)) / max(s, FLAT)
-                h = min(max(h, parts[k, 1]), parts[k, 3])
-                r = parts[k, 0] + rise * (h - parts[k, 1])
-        x = (u - h * s) / c
-        q = math.sqrt(x * x + v * v) + 1e-15
-        slope = math.sqrt(x * x / (c * c) + v * v) / q
-        depth, out_u, out_v = (r - q) / slope + corner, x / (c * q * slope), v / (q * slope)
-        if depth > best:
-            best, best_u, best_v = depth, out_u, out_v
-    return best, best_u, best_v
+        found = _depth(parts[k], _widest(parts[k], s, c), u, v, s, c)
+        if found[0] > best[0]:
+            best = found
+    return best
+
+
+@inlined
+def _inside_run(parts, place, s, c):
+    """``inside`` of the nodes of a run, at U and V of ``place``; fills Z, NU and NV."""
+    for n in range(RUN):
+        place[Z + n] = -1e9
+    for k in range(parts.shape[0]):
+        widest = _widest(parts[k], s, c)
+        for n in range(RUN):
+            depth, out_u, out_v = _depth(parts[k], widest, place[U + n], place[V + n], s, c)
+            best = place[Z + n]
+            deeper = depth > best
+            place[Z + n] = depth if deeper else best
+            place[NU + n] = out_u if deeper else place[NU + n]
+            place[NV + n] = out_v if deeper else place[NV + n]
 
 
 @inlined
@@ -167,52 +253,46 @@ def shadow_rows(x, start_u, end_u, ux, uy, reach):
 
 
 @inlined
-def _look(p, step, t, x, y):
-    """Return the height of the tool above a node at the share t of the step, its rate over the step and its slope.
+def _axis_at(step, t):
+    """Return ``turned_axis`` at the share t of a step."""
+    _, _, _, _, _, _, ax, ay, az, bx, by, bz, ux, uy, s, c = step
+    if t < 1.0 and (bx != 0.0 or by != 0.0 or bz != 0.0):
+        a, b, e = ax - (1.0 - t) * bx, ay - (1.0 - t) * by, az - (1.0 - t) * bz
+        scale = 1.0 / math.sqrt(a * a + b * b + e * e)
+        ux, uy, s, c = turned_axis(a * scale, b * scale, e * scale)
+    return ux, uy, s, c
 
-    x, y: of the node from the tip at the end of the step [m]; the height is above that tip. The slope is along y.
+
+@inlined
+def _look(p, step, t, x, y):
+    """Return the height of the tool above a node at the share t of the step, and its rate over the step.
+
+    x, y: of the node from the tip at the end of the step [m]; the height is above that tip.
     """
-    dx, dy, dz, wx, wy, wz, ax, ay, az, bx, by, bz, ux, uy, s, c = step
+    dx, dy, dz, wx, wy, wz, _, _, _, bx, by, bz, _, _, _, _ = step
     back = 1.0 - t
     x, y = x + back * dx, y + back * dy
     turning = bx != 0.0 or by != 0.0 or bz != 0.0
-    if turning and t < 1.0:
-        a, b, e = ax - back * bx, ay - back * by, az - back * bz
-        scale = 1.0 / math.sqrt(a * a + b * b + e * e)
-        ux, uy, s, c = turned_axis(a * scale, b * scale, e * scale)
+    ux, uy, s, c = _axis_at(step, t)
     u, v = x * ux + y * uy, y * ux - x * uy
     z, nu, nv, nz = touch(p.profile.parts, u, v, s, c)
     if z == MISSED:
-        return z, 0.0, 0.0
+        return z, 0.0
     nx, ny = nu * ux - nv * uy, nu * uy + nv * ux
     move = dx * nx + dy * ny + dz * nz
     if turning:
         move += wx * (y * nz - z * ny) + wy * (z * nx - x * nz) + wz * (x * ny - y * nx)
-    scale = 1.0 / min(nz, -1e-6)
-    return z - back * dz, move * scale, -ny * scale
+    return z - back * dz, move / min(nz, -1e-6)
 
 
 @inlined
-def _behind(p, step, x, y, rim):
-    """Return whether a whole cell is below the back of the tool where the step begins: the step does not lower it."""
-    z, rate, _ = _look(p, step, 0.0, x, y)
-    if z == MISSED or rate < 0.0:
-        return False
-    x, y, ux, uy = x + step[0], y + step[1], step[12], step[13]
-    return inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, step[14], step[15])[0] > rim
-
-
-@inlined
-def _lowest_on_way(p, step, x, y, last, rate, enough):
+def _lowest_on_way(p, step, x, y, first, falls, last, rate, enough):
     """Return the share of the step at which the tool is lowest above a node, and its height there.
 
-    last, rate: height and rate at the end of the step, where the tool rises; enough: a height that the tool must get
-    below.
+    first, falls: height and rate at the start of the step, where the tool falls, or MISSED; last, rate: those at its
+    end, where the tool rises; enough: a height that the tool must get below.
     """
-    first, falls, _ = _look(p, step, 0.0, x, y)
     low, high = 0.0, 1.0
-    if first != MISSED and falls >= 0.0:
-        return 0.0, first
     for _ in range(8):
         missed = first == MISSED
         t = 0.5 * (low + high)
@@ -223,7 +303,7 @@ def _lowest_on_way(p, step, x, y, last, rate, enough):
                 return t, MISSED
             if t <= low or t >= high:
                 break
-        z, now, _ = _look(p, step, t, x, y)
+        z, now = _look(p, step, t, x, y)
         if z == MISSED:
             low = t
             continue
@@ -237,11 +317,10 @@ def _lowest_on_way(p, step, x, y, last, rate, enough):
 
 
 @inlined
-def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
+def lower_tilted(s, p, tip, axis_from, axis, move, frame):
     """Lower the nodes that the tool reaches on a step that ends at ``tip`` with ``axis``, and fill the bins.
 
-    tip, axis_from, axis, move: three numbers each; frame: e1, e2 and a in the middle of the step, nine numbers;
-    follows: the tool comes from its last place, so that it has cut all that its back covers.
+    tip, axis_from, axis, move: three numbers each; frame: e1, e2 and a in the middle of the step, nine numbers.
     """
     tip_x, tip_y, tip_z = tip
     ax, ay, az = axis
@@ -261,10 +340,8 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
     under = p.top - tip_z - lowest + max(dz, 0.0)  # depth of the lowest point
     if under <= 1e-3 * p.level_step:
         return
-    levels, hollow = 1.0 / p.level_step, p.profile.hollow
-    most = under * levels
-    rim = RIM * p.spacing
-    reach = p.radius + rim
+    most = under / p.level_step
+    reach = p.radius + RIM * p.spacing
     start_u = parts[0, 4] * sine if parts[0, 4] > 0.0 and parts[0, 0] < FLAT else 0.0
     end_u = max(start_u, (p.top - tip_z + p.radius * sine) / cosine * sine)
     low_x, high_x = min(start_u * ux, end_u * ux) - reach, max(start_u * ux, end_u * ux) + reach
@@ -281,102 +358,157 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
         first = low & ~(RUN - 1)
         while first <= high:
             j, first = max(first, low), first + RUN
-            end = min(first - 1, high)
+            end, n = min(first - 1, high), (j - low // RUN * RUN) // RUN & (RUN - 1)
+            if n == 0:
+                _bound_runs(s, p, step, tip_z, x, (j & ~(RUN - 1)) * p.spacing - shift_y, high // RUN - j // RUN)
             slot = s.table[i >> 8, j >> 8]
             known = 0.0
             if slot >= 0:
                 place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
                 known = float(s.edge.highest[np.uint64((place + j) // RUN)])
-            if most < known + 0.5:
+            if most < known + 0.5 or s.edge.work[BOUND + n] < known + 0.5:
                 continue
-            half = 0.5 * (end - j) * p.spacing
-            y = (j * p.spacing - shift_y) + half
-            z, rate, slope = _look(p, step, 1.0, x, y)
-            if hollow:
-                z = MISSED  # of no use for the other nodes of the run
-            bound = p.top - tip_z - z + max(rate, 0.0)
-            if z != MISSED and (bound + abs(slope) * half) * levels < known + 0.5:
-                continue
-            if follows and z != MISSED and _behind(p, step, x, y - half, rim) and _behind(p, step, x, y + half, rim):
+            start = (j & ~(RUN - 1)) * p.spacing - shift_y
+            if not _look_at_run(s, p, step, tip_z, x, start, j, end, s.edge.work[NEAR + n] > 0.0, known):
                 continue
             if slot < 0:
                 slot = take_tile(s, i, j)
                 if slot < 0:
                     return
                 place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
-            plane = (bound, slope, y) if z != MISSED else (1e9, 0.0, 0.0)
-            _lower_run(s, p, step, frame, tip_z, i, j, end, place, x, shift_y, plane)
-            run = np.uint64((place + j) // RUN)
-            least = np.uint16(LEVELS)
-            for n in range(RUN):
-                least = min(least, s.pool[run * np.uint64(RUN) + np.uint64(n)])
-            s.edge.highest[run] = least
+            _lower_run(s, p, step, frame, tip_z, j, place, x, start)
 
 
 @inlined
-def _lower_run(s, p, step, frame, tip_z, i, low, high, base, x, shift_y, plane):
-    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
+def _rates(p, place, step, t):
+    """Fill Z and NZ with height and rate of ``_look`` at U and V, NU and NV with the slopes along y and x."""
+    dx, dy, dz, wx, wy, wz, _, _, _, bx, by, bz, _, _, _, _ = step
+    turning = bx != 0.0 or by != 0.0 or bz != 0.0
+    ux, uy, s, c = _axis_at(step, t)
+    _touch_run(p.profile.parts, place, s, c)
+    for n in range(RUN):
+        u, v, z, nz = place[U + n], place[V + n], place[Z + n], place[NZ + n]
+        nx, ny = place[NU + n] * ux - place[NV + n] * uy, place[NU + n] * uy + place[NV + n] * ux
+        move = dx * nx + dy * ny + dz * nz
+        if turning:
+            x, y = u * ux - v * uy, u * uy + v * ux
+            move += wx * (y * nz - z * ny) + wy * (z * nx - x * nz) + wz * (x * ny - y * nx)
+        each = 1.0 / min(nz, -1e-6)
+        place[Z + n] = z - (1.0 - t) * dz
+        place[NU + n], place[NV + n], place[NZ + n] = -ny * each, -nx * each, move * each
 
-    plane: depth of the tangent plane below the top at a place y, its slope and y: no node is lowered further.
+
+@inlined
+def _bound_runs(s, p, step, tip_z, x, start, last):
+    """Fill BOUND and NEAR of RUN runs from the y ``start``, of which ``last`` is the last in use.
+
+    No node of a run is lowered below BOUND; NEAR is 0 where the tool covers all cells of a run.
+    """
+    place, work, half, depth = s.edge.place, s.edge.work, 0.5 * (RUN - 1) * p.spacing, p.top - tip_z
+    ux, uy, rim, lowest = step[12], step[13], RIM * p.spacing, 0
+    for n in range(RUN):
+        y = start + half + min(n, last) * (RUN * p.spacing)
+        place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
+    _rates(p, place, step, 1.0)
+    for n in range(RUN):
+        z, slope = place[Z + n], place[NU + n]
+        known = z != MISSED and not p.profile.hollow
+        bound = depth - z + max(place[NZ + n], 0.0)
+        work[BOUND + n] = np.float32((bound + abs(slope) * half) / p.level_step if known else float(LEVELS + 1))
+        # the next runs, where the middle may miss the tool
+        bound += rim * (abs(slope) + abs(place[NV + n]))
+        near, far = slope * (half + p.spacing), slope * (3.0 * half + p.spacing)
+        place[LAST + n] = (bound - min(near, far)) / p.level_step if known else float(LEVELS + 1)
+        place[RISE + n] = (bound + max(near, far)) / p.level_step if known else float(LEVELS + 1)
+    for n in range(RUN):
+        bound = min(place[LAST + max(n - 1, 0)], place[RISE + min(n + 1, RUN - 1)])
+        if place[Z + n] == MISSED:
+            work[BOUND + n] = np.float32(bound)
+        lowest += n <= last and work[BOUND + n] >= np.float32(0.5)
+    if lowest > 0:
+        for n in range(RUN):
+            y = start + n * (RUN * p.spacing)
+            place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
+        _inside_run(p.profile.parts, place, step[14], step[15])
+        for n in range(RUN):
+            work[NEAR + n] = np.float32(n == RUN - 1 or min(place[Z + n], place[Z + min(n + 1, RUN - 1)]) < rim)
+
+
+@inlined
+def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known):
+    """Fill GOAL, PART and SHARE of the nodes low..high of a run; return whether the step may lower any.
+
+    start: y of the first node of the run [m]; near: the tool covers cells in part; known: least level of the run.
     """
     ux, uy, sine, cosine = step[12], step[13], step[14], step[15]
+    place, work, first = s.edge.place, s.edge.work, low & ~(RUN - 1)
     depth, levels, rim = p.top - tip_z, 1.0 / p.level_step, RIM * p.spacing
-    logged, total, new = s.ints[LOGGED], 0, 0
-    room = logged + high - low < s.log_place.size
-    if not room:
-        logged = LOG_LOST
-    near = False
-    for j in (low, high):
-        y = j * p.spacing - shift_y
-        within, _, _ = inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
-        near = near or within < rim
-    for j in range(low, high + 1):
-        y, at_x = j * p.spacing - shift_y, x
-        place = np.uint64(base + j)
-        before, rest = np.int64(s.pool[place]), np.int64(s.rest[place])
-        part = 1.0
-        if (plane[0] - plane[1] * (y - plane[2])) * levels < rest + 0.5 and not near:
-            continue
-        if near:
-            within, out_u, out_v = inside(p.profile.parts, x * ux + y * uy, y * ux - x * uy, sine, cosine)
-            if within < rim:
-                out_x, out_y = out_u * ux - out_v * uy, out_u * uy + out_v * ux
-                part = min(0.5 + within / (p.spacing * (abs(out_x) + abs(out_y))), 1.0)
-                if part <= 0.0:
-                    continue
-                pull = max(0.02 * p.spacing - within, 0.0)
-                at_x, y = x - pull * out_x, y - pull * out_y
-        z, rate, _ = _look(p, step, 1.0, at_x, y)
-        if z == MISSED:
-            continue
-        share = 1.0
-        if rate > 0.0:
-            enough = depth - (rest + 0.5) * p.level_step
-            if z - rate > enough:
-                continue
-            share, z = _lowest_on_way(p, step, at_x, y, z, rate, enough)
-        goal = min((depth - z) * levels, float(LEVELS))
-        if goal < rest + 0.5:
-            continue
-        after = np.int64(goal + 0.5) if part >= 1.0 else rest + np.int64(part * (goal - rest) + 0.5)
-        if after <= before:
-            continue
-        if room:
-            s.log_place[np.uint64(logged)], s.log_level[np.uint64(logged)] = place, before
-            s.log_rest[np.uint64(logged)] = rest
-            logged += 1
-        s.pool[place] = after
-        if part >= 1.0:
-            s.rest[place] = after
-        lost = after - before
-        total += lost
-        new += before == 0
-        slack = 0.0 if part >= 1.0 else p.spacing
-        column = (x, j * p.spacing - shift_y, z, (goal - rest) * p.level_step, slack)
-        _sort_column(s, p, step, frame, share, column, lost)
-    s.ints[LOGGED] = logged
-    s.ints[NODES_CUT] += new
-    s.floats[LEVEL_SUM] += total * p.level_step
+    for n in range(RUN):
+        y = start + n * p.spacing
+        place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
+        work[PART + n] = np.float32(1.0)
+    if near:
+        _inside_run(p.profile.parts, place, sine, cosine)
+        for n in range(RUN):
+            within, out_u, out_v = place[Z + n], place[NU + n], place[NV + n]
+            sides = abs(out_u * ux - out_v * uy) + abs(out_u * uy + out_v * ux)
+            part = min(max(0.5 + within / (p.spacing * sides), 0.0), 1.0)
+            work[PART + n] = np.float32(part if within < rim else 1.0)
+            pull = max(0.02 * p.spacing - within, 0.0)
+            place[U + n], place[V + n] = place[U + n] - pull * out_u, place[V + n] - pull * out_v
+    _rates(p, place, step, 1.0)
+    rises = 0
+    for n in range(RUN):
+        hit = place[Z + n] != MISSED and first + n >= low and first + n <= high and work[PART + n] > np.float32(0.0)
+        work[GOAL + n] = np.float32(min((depth - place[Z + n]) * levels, float(LEVELS)) if hit else -1.0)
+        work[SHARE + n] = np.float32(1.0)
+        place[LAST + n], place[RISE + n] = place[Z + n], place[NZ + n]
+        place[X + n], place[Y + n] = place[U + n] * ux - place[V + n] * uy, place[U + n] * uy + place[V + n] * ux
+        rises += hit and place[NZ + n] > 0.0
+    most = np.int32(0)
+    if rises > 0:
+        ux, uy, _, _ = _axis_at(step, 0.0)
+        for n in range(RUN):
+            x, y = place[X + n] + step[0], place[Y + n] + step[1]
+            place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
+        _rates(p, place, step, 0.0)
+        for n in range(RUN):
+            goal = (depth - place[Z + n]) * levels
+            if place[RISE + n] > 0.0 and work[GOAL + n] >= np.float32(0.0):
+                lowest = place[Z + n] != MISSED and place[NZ + n] >= 0.0
+                work[SHARE + n] = np.float32(0.0 if lowest else -1.0)
+                bound = (depth - place[LAST + n] + place[RISE + n]) * levels
+                work[GOAL + n] = np.float32(min(goal if lowest else bound, float(LEVELS)))
+    for n in range(RUN):
+        most = max(most, np.int32(work[GOAL + n] + np.float32(0.5)))
+    return most > np.int32(known)
+
+
+@inlined
+def _lower_run(s, p, step, frame, tip_z, low, base, x, start):
+    """Lower the nodes of a run to the depths of ``_look_at_run``, and add what they lose to their bins."""
+    place, work, first = s.edge.place, s.edge.work, low & ~(RUN - 1)
+    depth, levels = p.top - tip_z, 1.0 / p.level_step
+    for n in range(RUN):
+        if work[SHARE + n] < np.float32(0.0):
+            enough = s.rest[np.uint64(base + first + n)] + 0.5
+            bound, work[GOAL + n] = work[GOAL + n], np.float32(-1.0)
+            if bound >= enough:
+                share, z = _lowest_on_way(
+                    p, step, place[X + n], place[Y + n], place[Z + n], place[NZ + n], place[LAST + n], place[RISE + n],
+                    depth - enough * p.level_step,
+                )  # fmt: skip
+                work[SHARE + n], work[GOAL + n] = (
+                    np.float32(share),
+                    np.float32(min((depth - z) * levels, float(LEVELS))),
+                )
+    lower_nodes(s, p, base, first)
+    for n in range(RUN):
+        lost, rest, goal = np.float64(work[LOST + n]), np.float64(work[REST + n]), np.float64(work[GOAL + n])
+        if lost > 0.0:
+            slack = 0.0 if work[PART + n] >= np.float32(1.0) else p.spacing
+            column = (x, start + n * p.spacing, depth - goal * p.level_step, (goal - rest) * p.level_step, slack)
+            _sort_column(s, p, step, frame, np.float64(work[SHARE + n]), column, lost)
 
 
 @inlined
@@ -386,13 +518,13 @@ def _sort_column(s, p, step, frame, share, column, lost):
     column: place and lower end from the tip at the end of the step, height, and how far it may be beside the tool [m].
     """
     x, y, z, height, slack = column
-    shape, bins, last = p.profile, p.widths.size, p.profile.length.size - 1
+    shape, bins, last, levels = p.profile, p.widths.size, p.profile.length.size - 1, 1.0 / p.level_step
     back = 1.0 - share
     end_x, end_y, end_z = x + back * step[0], y + back * step[1], z + back * step[2]  # from the tip where it is lowest
     m = step[0] * frame[0] + step[1] * frame[1] + step[2] * frame[2]
     side = step[0] * frame[3] + step[1] * frame[4] + step[2] * frame[5]
     sink = step[0] * frame[6] + step[1] * frame[7] + step[2] * frame[8]
-    count = 1 + min(int(SLICES * math.sqrt(height / p.radius)), 1000)
+    count = 1 + min(int((SLICES if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
     thin = height / (count * count)
     entry = ENTRIES / p.radius
     slant = end_x * step[6] + end_y * step[7]
@@ -422,9 +554,9 @@ def _sort_column(s, p, step, frame, share, column, lost):
                 across, rho = e2 / radius, radius
             if b < 0:
                 b = np.int64(shape.piece[min(np.int64(rho * entry), ENTRIES)])
-            while b < last and _above(shape, b, rho, h / p.level_step, p.level_step):
+            while b < last and _above(shape, b, rho, h * levels, p.level_step):
                 b += 1
-            while b > 0 and not _above(shape, b - 1, rho, h / p.level_step, p.level_step):
+            while b > 0 and not _above(shape, b - 1, rho, h * levels, p.level_step):
                 b -= 1
             if left == 0 and h > p.end_radius - rho and shape.sine[b] < FLAT and shape.edges[b] < 0.5:
                 while b < last and shape.sine[b] < FLAT:  # nearer to the side, which left it in a cell of its rim
@@ -442,7 +574,7 @@ def _sort_column(s, p, step, frame, share, column, lost):
             angle += bins
         s.edge.lost[angle, b] += each
         if b == last:
-            s.edge.raised[angle] += each * h / p.level_step
+            s.edge.raised[angle] += each * h * levels
 
 
 @inlined
