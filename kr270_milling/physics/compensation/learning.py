@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -192,9 +193,11 @@ class Learner:
         """
         if self._cut is None or self._predict is None:
             return wrench
-        modelled = self._wrench(self._predict(reference, self.arm.factors_on(self.model)))
-        if self._ideal is None:
-            self._ideal = self._wrench(self._cut(self.target))
+        with ThreadPoolExecutor(1) as pool:  # both run without the interpreter's lock
+            cut = pool.submit(self._cut, self.target) if self._ideal is None else None
+            modelled = self._wrench(self._predict(reference, self.arm.factors_on(self.model)))
+            if cut:
+                self._ideal = self._wrench(cut.result())
         if modelled is None or self._ideal is None:
             return wrench
         factor = max(0.0, np.sum(wrench[..., :3] * modelled[..., :3]) / np.sum(modelled[..., :3] ** 2))
