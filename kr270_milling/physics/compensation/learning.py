@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -65,8 +66,9 @@ class Learner:
         self.conditions = conditions
         self.criterion = criterion
         self._predict, self._cut, self._robots = models.predict, models.cut, models.robots
-        #: simulated robots: response and deviation [m] on the path without a correction, (m, parts, 3)
+        #: simulated robots: response and deviation [m], (m, parts, 3), of a pass along the same correction
         self.ensemble: list[tuple[ArmResponse, np.ndarray]] = []
+        self._ran = np.zeros((1, 4, 3))  # cubics of that correction
         self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
@@ -191,9 +193,11 @@ class Learner:
         """
         if self._cut is None or self._predict is None:
             return wrench
-        modelled = self._wrench(self._predict(reference, self.arm.factors_on(self.model)))
-        if self._ideal is None:
-            self._ideal = self._wrench(self._cut(self.target))
+        with ThreadPoolExecutor(1) as pool:  # both run without the interpreter's lock
+            cut = pool.submit(self._cut, self.target) if self._ideal is None else None
+            modelled = self._wrench(self._predict(reference, self.arm.factors_on(self.model)))
+            if cut:
+                self._ideal = self._wrench(cut.result())
         if modelled is None or self._ideal is None:
             return wrench
         factor = max(0.0, np.sum(wrench[..., :3] * modelled[..., :3]) / np.sum(modelled[..., :3] ** 2))
@@ -253,7 +257,7 @@ class Learner:
             if len(drawn) != len(shares) or (size := float(np.mean(shares * largest))) > worth * best:
                 break
             best, offset = size, tried
-            self.ensemble = [(arm, deviation - arm.follow(segments, cubic)) for arm, deviation in drawn]
+            self.ensemble, self._ran = drawn, cubic
             if number + 1 == rounds:
                 break
             found = least_mean_square(self.arm, segments, self.conditions, drawn, shares, weight, careful, settled)
@@ -286,7 +290,8 @@ class Learner:
         """
         cubic, weight = self.cubic(reference), self._weight()
         robots = self.ensemble or [(self.arm, self.expected)]
-        deviations = [expected + arm.follow(self.segments, cubic) for arm, expected in robots]
+        change = cubic - self._ran if self.ensemble else cubic
+        deviations = (deviation + arm.follow(self.segments, change) for arm, deviation in robots)
         return float(np.sqrt(np.mean([self._largest(left, weight) for left in deviations])))
 
     def _largest(self, deviation: np.ndarray, weight: np.ndarray) -> float:

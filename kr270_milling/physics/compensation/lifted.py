@@ -93,7 +93,8 @@ class Lifted:
             """Policy and push of a block; P and p of its last knot become those of its first."""
             policy, factor = self._policy(part, weight[part], smoothness, later)
             output, step, from_state, free = self._matrices(part)
-            slope = np.sum(np.swapaxes(output, -1, -2) @ (weight[part] @ deviation[part, ..., None]), axis=1)[..., 0]
+            forced = (weight[part] @ deviation[part, ..., None]).reshape(len(step), 1, -1)
+            slope = (forced @ output.reshape(len(step), -1, size + 3))[:, 0]
             push = np.zeros((len(step), CONTROLS))
             _backward_slope(slope, step, from_state, free, policy, factor, linear, push)
             return policy, push
@@ -136,7 +137,8 @@ class Lifted:
         """Policy of a block and factors of what is free; P of its last knot becomes that of its first."""
         size = len(later)
         output, step, from_state, free = self._matrices(part)
-        cost = np.sum(np.swapaxes(output, -1, -2) @ weight @ output, axis=1)
+        moved = output.reshape(len(output), -1, size + 3)
+        cost = np.swapaxes(moved, 1, 2) @ (weight @ output).reshape(moved.shape)
         bend = np.zeros((size + CONTROLS, size + CONTROLS))
         if self.smooth:  # weight of j
             cost[:, size:, size:] += smoothness * np.eye(3)

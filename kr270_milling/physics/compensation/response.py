@@ -257,6 +257,8 @@ class ArmResponse:
 
         Before the pass the tool is on the correction's first value and does not move with it.
         """
+        if not cubic.any():
+            return np.zeros((len(segments), segments.parts, 3))
         cubic = self.lag.follow(segments, cubic) if self.lag else cubic
         return self.gain * (segments.powers @ cubic + self.swing(segments, cubic, np.zeros(3)))
 
