@@ -130,8 +130,8 @@ class PathSection(Record):
     @property
     def files(self) -> tuple[pathlib.Path, ...]:
         """Absolute paths of the files that a copy of the cell needs, since nodes run in another directory."""
-        files = (pathlib.Path(self.file), *self.source.files) if self.file else ()
-        return tuple(file.resolve() for file in files)
+        files = (self.file, *self.source.files) if self.file else ()
+        return tuple(pathlib.Path(file).resolve() for file in files)
 
     @property
     def sha256(self) -> str:

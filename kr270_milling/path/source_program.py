@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
@@ -85,7 +84,7 @@ class SourceProgram:
     rounding: float = 0.0  #: P of G64 [m], by which the control may leave a corner; 0: the program states none
     beside: float = 0.0  #: radius in the comment on the tool, by which G41 and G42 move the path [m]; 0: they do not
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
-    files: tuple[Path, ...] = ()  #: further files that were read: sub-programs, data of a KRL program
+    files: tuple[str, ...] = ()  #: further files that were read: sub-programs, data of a KRL program
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
     #: words that another control may run in another way: kind of the finding, sentence, line

@@ -243,7 +243,7 @@ def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text,
     (tmp_path / file).write_text(text)
     path = read_gcode(tmp_path / "part.nc")
     assert 1e3 * path.position[-1, 0] == pytest.approx(end) and set(path.line[1:].tolist()) == {4}
-    assert path.program.files[0] == tmp_path / file
+    assert path.program.files[0] == str(tmp_path / file)
 
 
 @pytest.mark.parametrize(("call", "files", "sentence"), [

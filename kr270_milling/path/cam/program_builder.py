@@ -242,7 +242,7 @@ class ProgramBuilder(PathBuilder):
             base_frame=self.displayed.get("$BASE", ()),
             beside=self.beside.get(chosen, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
-            files=tuple(self.files),
+            files=tuple(map(str, self.files)),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
             doubtful=tuple(self.doubtful),
