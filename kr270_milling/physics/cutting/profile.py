@@ -52,7 +52,7 @@ class EdgeBins(NamedTuple):
     lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
     work: np.ndarray  # float32, (11 RUN,): scratch of the nodes of a run
-    place: np.ndarray  # (10 RUN,), the same: from the tip [m]
+    place: np.ndarray  # (11 RUN,), the same: from the tip [m]
 
 
 def edge_parts(tool: Tool) -> np.ndarray:

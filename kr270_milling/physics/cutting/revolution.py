@@ -75,7 +75,7 @@ def tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
     frame = (e1x, e1y, e1z, e2x, e2y, e2z, ax, ay, az)
     end, axis, before = (second[0], second[1], second[2]), (second[3], second[4], second[5]), first[3:6]
     removed = s.floats[LEVEL_SUM]
-    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame)
+    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame, s.ints[FLOOR_LEVEL] >= 0)
     s.ints[FLOOR_LEVEL] = 0  # known
     if passes <= 0.0 or s.floats[LEVEL_SUM] == removed:
         return 0.0, 0.0, 0.0

@@ -34,8 +34,9 @@ from kr270_milling.physics.cutting.state import UNDERCUT
 MISSED = math.inf  # height of a tool that does not cover a node
 SLICES = 40  # of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
 ROUND = 4  # the same without a level end
+STEEP = 0.9  # cos(kappa) of a piece of an arc, below which it is seen from the middle of the way
 NEWTON = 2  # steps to the moment at which the tool meets a slice
-U, V, X, Y, Z, NU, NV, NZ, LAST, RISE = (RUN * k for k in range(10))  # rows of ``EdgeBins.place``
+U, V, X, Y, Z, NU, NV, NZ, LAST, RISE, COVER = (RUN * k for k in range(11))  # rows of ``EdgeBins.place``
 FLAT = 1e-9  # [m] and sine of an angle below which a length and a tilt are none
 
 
@@ -70,19 +71,19 @@ def _sphere(part, u, v, s, c):
 @inlined
 def _torus(part, u, v, s, c):
     """``touch`` of a corner that begins beside the axis."""
-    r0, h, top, corner = part[0], part[1], part[3], part[4]
+    r0, h, top, corner, by_c = part[0], part[1], part[3], part[4], 1.0 / c
     middle = h + corner
     for _ in range(12):
-        x = (u - h * s) / c
+        x = (u - h * s) * by_c
         rho = math.sqrt(x * x + v * v) + 1e-15
         out = max(rho - r0, 0.0)
         far = math.sqrt(out * out + (middle - h) * (middle - h))
-        slope = (-out * x * s / (c * rho) - (middle - h)) / far
         if far - corner <= 2e-9:  # [m]
-            return (h - u * s) / c, *_normal(x, v, rho, out / corner, (middle - h) / corner, s, c)
+            return (h - u * s) * by_c, *_normal(x, v, rho, out / corner, (middle - h) / corner, s, c)
+        slope = -out * x * s * by_c / rho - (middle - h)  # times far
         if slope >= 0.0:
             break
-        h -= (far - corner) / slope
+        h -= (far - corner) * far / slope
         if h > top + FLAT:
             break
     return MISSED, 0.0, 0.0, -1.0
@@ -317,10 +318,11 @@ def _lowest_on_way(p, step, x, y, first, falls, last, rate, enough):
 
 
 @inlined
-def lower_tilted(s, p, tip, axis_from, axis, move, frame):
+def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
     """Lower the nodes that the tool reaches on a step that ends at ``tip`` with ``axis``, and fill the bins.
 
-    tip, axis_from, axis, move: three numbers each; frame: e1, e2 and a in the middle of the step, nine numbers.
+    tip, axis_from, axis, move: three numbers each; frame: e1, e2 and a in the middle of the step, nine numbers;
+    follows: as in ``_look_at_run``.
     """
     tip_x, tip_y, tip_z = tip
     ax, ay, az = axis
@@ -369,7 +371,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame):
             if most < known + 0.5 or s.edge.work[BOUND + n] < known + 0.5:
                 continue
             start = (j & ~(RUN - 1)) * p.spacing - shift_y
-            if not _look_at_run(s, p, step, tip_z, x, start, j, end, s.edge.work[NEAR + n] > 0.0, known):
+            if not _look_at_run(s, p, step, tip_z, x, start, j, end, s.edge.work[NEAR + n] > 0.0, known, follows):
                 continue
             if slot < 0:
                 slot = take_tile(s, i, j)
@@ -435,10 +437,11 @@ def _bound_runs(s, p, step, tip_z, x, start, last):
 
 
 @inlined
-def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known):
+def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
     """Fill GOAL, PART and SHARE of the nodes low..high of a run; return whether the step may lower any.
 
-    start: y of the first node of the run [m]; near: the tool covers cells in part; known: least level of the run.
+    start: y of the first node of the run [m]; near: the tool covers cells in part; known: least level of the run;
+    follows: the tool comes from its last place, so that it has cut all that its back covers.
     """
     ux, uy, sine, cosine = step[12], step[13], step[14], step[15]
     place, work, first = s.edge.place, s.edge.work, low & ~(RUN - 1)
@@ -467,18 +470,23 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known):
         rises += hit and place[NZ + n] > 0.0
     most = np.int32(0)
     if rises > 0:
-        ux, uy, _, _ = _axis_at(step, 0.0)
+        ux, uy, s0, c0 = _axis_at(step, 0.0)
         for n in range(RUN):
             x, y = place[X + n] + step[0], place[Y + n] + step[1]
-            place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
+            place[U + n], place[V + n], place[COVER + n] = x * ux + y * uy, y * ux - x * uy, p.spacing
+        if near:
+            _inside_run(p.profile.parts, place, s0, c0)
+            for n in range(RUN):
+                place[COVER + n] = place[Z + n]
         _rates(p, place, step, 0.0)
         for n in range(RUN):
             goal = (depth - place[Z + n]) * levels
             if place[RISE + n] > 0.0 and work[GOAL + n] >= np.float32(0.0):
                 lowest = place[Z + n] != MISSED and place[NZ + n] >= 0.0
                 work[SHARE + n] = np.float32(0.0 if lowest else -1.0)
-                bound = (depth - place[LAST + n] + place[RISE + n]) * levels
-                work[GOAL + n] = np.float32(min(goal if lowest else bound, float(LEVELS)))
+                bound = goal if lowest else (depth - place[LAST + n] + place[RISE + n]) * levels
+                cut = lowest and follows and place[COVER + n] > rim
+                work[GOAL + n] = np.float32(-1.0 if cut else min(bound, float(LEVELS)))
     for n in range(RUN):
         most = max(most, np.int32(work[GOAL + n] + np.float32(0.5)))
     return most > np.int32(known)
@@ -561,7 +569,7 @@ def _sort_column(s, p, step, frame, share, column, lost):
             if left == 0 and h > p.end_radius - rho and shape.sine[b] < FLAT and shape.edges[b] < 0.5:
                 while b < last and shape.sine[b] < FLAT:  # nearer to the side, which left it in a cell of its rim
                     b += 1
-            if beyond or left == 0:
+            if beyond or left == 0 or (shape.bend[b] > 0.0 and shape.cosine[b] < STEEP):
                 break
             gap = (rho - shape.rims[b]) * shape.sine[b] - (h - shape.edges[b] * p.level_step) * shape.cosine[b]
             speed = (m * e1 + side * e2) / rho * shape.sine[b] - sink * shape.cosine[b]
