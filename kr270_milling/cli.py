@@ -12,7 +12,7 @@ import signal
 import sys
 import warnings
 
-from kr270_milling.base.arguments import UsageError, end_process, exit_code
+from kr270_milling.base.arguments import end_process, exit_code
 from kr270_milling.base.errors import MillingError, one_line
 from kr270_milling.show.commands.options import make_parser, run
 
@@ -139,7 +139,7 @@ def _run(argv: list[str]) -> int:
         _complete()
     argv = _join_negative(argv)
     if any("\0" in word for word in argv):  # a caller of main can pass one, a shell cannot
-        raise UsageError("an argument contains a zero byte")
+        raise MillingError("an argument contains a zero byte")
     parser = make_parser(argv)
     if not argv:
         parser.print_help()

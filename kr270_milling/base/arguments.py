@@ -24,16 +24,12 @@ def one_thread_each(environment: MutableMapping[str, str]) -> None:
         environment.setdefault(library, "1")
 
 
-class UsageError(MillingError):
-    """Words of a command line that no command takes."""
-
-
 class Parser(argparse.ArgumentParser):
-    """A parser that raises UsageError with one sentence instead of printing its usage."""
+    """A parser that raises MillingError with one sentence instead of printing its usage."""
 
     def error(self, message: str):
         sentence = message.removeprefix("argument ").replace("the following arguments are required:", "needs")
-        raise UsageError(f"{sentence} ({self.prog} --help)")
+        raise MillingError(f"{sentence} ({self.prog} --help)")
 
     def parse_args(self, args=None, namespace=None):
         """Parse every word; an unknown option is answered by the nearest one of the command that was chosen."""

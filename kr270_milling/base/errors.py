@@ -2,7 +2,7 @@
 
 An error has a separate class only where code catches it alone::
 
-    MillingError            base; exit code 2
+    MillingError            base; exit code 2; the graph of nodes, the command line
       ConfigError           file, key, value, allowed values
       ParameterError        key, value, allowed values; of a record without a file
       InputError            file or option, line
@@ -18,9 +18,6 @@ An error has a separate class only where code catches it alone::
       TrajectoryError, ToolpathError
                             numbers that are no path (path)
       OneFeedError          tests that do not identify a law (studies)
-      RunError, NameRefused
-                            the graph of nodes (live)
-      UsageError            the command line
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class Plant:
         self.passes += 1
         motion = imperfect_course(cell, reference, number, self.target)
         iterations = cell.exchange.iterations
-        model, cut = imperfect_arm(cell, reference, arm_model_of(cell, reference)), cut_of(cell)
+        model, cut = imperfect_arm(cell, reference), cut_of(cell)
         silent = path_of(cell).drilling_at
         result = run_pass(model, cut, path_of(cell).clock, self.target, motion, iterations, progress, silent)
         return dataclasses.replace(result, heights=cut.map_heights()[2]) if heights else result
@@ -75,9 +75,9 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Tra
     return reference.with_position(reference.position + assumed.shift(number), reference.velocity)
 
 
-def imperfect_arm(cell: Cell, reference: Trajectory, model: ArmModel) -> ArmModel:
+def imperfect_arm(cell: Cell, reference: Trajectory, model: ArmModel | None = None) -> ArmModel:
     """Return the arm of a plant that follows ``reference``: its model, with the backlash of its joints."""
-    width = cell.imperfections.backlash
+    model, width = model or arm_model_of(cell, reference), cell.imperfections.backlash
     if not width.any():
         return model
     return dataclasses.replace(model, gaps=joint_gaps(arm_of(cell), path_of(cell), reference, width))

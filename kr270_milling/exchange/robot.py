@@ -12,7 +12,7 @@ import numpy as np
 from kr270_milling.base.frames import TOOL, WORKPIECE, Pose, rotation_from_quaternion
 from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.models import arm_model_of, arm_of, path_of
+from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_length, checked_wrench
 from kr270_milling.path.trajectory import Trajectory
@@ -51,7 +51,7 @@ class RobotProtocol:
             raise ExchangeError(0, "a pass needs a reference trajectory")
         checked_length(reference, path_of(cell).clock)
         planned = imperfect_course(cell, reference, self.passes)
-        model = imperfect_arm(cell, reference, arm_model_of(cell, reference))
+        model = imperfect_arm(cell, reference)
         self.steps = path_of(cell).clock.steps(planned.duration_ns)
         stamps = path_of(cell).clock.stamp(np.arange(self.steps + 1))
         self.start_ns = reference.start_ns

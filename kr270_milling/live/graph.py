@@ -40,14 +40,6 @@ from kr270_milling.live.ros.readiness import Report, read_reports
 from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
 
-class RunError(MillingError):
-    """The run cannot continue; node: the failed node; reason: what happened."""
-
-    def __init__(self, node: str, reason: str):
-        self.node, self.reason = node, reason
-        super().__init__(f"{node}: {reason}")
-
-
 def already_running(node: str) -> MillingError:
     """Return the error for another graph with the same names of nodes; node: one of them."""
     advice = "stop that graph first, or choose another --namespace or ROS_DOMAIN_ID"
@@ -204,7 +196,7 @@ class Driver:
         return None if report is None else report.values.get(key)
 
     def until(self, condition: Callable[[], object], what: str | Callable, deadline: float, node: str = "graph"):
-        """Wait for a condition and return its value; raises RunError after the deadline [s].
+        """Wait for a condition and return its value; raises MillingError after the deadline [s].
 
         what: words for the condition, or a function that returns the reason.
         """
@@ -212,7 +204,8 @@ class Driver:
         while not (value := condition()):
             self.check()
             if time.monotonic() > end:
-                raise RunError(node, what() if callable(what) else f"{what} took more than {deadline:g} s")
+                reason = what() if callable(what) else f"{what} took more than {deadline:g} s"
+                raise MillingError(f"{node}: {reason}")
             self.spin()
         return value
 
@@ -236,7 +229,7 @@ class Driver:
         return {node: future.result() for node, future in futures.items()}
 
     def transition(self, name: str, *nodes: str, deadline: float) -> None:
-        """Request a lifecycle transition of several nodes at once; raises RunError where it fails."""
+        """Request a lifecycle transition of several nodes at once; raises MillingError where it fails."""
         change = Transition(id=getattr(Transition, f"TRANSITION_{name.upper()}"), label=name)
         request = ChangeState.Request(transition=change)
         for node, response in self._call(nodes, ChangeState, "change_state", request, name, deadline).items():
@@ -245,14 +238,14 @@ class Driver:
                 self.check()
 
     def set_parameters(self, node: str, values: Mapping[str, object], deadline: float) -> None:
-        """Set parameters of a node, one after another; raises RunError where the node refuses a value."""
+        """Set parameters of a node, one after another; raises MillingError where the node refuses a value."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParameters.Request(parameters=parameters)
         what = f"setting {', '.join(values)}"
         (response,) = self._call([node], SetParameters, "set_parameters", request, what, deadline).values()
         for result in response.results:
             if not result.successful:
-                raise RunError(node, result.reason)
+                raise MillingError(f"{node}: {result.reason}")
 
     def nodes(self) -> set[str]:
         """Return the fully qualified names of the nodes in this ROS domain."""
@@ -358,12 +351,12 @@ class Graph:
         ended = [node for node, child in self.children.items() if not child.alive]
         if ended:  # the others may have ended because of the first
             first = min(ended, key=lambda node: self.children[node].ended_at)
-            raise RunError(first, self.children[first].why_ended())
+            raise MillingError(f"{first}: {self.children[first].why_ended()}")
         silences = {node: self.driver.silences[node] for node in self.children if self._in_pass}
         silent = {node: silence.seconds() for node, silence in silences.items()}
         longest = max(silent, key=silent.__getitem__, default="")
         if longest and silent[longest] > LOST:
-            raise RunError(longest, f"has not reported for {silent[longest]:.0f} s")
+            raise MillingError(f"{longest}: has not reported for {silent[longest]:.0f} s")
         if self.children and self.driver.error:
             self._blame(*self.driver.error)
         for node, silence in silences.items():
@@ -371,7 +364,7 @@ class Graph:
                 self.warn(f"{node}: has not reported for {QUIET:g} s; waiting")
 
     def _blame(self, node: str, error: str) -> None:
-        """Raise RunError for a node that is silent, or for the one with the error where all others still report.
+        """Raise MillingError for a node that is silent, or for the one with the error where all others still report.
 
         A node reports the silence of its partner. On a busy machine the reports are late, so each node has time for
         one more.
@@ -380,10 +373,11 @@ class Graph:
         self._judged = self._judged or now
         silent = [name for name in self.children if self.driver.arrivals.get(name, 0.0) < self._judged]
         if not self._in_pass or not silent:
-            raise RunError(node, error)
+            raise MillingError(f"{node}: {error}")
         if now - self._judged > LOST / 2:
             first = min(silent, key=lambda name: self.driver.arrivals.get(name, 0.0))
-            raise RunError(first, f"has not reported for {now - self.driver.arrivals.get(first, now):.0f} s")
+            silence = now - self.driver.arrivals.get(first, now)
+            raise MillingError(f"{first}: has not reported for {silence:.0f} s")
 
     def warn(self, sentence: str) -> None:
         """Print a warning while the run continues."""

@@ -27,7 +27,7 @@ from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
-from kr270_milling.live.graph import Graph, RunError
+from kr270_milling.live.graph import Graph
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import child_environment, keep_to_this_host
 from kr270_milling.recordings.messages.codec import to_bytes
@@ -107,7 +107,7 @@ def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float
                 lost = pass_from_recording(recording)[1].messages_lost
                 again = None if number else recompute(recording)
                 if lost or (again and again.verdict != "identical"):
-                    raise RunError(RECORDER, f"{lost} messages lost; recomputed: {again}")
+                    raise RuntimeError(f"{RECORDER}: {lost} messages lost; recomputed: {again}")
     return max(rates)
 
 

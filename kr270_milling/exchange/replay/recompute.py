@@ -18,7 +18,7 @@ from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.frames import tool_axis
 from kr270_milling.base.version import __version__
-from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
+from kr270_milling.cell.models import arm_of, cut_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.replay.recorded import Cells, recorded_cells
@@ -227,7 +227,7 @@ class _Robot:
         """Return poses, deflections and joint positions along the recorded wrenches, by steps."""
         plant, reference = self.plant, series.reference
         planned = imperfect_course(plant, reference, complete)
-        model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
+        model = imperfect_arm(plant, reference)
         stamps = path_of(plant).clock.stamp(np.arange(last + 1))
         arm = CompliantArm(model, model.push(planned, stamps))
         guesses: dict[int, np.ndarray] = {}  # the wrench from which the last pose of an iterated exchange was predicted

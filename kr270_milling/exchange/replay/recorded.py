@@ -25,7 +25,7 @@ from kr270_milling.base.parameter_file import find_file, read_yaml
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import ScoredPass, scored
-from kr270_milling.cell.models import arm_model_of, cut_of, low_frequency_of, path_of
+from kr270_milling.cell.models import cut_of, low_frequency_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_length, checked_pose, checked_wrench
@@ -345,7 +345,7 @@ def _all_deflections(plant: Cell, reference: Trajectory, planned: Trajectory, re
     wrench, there = recorded["wrench"], recorded["deflection"]
     if len(there.step) >= len(wrench.step):
         return there
-    model = imperfect_arm(plant, reference, arm_model_of(plant, reference))
+    model = imperfect_arm(plant, reference)
     whole = path_of(plant).clock.steps(planned.duration_ns) + 1
     pushes = model.push(planned, path_of(plant).clock.stamp(np.arange(whole)))
     computed = follow(model, pushes, wrench.values[: min(wrench.unbroken(), whole)])

@@ -14,10 +14,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from kr270_milling.base.arguments import PLAY, end_process
-from kr270_milling.base.errors import RecordingError, one_line
+from kr270_milling.base.errors import MillingError, RecordingError, one_line
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
-from kr270_milling.live.ros.topics import NameRefused, message_class
+from kr270_milling.live.ros.topics import message_class
 from kr270_milling.recordings.bag.files import is_latched, read_qos
 from kr270_milling.recordings.bag.mcap_file import RawMessage
 from kr270_milling.recordings.bag.reader import Recording, playback, span
@@ -84,12 +84,12 @@ class Player(ReportingNode):
         """Create the publisher of a topic; return None, with a warning, where name or type cannot be used."""
         try:
             if about.encoding != "cdr":
-                raise NameRefused(f"its encoding is {about.encoding}")
+                raise MillingError(f"its encoding is {about.encoding}")
             # a namespace of the player does not move the topics of the whole graph
             common = topic in ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
             name = topic if common else topic.lstrip("/")
             return self.create_publisher(message_class(about.type), name, qos_of(about))
-        except (NameRefused, NameValidationException, ValueError, ImportError) as error:
+        except (MillingError, NameValidationException, ValueError, ImportError) as error:
             self.get_logger().warning(one_line(f"{topic} is not played: {error}"))
             return None
 

@@ -18,7 +18,7 @@ from kr270_milling.base.samples import Text
 from kr270_milling.exchange.scene import INPUTS, OUTPUTS, Scene
 from kr270_milling.live.ros.node import ERROR, NOT_COMPLETE, OK, WARN, ManagedNode, ReportingNode
 from kr270_milling.live.ros.readiness import is_recorded, joined
-from kr270_milling.live.ros.topics import LATCHED, LOOP, NameRefused, message_class, resolved_topic
+from kr270_milling.live.ros.topics import LATCHED, LOOP, message_class, resolved_topic
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 from kr270_milling.recordings.messages.topics import RECORDER
 
@@ -77,7 +77,7 @@ class RecordingSession:
         if name not in self._live:
             self._subscriptions[name] = None  # published by this node and written already
             self._live[name] = None
-            with contextlib.suppress(ImportError, NameRefused):
+            with contextlib.suppress(ImportError, MillingError):
                 self._live[name] = self._node.create_publisher(message_class(type_name), name, LATCHED)
         publisher = self._live[name]
         if publisher is not None:
@@ -90,7 +90,7 @@ class RecordingSession:
                 raise RecordingError(self.writer.path, f"{topic} has several types: {', '.join(types)}")
             kind = message_class(types[0])
             self.writer.add_topic(topic, types[0], [p.qos_profile for p in publishers])
-        except (ImportError, NameRefused, RecordingError) as error:
+        except (ImportError, MillingError) as error:
             self._node.report(WARN, f"{topic} is not recorded: {error}")
             return None
 

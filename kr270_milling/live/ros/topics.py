@@ -21,27 +21,23 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.recordings.messages.topics import TOPICS
 
 
-class NameRefused(MillingError):
-    """A message type that cannot be used here."""
-
-
 @functools.cache
 def message_class(type_name: str) -> type:
-    """Return the class of a message type such as geometry_msgs/msg/Pose. Raises NameRefused.
+    """Return the class of a message type such as geometry_msgs/msg/Pose. Raises MillingError.
 
     The name may come from a foreign file: only packages of messages are imported.
     """
     parts = re.fullmatch(r"([A-Za-z][A-Za-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)", type_name)
     if parts is None:
-        raise NameRefused(f"{type_name!r} is not the name of a message type, such as std_msgs/msg/String")
+        raise MillingError(f"{type_name!r} is not the name of a message type, such as std_msgs/msg/String")
     package, name = parts.groups()
     spec = importlib.util.find_spec(package)  # imports nothing for a top-level package
     places = (spec.submodule_search_locations if spec is not None else None) or []
     if not any(Path(place, "msg", "__init__.py").is_file() for place in places):
-        raise NameRefused(f"the message package {package} is not installed")
+        raise MillingError(f"the message package {package} is not installed")
     kind = getattr(importlib.import_module(f"{package}.msg"), name, None)
     if kind is None or not hasattr(kind, "SLOT_TYPES"):
-        raise NameRefused(f"the message package {package} has no {name}")
+        raise MillingError(f"the message package {package} has no {name}")
     return kind
 
 

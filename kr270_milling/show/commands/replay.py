@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from kr270_milling.base.arguments import UsageError
 from kr270_milling.base.column import as_dict, table_of
-from kr270_milling.base.errors import one_line
+from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.revisions import compensate_recording
 from kr270_milling.live.ros.environment import require_ros
@@ -30,7 +29,7 @@ def run_replay(args) -> Answer:
 def _play(args) -> Answer:
     if args.remap:
         allowed = "names topics for --recompute and --compensate; a playback takes --ros-args -r RECORDED:=NAME"
-        raise UsageError(f"--remap: {allowed}")
+        raise InputError("--remap", allowed)
     require_ros("the playback")
     from kr270_milling.live.nodes.player import run_player
 

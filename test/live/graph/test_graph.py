@@ -18,13 +18,14 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.base.files import fresh_directory
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
-from kr270_milling.live.graph import QUIET, Child, Driver, Graph, RunError, stop
+from kr270_milling.live.graph import QUIET, Child, Driver, Graph, stop
 from kr270_milling.live.ros import node, topics
 from kr270_milling.live.ros.node import LOST, NOT_COMPLETE, Silence
 from kr270_milling.live.ros.readiness import Report
@@ -283,7 +284,7 @@ def test_of_two_nodes_that_have_ended_the_first_one_is_named(children, tmp_path)
     graph.children = children("/bin/sh\nsleep $4; echo gone; exit 1\n", **words)
     wait_until(lambda: sum(not child.alive for child in graph.children.values()) >= 2, "the children do not end")
     try:
-        with pytest.raises(RunError, match=r"^cutting_process: ended with exit code 1 \(gone; see "):
+        with pytest.raises(MillingError, match=r"^cutting_process: ended with exit code 1 \(gone; see "):
             graph.check()
     finally:
         graph.stop()
@@ -331,7 +332,7 @@ def test_silent_node_is_reported_once_and_then_ends_the_run_and_not_the_one_that
     assert not sentences
     wait(QUIET)
     assert sentences == ["cutting_process: has not reported for 1 s; waiting"]
-    with pytest.raises(RunError, match="cutting_process: has not reported for 4 s"):
+    with pytest.raises(MillingError, match="cutting_process: has not reported for 4 s"):
         wait(LOST)
 
 
@@ -353,7 +354,7 @@ def test_of_an_error_a_node_that_is_silent_is_blamed_and_not_the_one_that_misses
     graph.check()
     late.update({node: now[0] for node in NODES if node != silent})
     now[0] += 0.6
-    with pytest.raises(RunError, match=blamed):
+    with pytest.raises(MillingError, match=blamed):
         graph.check()
 
 
