@@ -22,14 +22,14 @@ TYPES = {
 }  # fmt: skip
 
 
-def keys_of(section: str = "", record: type[Record] = Cell) -> list[dict]:
+def keys_of(section: str = "") -> list[dict]:
     """The keys of a section, such as ``tool`` or ``cutting.linear_edge``, or of all; raises InputError for another.
 
     Of each: key as --set takes it, type, unit, low, high, above (exclusive lower bound), choices, size of a list
     (None: any), required, default (None for a required key), text, range in words; bounds and default in its unit;
     expert: ``init`` does not write the key.
     """
-    rows = list(_keys(record, ""))
+    rows = list(_keys(Cell, ""))
     if not section:
         return rows
     chosen = [row for row in rows if row["key"] == section or row["key"].startswith(section.rstrip(".") + ".")]

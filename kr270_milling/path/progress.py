@@ -11,16 +11,16 @@ import numpy as np
 class PathProgress:
     """Place on the straight lines between points (n, 3) [m]; points at rest have one place.
 
-    reach [m]: a point farther from the path gives no progress; window [m]: length of the path that is searched.
+    reach [m]: a point farther from the path gives no progress.
     """
 
-    def __init__(self, position: np.ndarray, reach: float = 1e-3, window: float = 10e-3):
+    def __init__(self, position: np.ndarray, reach: float = 1e-3):
         step = np.linalg.norm(np.diff(position, axis=0), axis=1)
         self.moved = np.concatenate([[True], step > 0.0])  #: (n,) bool: points that do not repeat the one before
         self.distance = np.concatenate([[0.0], np.cumsum(step[step > 0.0])])  #: [m], of the points that moved
         self.progress = 0.0  #: [m] along the path
         self._point = position[self.moved]
-        self.reach, self._window = reach, window
+        self.reach = reach
 
     @property
     def length(self) -> float:
@@ -29,8 +29,9 @@ class PathProgress:
 
     def advance(self, point: np.ndarray) -> float:
         """Move the progress to the projection of the point, and return the distance [m] of the point from it."""
+        window = 10e-3  # [m], length of the path ahead of the last progress that is searched
         first = max(0, int(np.searchsorted(self.distance, self.progress, side="right")) - 1)
-        last = min(int(np.searchsorted(self.distance, self.progress + self._window)), len(self.distance) - 1)
+        last = min(int(np.searchsorted(self.distance, self.progress + window)), len(self.distance) - 1)
         first = min(first, len(self.distance) - 2)
         last = max(last, first + 1)
         start, along = self._point[first:last], np.diff(self._point[first : last + 1], axis=0)

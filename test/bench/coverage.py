@@ -6,9 +6,7 @@ Run it in ``test/``; it takes some minutes. The exit code is 1 where a share is 
 import sys
 
 import numpy as np
-from samples.campaigns import MODES, covered_compliances, covered_forces, ring_down
-
-from kr270_milling.studies.identification.modes import find_modes
+from samples.campaigns import MODES, covered_compliances, covered_forces, find_modes, ring_down
 
 CAMPAIGNS = 100
 ALLOWED = 0.92, 0.97

@@ -11,6 +11,7 @@ from kr270_milling.physics.cutting.materials import find_material
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.studies.identification.compliance import Measurements, Problem, fit_compliance
 from kr270_milling.studies.identification.forces import CutMeasurements, agreeing_cuts, engagement_angles, fit_forces
+from kr270_milling.studies.identification.modes import Mode, split_modes
 from kr270_milling.studies.identification.plan import candidates
 from kr270_milling.studies.identification.signals import Signals
 
@@ -100,3 +101,8 @@ def ring_down(modes=MODES, noise=0.0, n=4000, step=5e-4, seed=2) -> Signals:
         omega = 2 * np.pi * f
         y += np.outer(np.exp(-zeta * omega * t) * np.cos(omega * np.sqrt(1 - zeta**2) * t + 0.3), shape)
     return Signals(step, y + noise * np.random.default_rng(seed).normal(size=y.shape), ("x", "y", "z"))
+
+
+def find_modes(signals: Signals, low: float, high: float) -> list[Mode]:
+    """The modes without the faint ones."""
+    return split_modes(signals, low, high)[0]

@@ -79,12 +79,12 @@ def envelope_index(y: np.ndarray, buckets: int = BUCKETS) -> np.ndarray:
     return np.unique(np.concatenate(rows))
 
 
-def stations(series: Sequence[np.ndarray], most: int = 2000) -> np.ndarray:
-    """Rows, ascending, that serve several series (n,) at once: their envelopes joined, at most about ``most`` rows.
+def stations(series: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows, ascending, that serve several series (n,) at once: their envelopes joined, at most about 2000 rows.
 
-    All rows where there are no more than ``most``. The overall extrema of every series are always among them.
+    All rows where there are no more. The overall extrema of every series are always among them.
     """
-    size = len(series[0])
+    size, most = len(series[0]), 2000
     if size <= most:
         return np.arange(size)
     even = np.linspace(0, size - 1, most // 3).astype(int)

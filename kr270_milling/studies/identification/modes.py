@@ -83,11 +83,6 @@ class Mode:
         return np.real(self.residues / self.residues[np.argmax(np.abs(self.residues))])
 
 
-def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list[Mode]:
-    """The modes between two frequencies [Hz] that exceed the noise, the lowest first. Raises ModelError."""
-    return split_modes(signals, low, high, most)[0]
-
-
 def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tuple[list[Mode], list[Mode]]:
     """The modes between two frequencies [Hz], the lowest first, and the faint ones that may be noise.
 

@@ -57,11 +57,9 @@ class Servo:
         return max(0.1, self.frequency - self.frequency_half), min(1000.0, self.frequency + self.frequency_half)
 
 
-def test_move(rate: float = 1.0, size: float = 0.3e-3) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] and a motion [m] that shows the lag: two slow pulses, then a sweep of 1 to 25 Hz, with rest around.
-
-    rate: largest acceleration [m/s2]; size: largest displacement [m].
-    """
+def test_move() -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and a motion [m] that shows the lag: two slow pulses, then a sweep of 1 to 25 Hz, with rest around."""
+    rate, size = 1.0, 0.3e-3  # [m/s2], [m], largest acceleration and displacement
     step, rest, pulse, sweep = 4e-3, 1.0, 0.5, 6.0  # [s]
     low, high = 1.0, 25.0  # [Hz], assumed: around the lags of heavy arms
     t = np.arange(0.0, 2 * rest + 2 * pulse + sweep, step)

@@ -145,7 +145,7 @@ class PredictedPlaces:
 
 
 def compare_wall(
-    cell: Cell, measured: WallPlaces, reference: Trajectory | None = None, plants: int = PLANTS, seed: int = 1,
+    cell: Cell, measured: WallPlaces, reference: Trajectory | None = None, plants: int = PLANTS,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> WallComparison:  # fmt: skip
     """Predict the wall of a pass along ``reference`` (default: the target) by the model and by drawn plants.
@@ -153,7 +153,7 @@ def compare_wall(
     Raises InputError as ``PredictedPlaces`` does.
     """
     predicted = _errors(cell, cell, reference, PredictedPlaces(cell, measured))
-    nominal, rng = coarser(cell), np.random.default_rng(seed)
+    nominal, rng = coarser(cell), np.random.default_rng(1)
     drawn, places = [perturbed(nominal, rng) for _ in range(plants)], PredictedPlaces(nominal, measured)
     rows: list[np.ndarray] = []
     for row in robot_errors(drawn, nominal, [(reference, places)]):

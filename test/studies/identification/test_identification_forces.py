@@ -6,7 +6,17 @@ import math
 import numpy as np
 import pytest
 from book import check
-from samples.campaigns import COEFFICIENTS, FEEDS, MODES, TOOL, covered_forces, cuts, measured_cuts, ring_down
+from samples.campaigns import (
+    COEFFICIENTS,
+    FEEDS,
+    MODES,
+    TOOL,
+    covered_forces,
+    cuts,
+    find_modes,
+    measured_cuts,
+    ring_down,
+)
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError, ModelError
@@ -21,7 +31,6 @@ from kr270_milling.studies.identification.modes import (
     by_compliance,
     by_hammer,
     check_hammer,
-    find_modes,
     free_decay,
     tool_compliance,
 )
