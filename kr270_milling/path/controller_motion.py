@@ -15,10 +15,11 @@ approximate positioning begins at the earliest; at most half the distance betwee
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.path.trajectory import AT_REST, Trajectory, chords, hermite
+from kr270_milling.path.trajectory import AT_REST, Trajectory, hermite
 
 
 def block_ends(target: Trajectory) -> np.ndarray:
@@ -92,18 +93,34 @@ def places_on_program(
     (p,): distance from a point where the tool leaves its line for a parabola to the next line, at most half
     of a line [mxAutomation]; none at stops.
     """
-    travelled = np.concatenate([[0.0], np.cumsum(chords(run))])
+    travelled = run.travelled
     step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
-    first, last = step * _natural_slopes(step, move / step, stops) if spline else (move, move)
+    first, last = np.ascontiguousarray(step * _natural_slopes(step, move / step, stops)) if spline else (move, move)
     place = np.empty(run.position.shape)
+    if spline or not np.any(blend):
+        _fill_places(travelled, knots, points, first, last, place)
+        return place
     for part in blocks(len(run)):
         span = np.searchsorted(knots, np.arange(part.start, part.stop), side="right") - 1
         span = np.clip(span, 0, len(knots) - 2)
         u = (travelled[part] - travelled[knots[span]])[:, None] / step[span]
         place[part] = hermite(points[span], move[span], first[span], last[span], u)
-        if not spline and np.any(blend):
-            place[part] += _rounding(move, np.where(stops, 0.0, blend), span, u[:, 0])
+        place[part] += _rounding(move, np.where(stops, 0.0, blend), span, u[:, 0])
     return place
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _fill_places(travelled, knots, points, first, last, place):
+    """Fill the places (n, 3) at distances (n,) on the cubics between points; first, last: slopes of each over u."""
+    k = 0
+    for n in range(travelled.size):
+        while k < knots.size - 2 and knots[k + 1] <= n:
+            k += 1
+        start = travelled[knots[k]]
+        u = (travelled[n] - start) / (travelled[knots[k + 1]] - start)
+        for i in range(3):
+            move, a, b = points[k + 1, i] - points[k, i], first[k, i], last[k, i]
+            place[n, i] = points[k, i] + u * a + u * u * (3 * move - 2 * a - b) + u * u * u * (a + b - 2 * move)
 
 
 def _rounding(move: np.ndarray, blend: np.ndarray, span: np.ndarray, u: np.ndarray) -> np.ndarray:
