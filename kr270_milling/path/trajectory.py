@@ -259,7 +259,7 @@ class Trajectory:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _fill_samples(knots, position, velocity, times, rate, left, samples):
-    """Fill positions, or rates, at times [ns]; velocity: (0, 3) for straight lines. Sorted times are found at once."""
+    """Fill positions, or rates, at times [ns], best sorted; velocity: (0, 3) for straight lines."""
     last, k = knots.size - 2, 0
     for n in range(times.size):
         time = min(max(times[n], 0), knots[-1])
