@@ -16,10 +16,11 @@ approximate positioning begins at the earliest; at most half the distance betwee
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.path.trajectory import AT_REST, Trajectory, chords, hermite
+from kr270_milling.path.trajectory import AT_REST, Trajectory
 
 
 def block_ends(target: Trajectory) -> np.ndarray:
@@ -100,29 +101,41 @@ def places_on_program(
     point where the tool leaves its line or arc for a parabola to the next one, at most half of a line or arc
     [mxAutomation]; none at stops.
     """
-    travelled = np.concatenate([[0.0], np.cumsum(chords(run))])
+    travelled = run.travelled
     step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
-    turn, normal = _arcs(points, auxiliary)
     if spline:
-        first, last = step * _natural_slopes(step, move / step, stops)
-    else:
-        across = np.sin(turn / 2) * np.cross(normal, move)
-        first, last = ((np.cos(turn / 2) * move + sign * across) / np.sinc(turn / 2 / np.pi) for sign in (-1, 1))
+        first, last = np.ascontiguousarray(step * _natural_slopes(step, move / step, stops))
+        _fill_places(travelled, knots, points, first, last, place := np.empty(run.position.shape))
+        return place
+    turn, normal = _arcs(points, auxiliary)
+    across = np.sin(turn / 2) * np.cross(normal, move)
+    first, last = ((np.cos(turn / 2) * move + sign * across) / np.sinc(turn / 2 / np.pi) for sign in (-1, 1))
     inward = np.cross(normal, first)
     place = np.empty(run.position.shape)
     for part in blocks(len(run)):
         span = np.searchsorted(knots, np.arange(part.start, part.stop), side="right") - 1
         span = np.clip(span, 0, len(knots) - 2)
         u = (travelled[part] - travelled[knots[span]])[:, None] / step[span]
-        if spline:
-            place[part] = hermite(points[span], move[span], first[span], last[span], u)
-            continue
         half = turn[span] * u / 2
         place[part] = points[span] + u * np.sinc(2 * half / np.pi) * first[span]
         place[part] += u * np.sin(half) * np.sinc(half / np.pi) * inward[span]
         if np.any(blend):
             place[part] += _rounding(first, last, turn[:, 0] > 0.0, np.where(stops, 0.0, blend), span, u[:, 0])
     return place
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _fill_places(travelled, knots, points, first, last, place):
+    """Fill the places (n, 3) at distances (n,) on the cubics between points; first, last: slopes of each over u."""
+    k = 0
+    for n in range(travelled.size):
+        while k < knots.size - 2 and knots[k + 1] <= n:
+            k += 1
+        start = travelled[knots[k]]
+        u = (travelled[n] - start) / (travelled[knots[k + 1]] - start)
+        for i in range(3):
+            move, a, b = points[k + 1, i] - points[k, i], first[k, i], last[k, i]
+            place[n, i] = points[k, i] + u * a + u * u * (3 * move - 2 * a - b) + u * u * u * (a + b - 2 * move)
 
 
 def _arcs(points: np.ndarray, auxiliary: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -132,16 +132,21 @@ class Trajectory:
         _fill_samples(self.time_ns, self.position, velocity, time, rate, left, samples)
         return samples
 
-    @property
+    @cached_property
+    def travelled(self) -> np.ndarray:
+        """Return the distances along the ``chords`` to each knot [m], (n,)."""
+        return np.append(0.0, np.cumsum(chords(self)))
+
+    @cached_property
     def standing(self) -> np.ndarray:
         """Return an array (n,), true at the knots where the tool rests; without velocities no inner knot is at rest.
 
         A tool that turns in place rests before and after the turn only.
         """
-        if self.velocity is None:
-            return np.zeros(len(self), bool)
-        standing = np.linalg.norm(self.velocity, axis=1) <= AT_REST
-        if self.turns:
+        standing = np.zeros(len(self), bool)
+        if self.velocity is not None:
+            standing = np.linalg.norm(self.velocity, axis=1) <= AT_REST
+        if self.turns and self.velocity is not None:
             turning = (np.diff(self.position, axis=0) == 0).all(axis=1)
             turning &= (np.diff(self.quaternion, axis=0) != 0).any(axis=1)
             standing[1:-1] &= ~(turning[:-1] & turning[1:])
@@ -254,7 +259,7 @@ class Trajectory:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _fill_samples(knots, position, velocity, times, rate, left, samples):
-    """Fill positions, or rates, at times [ns]; velocity: (0, 3) for straight lines. Sorted times are found at once."""
+    """Fill positions, or rates, at times [ns], best sorted; velocity: (0, 3) for straight lines."""
     last, k = knots.size - 2, 0
     for n in range(times.size):
         time = min(max(times[n], 0), knots[-1])

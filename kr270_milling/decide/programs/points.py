@@ -273,7 +273,8 @@ def _errors(program: Program, runs: list[Trajectory], points: np.ndarray, auxili
     for run in runs:
         spline = program.motion == "SPLINE"
         place = places_on_program(run, points, run.position[points], stops, spline, program.blend_distance, auxiliary)
-        worst = np.maximum(worst, np.linalg.norm(place - run.position, axis=1))
+        place -= run.position
+        worst = np.maximum(worst, np.sqrt(np.einsum("ni,ni->n", place, place)))
         if run.turns:
             written = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
             angle = turned(written.sample_orientation(run.time_ns), run.quaternion)

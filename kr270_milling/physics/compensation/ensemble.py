@@ -50,28 +50,32 @@ def least_mean_square(
     mean = arm.scaled(between, 3.0).modes(slow)
     unit = units(mean, segments)
     cubic, beside = np.zeros((m, 4, 3)), int(np.ceil(REACH / np.median(segments.duration)))
+    # each kind of segment has 250 kB of matrices: short windows where many segments are a kind by themselves
+    posture, steps = robots[0][0].posture, np.diff(segments.time_ns)
+    varied = posture is None or np.mean((np.diff(posture) != 0) | (np.diff(steps) != 0)) > 0.1
+    window = WINDOW // 8 if varied else WINDOW
 
     def solve(first: int) -> None:
-        inner = slice(first, min(first + WINDOW, m))
+        inner = slice(first, min(first + window, m))
         part = slice(max(0, inner.start - beside), min(m, inner.stop + beside))
         lifted = Lifted(mean.cut(part), segments.cut(part), conditions.cut(part), unit)
         ensemble = Ensemble(robots, shares, segments, weight, part)
         precondition = lifted.prepared(weight[part], smoothness)
-        found = np.zeros((part.stop - part.start, 4, 3))
-        rest, direction, before = ensemble.slope(found, 1.0), found, np.inf
+        solution = np.zeros((part.stop - part.start, 4, 3))
+        rest, direction, before = ensemble.slope(solution, 1.0), solution, np.inf
         for _ in range(STEPS):
             better = precondition(rest)
             gain = -float(np.sum(rest * better))
-            if not gain > settled * len(found) / m:
+            if not gain > settled * len(solution) / m:
                 break
             direction = better + gain / before * direction
             bent = ensemble.slope(direction, 0.0) + lifted.roughness(direction, smoothness)
             step = gain / np.sum(direction * bent)
-            found, rest, before = found + step * direction, rest + step * bent, gain
-        cubic[inner] = found[inner.start - part.start :][: inner.stop - inner.start]
+            solution, rest, before = solution + step * direction, rest + step * bent, gain
+        cubic[inner] = solution[inner.start - part.start :][: inner.stop - inner.start]
 
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        list(pool.map(solve, range(0, m, WINDOW)))
+        list(pool.map(solve, range(0, m, window)))
     return cubic
 
 

@@ -260,8 +260,8 @@ class Learner:
             self.ensemble, self._ran = drawn, cubic
             if number + 1 == rounds:
                 break
-            found = least_mean_square(self.arm, segments, self.conditions, drawn, shares, weight, careful, settled)
-            tried = offset + knots(segments, found)
+            change = least_mean_square(self.arm, segments, self.conditions, drawn, shares, weight, careful, settled)
+            tried = offset + knots(segments, change)
             if np.array_equal(tried, offset):
                 break
         return offset

@@ -128,7 +128,7 @@ def test_windows_of_the_path_find_the_least_mean_square_of_the_whole_path(smooth
     arm = one_mode().cut(np.zeros(m, int))
     numbers = arm, segments, conditions, robots, SHARES, weight, 1e-1, 1e-24
     whole = knots(segments, least_mean_square(*numbers))
-    monkeypatch.setattr(ensemble, "WINDOW", 80)
+    monkeypatch.setattr(ensemble, "WINDOW", 8 * 80)
     monkeypatch.setattr(ensemble, "REACH", 6.0)
     np.testing.assert_allclose(knots(segments, least_mean_square(*numbers)), whole, atol=1e-4 * np.abs(whole).max())
 
