@@ -28,7 +28,7 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of, program_path
 from kr270_milling.decide.programs.krl import trajectory_hash
 from kr270_milling.decide.programs.krl_motion import WIDEST, printable_ascii
-from kr270_milling.decide.programs.points import point_numbers
+from kr270_milling.decide.programs.points import CURVED, dense_times, point_numbers
 from kr270_milling.path.cam.gcode.rewriter import GcodeSource, read_source
 from kr270_milling.path.cam.readers import GCODE, read_toolpath, reader_of
 from kr270_milling.path.controller_motion import places_on_program
@@ -37,7 +37,6 @@ from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 
 NO_GCODE = "corrected G-code needs path.file, a program in G-code"
-CURVED = 0.25  #: share of the tolerance that straight lines between the candidates take
 
 
 @dataclass(frozen=True)
@@ -254,7 +253,7 @@ class _Plan:
     def _motion(self, places: np.ndarray) -> Trajectory:
         """Return the motion through places (p, 3) [m] with rounded corners, and the planned one on the other moves."""
         run, program = self.run, self.cell.krl
-        times = np.union1d(np.concatenate([run.time_ns, self.time_ns]), _candidates(run, program.tolerance))
+        times = np.union1d(np.concatenate([run.time_ns, self.time_ns]), dense_times(run, program.tolerance))
         fine = Trajectory(times, run.sample(times), run.quaternion[0], None, run.frame)
         time_ns, first = np.unique(self.time_ns, return_index=True)
         ends = times[[0, -1]][~np.isin(times[[0, -1]], time_ns)]
@@ -277,7 +276,7 @@ class _Plan:
 
     def _error(self, places: np.ndarray) -> float:
         """Return the largest distance [m] of the planned path from the straight lines between places (p, 3)."""
-        times = _candidates(self.run, self.cell.krl.tolerance)
+        times = dense_times(self.run, self.cell.krl.tolerance)
         times = np.union1d(times, (times[1:] + times[:-1]) // 2)
         span = np.clip(np.searchsorted(self.time_ns, times, side="right") - 1, 0, len(places) - 2)
         inside = (times >= self.time_ns[span]) & (times <= self.time_ns[span + 1])
@@ -318,31 +317,9 @@ def _time_at(timed: TimedPath, distance: np.ndarray) -> np.ndarray:
 
 def _point_times(cell: Cell, run: Trajectory, needed: np.ndarray) -> np.ndarray:
     """Return the times [ns] of the points of a run; needed [ns]: of the ends of the moves."""
-    times = np.union1d(_candidates(run, cell.krl.tolerance), needed)
+    times = np.union1d(dense_times(run, cell.krl.tolerance), needed)
     fine = Trajectory(times, run.sample(times), run.quaternion[0], None, run.frame)
     fixed = np.isin(times, needed) | np.isin(times, run.time_ns[run.standing])
     blend = 0.0 if cell.path.source.rounding else cell.krl.blend_distance
     program = cell.krl.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.krl.tolerance, blend_distance=blend)
     return times[point_numbers(program, fine, fine, fixed)]
-
-
-def _candidates(run: Trajectory, tolerance: float) -> np.ndarray:
-    """Return times [ns], the knots of a run among them, so dense that straight lines between them keep to its path.
-
-    A line between two points of a curve misses the curve by a h^2 / 8, a the acceleration across the line and h the
-    time between the points. Without a tolerance the knots alone.
-    """
-    knots = run.time_ns
-    if not tolerance or run.velocity is None:
-        return knots
-    step = np.diff(knots)
-    line = np.diff(run.position, axis=0)
-    line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
-    across = np.zeros(len(step))
-    for bend in (run.sample_acceleration(knots[:-1], "right"), run.sample_acceleration(knots[1:], "left")):
-        across = np.maximum(across, np.linalg.norm(bend - np.sum(bend * line, axis=1, keepdims=True) * line, axis=1))
-    parts = np.ceil(1e-9 * step * np.sqrt(across / (8.0 * CURVED * tolerance)))
-    most_parts = 64  # of one step of the controller
-    parts = np.clip(parts, 1, most_parts).astype(int)
-    part = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    return np.append(np.repeat(knots[:-1], parts) + part * np.repeat(step, parts) // np.repeat(parts, parts), knots[-1])

@@ -26,6 +26,7 @@ from kr270_milling.path.trajectory import LEVER, Trajectory, turned
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
 #: [rad], [m], least turn of an arc and least distance of its three points; assumed: places are written to 0.1 um
 SMALLEST, APART = math.radians(5.0), 1e-4
+CURVED = 0.25  #: share of the tolerance that straight lines between ``dense_times`` take
 
 
 def fixed_knots(stops: np.ndarray, feeds: np.ndarray | None) -> np.ndarray:
@@ -186,6 +187,28 @@ def _turn(tolerance, places, first, middle, last):
             return -1.0
         least = min(least, turn if min(np.sum(u**2), np.sum((v - u) ** 2)) > APART**2 else 0.0)
     return least
+
+
+def dense_times(run: Trajectory, tolerance: float) -> np.ndarray:
+    """Return times [ns], the knots of a run among them, so dense that straight lines between them keep to its path.
+
+    A line between two points of a curve misses the curve by a h^2 / 8, a the acceleration across the line and h the
+    time between the points. Without a tolerance the knots alone.
+    """
+    knots = run.time_ns
+    if not tolerance or run.velocity is None:
+        return knots
+    step = np.diff(knots)
+    line = np.diff(run.position, axis=0)
+    line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
+    across = np.zeros(len(step))
+    for bend in (run.sample_acceleration(knots[:-1], "right"), run.sample_acceleration(knots[1:], "left")):
+        across = np.maximum(across, np.linalg.norm(bend - np.sum(bend * line, axis=1, keepdims=True) * line, axis=1))
+    parts = np.ceil(1e-9 * step * np.sqrt(across / (8.0 * CURVED * tolerance)))
+    most_parts = 64  # of one step of the controller
+    parts = np.clip(parts, 1, most_parts).astype(int)
+    part = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(np.repeat(knots[:-1], parts) + part * np.repeat(step, parts) // np.repeat(parts, parts), knots[-1])
 
 
 @dataclass(frozen=True)

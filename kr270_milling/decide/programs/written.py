@@ -21,6 +21,7 @@ from kr270_milling.cell.plant import Plant
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl
 from kr270_milling.decide.programs.files import as_commanded, knot_feeds, notes_of, timed_by_cell
+from kr270_milling.decide.programs.points import dense_times
 from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
 
@@ -64,6 +65,10 @@ def _as_run(
 ) -> Trajectory:
     """The motion through the points of a program, with the time law of the plan."""
     spline = program.motion == "SPLINE"
+    if auxiliary.any():  # a chord from knot to knot is not the arc
+        times = dense_times(target, program.tolerance)
+        knots = np.searchsorted(times, planned.time_ns[knots])
+        planned = Trajectory(times, planned.sample(times), planned.sample_orientation(times), None, planned.frame)
     place = places_on_program(planned, knots, position, stops, spline, program.blend_distance, auxiliary)
     turned = Trajectory(planned.time_ns[knots], position, quaternion).sample_orientation(planned.time_ns)
     run = Trajectory(planned.time_ns, place, turned, None, planned.frame)

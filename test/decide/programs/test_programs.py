@@ -685,8 +685,19 @@ def test_a_program_of_lin_motions_is_judged_by_its_blended_path(part):
     knots, auxiliary = program_points(program, target, target)
     stops, blend = target.standing[knots], program.blend_distance
     expected = places_on_program(target, knots, target.position[knots], stops, False, blend, auxiliary)
-    np.testing.assert_allclose(blended.position, expected, atol=1e-7)
+    np.testing.assert_allclose(blended.sample(target.time_ns), expected, atol=1e-7)
     assert np.linalg.norm(blended.position - exact.position, axis=1).max() > 5e-6
+
+
+def test_the_pass_of_a_program_with_arcs_is_that_of_arcs_and_not_of_the_chords_between_its_knots(part):
+    """The arc of 8 mm of the part, whose knots are 0.8 mm apart: chords of 10 um."""
+    cell, _ = part
+    program, target = cell.krl.replace(motion="LIN", blend_distance=0.0), path_of(cell).target
+    from_centre = np.linalg.norm(target.position[:, :2] - [20e-3, 10e-3], axis=1)
+    (first, *_, last) = target.time_ns[np.abs(from_centre - 8e-3) < 1e-6].tolist()
+    place = written_trajectory(cell.replace(krl=program), target, "LIN").sample(np.arange(first, last, 10**6))
+    error = np.abs(np.linalg.norm(place[:, :2] - [20e-3, 10e-3], axis=1) - 8e-3).max()
+    assert error < 1.25 * program.tolerance + 0.1 * UM
 
 
 def test_a_straight_cut_stops_where_a_module_ends_and_has_no_second_time_law():
