@@ -447,7 +447,7 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
     place, work, first = s.edge.place, s.edge.work, low & ~(RUN - 1)
     depth, levels, rim = p.top - tip_z, 1.0 / p.level_step, RIM * p.spacing
     for n in range(RUN):
-        y = start + n * p.spacing
+        y = start + min(max(n, low - first), high - first) * p.spacing
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
         work[PART + n] = np.float32(1.0)
     if near:
@@ -463,7 +463,8 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
     rises = 0
     for n in range(RUN):
         hit = place[Z + n] != MISSED and first + n >= low and first + n <= high and work[PART + n] > np.float32(0.0)
-        work[GOAL + n] = np.float32(min((depth - place[Z + n]) * levels, float(LEVELS)) if hit else -1.0)
+        goal = min(max((depth - place[Z + n]) * levels, 0.0), float(LEVELS))
+        work[GOAL + n] = np.float32(goal if hit else -1.0)
         work[SHARE + n] = np.float32(1.0)
         place[LAST + n], place[RISE + n] = place[Z + n], place[NZ + n]
         place[X + n], place[Y + n] = place[U + n] * ux - place[V + n] * uy, place[U + n] * uy + place[V + n] * ux
