@@ -25,7 +25,7 @@ import math
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined
-from kr270_milling.physics.cutting.engagement import BEYOND, RIM, SINES, take_tile
+from kr270_milling.physics.cutting.engagement import BEYOND, RIM, SINES, SWING, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
 from kr270_milling.physics.cutting.runs import BOUND, GOAL, LOST, NEAR, PART, REST, SHARE, lower_nodes
@@ -371,7 +371,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
             if most < known + 0.5 or s.edge.work[BOUND + n] < known + 0.5:
                 continue
             start = (j & ~(RUN - 1)) * p.spacing - shift_y
-            if not _look_at_run(s, p, step, tip_z, x, start, j, end, s.edge.work[NEAR + n] > 0.0, known, follows):
+            if not _look_at_run(s, p, step, tip_z, x, start, j, end, s.edge.work[NEAR + n], known, follows):
                 continue
             if slot < 0:
                 slot = take_tile(s, i, j)
@@ -404,10 +404,13 @@ def _rates(p, place, step, t):
 def _bound_runs(s, p, step, tip_z, x, start, last):
     """Fill BOUND and NEAR of RUN runs from the y ``start``, of which ``last`` is the last in use.
 
-    No node of a run is lowered below BOUND; NEAR is 0 where the tool covers all cells of a run.
+    No node of a run is lowered below BOUND. NEAR is 2 where the tool covers cells of a run in part, 1 where it did so at the
+    start of the step.
     """
     place, work, half, depth = s.edge.place, s.edge.work, 0.5 * (RUN - 1) * p.spacing, p.top - tip_z
     ux, uy, rim, lowest = step[12], step[13], RIM * p.spacing, 0
+    turn = math.sqrt(step[3] * step[3] + step[4] * step[4] + step[5] * step[5])
+    way = 1.5 * math.sqrt(step[0] * step[0] + step[1] * step[1]) + SWING * p.radius * turn
     for n in range(RUN):
         y = start + half + min(n, last) * (RUN * p.spacing)
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
@@ -433,14 +436,15 @@ def _bound_runs(s, p, step, tip_z, x, start, last):
             place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
         _inside_run(p.profile.parts, place, step[14], step[15])
         for n in range(RUN):
-            work[NEAR + n] = np.float32(n == RUN - 1 or min(place[Z + n], place[Z + min(n + 1, RUN - 1)]) < rim)
+            within = -rim if n == RUN - 1 else min(place[Z + n], place[Z + min(n + 1, RUN - 1)])
+            work[NEAR + n] = np.float32(2.0 if within < rim else within < rim + way)
 
 
 @inlined
 def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
     """Fill GOAL, PART and SHARE of the nodes low..high of a run; return whether the step may lower any.
 
-    start: y of the first node of the run [m]; near: the tool covers cells in part; known: least level of the run;
+    start: y of the first node of the run [m]; near: NEAR of the run; known: least level of the run;
     follows: the tool comes from its last place, so that it has cut all that its back covers.
     """
     ux, uy, sine, cosine = step[12], step[13], step[14], step[15]
@@ -450,7 +454,7 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
         y = start + min(max(n, low - first), high - first) * p.spacing
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
         work[PART + n] = np.float32(1.0)
-    if near:
+    if near > 1.0:
         _inside_run(p.profile.parts, place, sine, cosine)
         for n in range(RUN):
             within, out_u, out_v = place[Z + n], place[NU + n], place[NV + n]
@@ -475,7 +479,7 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
         for n in range(RUN):
             x, y = place[X + n] + step[0], place[Y + n] + step[1]
             place[U + n], place[V + n], place[COVER + n] = x * ux + y * uy, y * ux - x * uy, p.spacing
-        if near:
+        if near > 0.0:
             _inside_run(p.profile.parts, place, s0, c0)
             for n in range(RUN):
                 place[COVER + n] = place[Z + n]
