@@ -404,8 +404,8 @@ def _rates(p, place, step, t):
 def _bound_runs(s, p, step, tip_z, x, start, last):
     """Fill BOUND and NEAR of RUN runs from the y ``start``, of which ``last`` is the last in use.
 
-    No node of a run is lowered below BOUND. NEAR is 2 where the tool covers cells of a run in part, 1 where it did so at the
-    start of the step.
+    No node of a run is lowered below BOUND. NEAR is 2 where the tool covers cells of a run in part, 1 where it did so
+    at the start of the step.
     """
     place, work, half, depth = s.edge.place, s.edge.work, 0.5 * (RUN - 1) * p.spacing, p.top - tip_z
     ux, uy, rim, lowest = step[12], step[13], RIM * p.spacing, 0
