@@ -24,7 +24,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.physics.cutting.compiled import compiled, inlined, inner
 from kr270_milling.physics.cutting.engagement import BEYOND, RIM, SINES, SWING, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
@@ -119,15 +119,15 @@ def touch(parts, u, v, s, c):
     for k in range(parts.shape[0]):
         part = parts[k]
         if part[4] > 0.0:
-            found = _sphere(part, u, v, s, c) if part[0] < FLAT else _torus(part, u, v, s, c)
+            touched = _sphere(part, u, v, s, c) if part[0] < FLAT else _torus(part, u, v, s, c)
         else:
-            found = _level(part, u, v, s, c) if part[5] < FLAT else _cone(part, u, v, s, c)
-        if found[0] != MISSED:
-            return found
+            touched = _level(part, u, v, s, c) if part[5] < FLAT else _cone(part, u, v, s, c)
+        if touched[0] != MISSED:
+            return touched
     return MISSED, 0.0, 0.0, -1.0
 
 
-@inlined
+@inner
 def _touch_run(parts, place, s, c):
     """``touch`` of the nodes of a run, at U and V of ``place``; fills Z and the normal."""
     for n in range(RUN):
@@ -156,14 +156,14 @@ def _touch_run(parts, place, s, c):
 
 
 @inlined
-def _keep(place, n, found):
+def _keep(place, n, touched):
     """Keep the first touch of a node."""
     z = place[Z + n]
     first = z == MISSED
-    place[Z + n] = found[0] if first else z
-    place[NU + n] = found[1] if first else place[NU + n]
-    place[NV + n] = found[2] if first else place[NV + n]
-    place[NZ + n] = found[3] if first else place[NZ + n]
+    place[Z + n] = touched[0] if first else z
+    place[NU + n] = touched[1] if first else place[NU + n]
+    place[NV + n] = touched[2] if first else place[NV + n]
+    place[NZ + n] = touched[3] if first else place[NZ + n]
 
 
 @compiled
@@ -213,13 +213,13 @@ def inside(parts, u, v, s, c):
     """Return how far a node is inside the shadow of the tool [m], and the direction out of it along u and v."""
     best = -1e9, 1.0, 0.0
     for k in range(parts.shape[0]):
-        found = _depth(parts[k], _widest(parts[k], s, c), u, v, s, c)
-        if found[0] > best[0]:
-            best = found
+        within = _depth(parts[k], _widest(parts[k], s, c), u, v, s, c)
+        if within[0] > best[0]:
+            best = within
     return best
 
 
-@inlined
+@inner
 def _inside_run(parts, place, s, c):
     """``inside`` of the nodes of a run, at U and V of ``place``; fills Z, NU and NV."""
     for n in range(RUN):
