@@ -350,6 +350,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
     first_i = max(int(math.ceil((tip_x + low_x - p.origin_x) / p.spacing)), 0)
     last_i = min(int(math.floor((tip_x + high_x - p.origin_x) / p.spacing)), p.nx - 1)
     shift_y = tip_y - p.origin_y
+    reached = False
     for i in range(first_i, last_i + 1):
         x = p.origin_x + i * p.spacing - tip_x
         low_y, high_y = shadow_rows(x, start_u, end_u, ux, uy, reach)
@@ -357,12 +358,13 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
             continue
         low = max(int(math.ceil((shift_y + low_y) / p.spacing)), 0)
         high = min(int(math.floor((shift_y + high_y) / p.spacing)), p.ny - 1)
-        first = low & ~(RUN - 1)
+        first, reaches = low & ~(RUN - 1), False
         while first <= high:
             j, first = max(first, low), first + RUN
             end, n = min(first - 1, high), (j - low // RUN * RUN) // RUN & (RUN - 1)
             if n == 0:
-                _bound_runs(s, p, step, tip_z, x, (j & ~(RUN - 1)) * p.spacing - shift_y, high // RUN - j // RUN)
+                start, last = (j & ~(RUN - 1)) * p.spacing - shift_y, high // RUN - j // RUN
+                reaches = _bound_runs(s, p, step, tip_z, x, start, last) or reaches
             slot = s.table[i >> 8, j >> 8]
             known = 0.0
             if slot >= 0:
@@ -378,7 +380,10 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
                 if slot < 0:
                     return
                 place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
+            reached = True
             _lower_run(s, p, step, frame, tip_z, j, place, x, start)
+        if reached and not reaches:  # what is below the top is convex: the rows beyond do not meet it either
+            break
 
 
 @inlined
@@ -405,7 +410,7 @@ def _bound_runs(s, p, step, tip_z, x, start, last):
     """Fill BOUND and NEAR of RUN runs from the y ``start``, of which ``last`` is the last in use.
 
     No node of a run is lowered below BOUND. NEAR is 2 where the tool covers cells of a run in part, 1 where it did so
-    at the start of the step.
+    at the start of the step. Return whether a node of the row may be lowered.
     """
     place, work, half, depth = s.edge.place, s.edge.work, 0.5 * (RUN - 1) * p.spacing, p.top - tip_z
     ux, uy, rim, lowest = step[12], step[13], RIM * p.spacing, 0
@@ -438,6 +443,7 @@ def _bound_runs(s, p, step, tip_z, x, start, last):
         for n in range(RUN):
             within = -rim if n == RUN - 1 else min(place[Z + n], place[Z + min(n + 1, RUN - 1)])
             work[NEAR + n] = np.float32(2.0 if within < rim else within < rim + way)
+    return lowest > 0
 
 
 @inlined
