@@ -24,8 +24,8 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import compiled, inlined
-from kr270_milling.physics.cutting.engagement import BEYOND, RIM, SINES, take_tile
+from kr270_milling.physics.cutting.compiled import compiled, inlined, inner
+from kr270_milling.physics.cutting.engagement import BEYOND, RIM, SINES, SWING, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
 from kr270_milling.physics.cutting.runs import BOUND, GOAL, LOST, NEAR, PART, REST, SHARE, lower_nodes
@@ -119,15 +119,15 @@ def touch(parts, u, v, s, c):
     for k in range(parts.shape[0]):
         part = parts[k]
         if part[4] > 0.0:
-            found = _sphere(part, u, v, s, c) if part[0] < FLAT else _torus(part, u, v, s, c)
+            touched = _sphere(part, u, v, s, c) if part[0] < FLAT else _torus(part, u, v, s, c)
         else:
-            found = _level(part, u, v, s, c) if part[5] < FLAT else _cone(part, u, v, s, c)
-        if found[0] != MISSED:
-            return found
+            touched = _level(part, u, v, s, c) if part[5] < FLAT else _cone(part, u, v, s, c)
+        if touched[0] != MISSED:
+            return touched
     return MISSED, 0.0, 0.0, -1.0
 
 
-@inlined
+@inner
 def _touch_run(parts, place, s, c):
     """``touch`` of the nodes of a run, at U and V of ``place``; fills Z and the normal."""
     for n in range(RUN):
@@ -156,14 +156,14 @@ def _touch_run(parts, place, s, c):
 
 
 @inlined
-def _keep(place, n, found):
+def _keep(place, n, touched):
     """Keep the first touch of a node."""
     z = place[Z + n]
     first = z == MISSED
-    place[Z + n] = found[0] if first else z
-    place[NU + n] = found[1] if first else place[NU + n]
-    place[NV + n] = found[2] if first else place[NV + n]
-    place[NZ + n] = found[3] if first else place[NZ + n]
+    place[Z + n] = touched[0] if first else z
+    place[NU + n] = touched[1] if first else place[NU + n]
+    place[NV + n] = touched[2] if first else place[NV + n]
+    place[NZ + n] = touched[3] if first else place[NZ + n]
 
 
 @compiled
@@ -213,13 +213,13 @@ def inside(parts, u, v, s, c):
     """Return how far a node is inside the shadow of the tool [m], and the direction out of it along u and v."""
     best = -1e9, 1.0, 0.0
     for k in range(parts.shape[0]):
-        found = _depth(parts[k], _widest(parts[k], s, c), u, v, s, c)
-        if found[0] > best[0]:
-            best = found
+        within = _depth(parts[k], _widest(parts[k], s, c), u, v, s, c)
+        if within[0] > best[0]:
+            best = within
     return best
 
 
-@inlined
+@inner
 def _inside_run(parts, place, s, c):
     """``inside`` of the nodes of a run, at U and V of ``place``; fills Z, NU and NV."""
     for n in range(RUN):
@@ -350,6 +350,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
     first_i = max(int(math.ceil((tip_x + low_x - p.origin_x) / p.spacing)), 0)
     last_i = min(int(math.floor((tip_x + high_x - p.origin_x) / p.spacing)), p.nx - 1)
     shift_y = tip_y - p.origin_y
+    reached = False
     for i in range(first_i, last_i + 1):
         x = p.origin_x + i * p.spacing - tip_x
         low_y, high_y = shadow_rows(x, start_u, end_u, ux, uy, reach)
@@ -357,12 +358,13 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
             continue
         low = max(int(math.ceil((shift_y + low_y) / p.spacing)), 0)
         high = min(int(math.floor((shift_y + high_y) / p.spacing)), p.ny - 1)
-        first = low & ~(RUN - 1)
+        first, reaches = low & ~(RUN - 1), False
         while first <= high:
             j, first = max(first, low), first + RUN
             end, n = min(first - 1, high), (j - low // RUN * RUN) // RUN & (RUN - 1)
             if n == 0:
-                _bound_runs(s, p, step, tip_z, x, (j & ~(RUN - 1)) * p.spacing - shift_y, high // RUN - j // RUN)
+                start, last = (j & ~(RUN - 1)) * p.spacing - shift_y, high // RUN - j // RUN
+                reaches = _bound_runs(s, p, step, tip_z, x, start, last) or reaches
             slot = s.table[i >> 8, j >> 8]
             known = 0.0
             if slot >= 0:
@@ -371,14 +373,17 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
             if most < known + 0.5 or s.edge.work[BOUND + n] < known + 0.5:
                 continue
             start = (j & ~(RUN - 1)) * p.spacing - shift_y
-            if not _look_at_run(s, p, step, tip_z, x, start, j, end, s.edge.work[NEAR + n] > 0.0, known, follows):
+            if not _look_at_run(s, p, step, tip_z, x, start, j, end, s.edge.work[NEAR + n], known, follows):
                 continue
             if slot < 0:
                 slot = take_tile(s, i, j)
                 if slot < 0:
                     return
                 place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
+            reached = True
             _lower_run(s, p, step, frame, tip_z, j, place, x, start)
+        if reached and not reaches:  # what is below the top is convex: the rows beyond do not meet it either
+            break
 
 
 @inlined
@@ -404,10 +409,13 @@ def _rates(p, place, step, t):
 def _bound_runs(s, p, step, tip_z, x, start, last):
     """Fill BOUND and NEAR of RUN runs from the y ``start``, of which ``last`` is the last in use.
 
-    No node of a run is lowered below BOUND; NEAR is 0 where the tool covers all cells of a run.
+    No node of a run is lowered below BOUND. NEAR is 2 where the tool covers cells of a run in part, 1 where it did so
+    at the start of the step. Return whether a node of the row may be lowered.
     """
     place, work, half, depth = s.edge.place, s.edge.work, 0.5 * (RUN - 1) * p.spacing, p.top - tip_z
     ux, uy, rim, lowest = step[12], step[13], RIM * p.spacing, 0
+    turn = math.sqrt(step[3] * step[3] + step[4] * step[4] + step[5] * step[5])
+    way = 1.5 * math.sqrt(step[0] * step[0] + step[1] * step[1]) + SWING * p.radius * turn
     for n in range(RUN):
         y = start + half + min(n, last) * (RUN * p.spacing)
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
@@ -433,24 +441,26 @@ def _bound_runs(s, p, step, tip_z, x, start, last):
             place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
         _inside_run(p.profile.parts, place, step[14], step[15])
         for n in range(RUN):
-            work[NEAR + n] = np.float32(n == RUN - 1 or min(place[Z + n], place[Z + min(n + 1, RUN - 1)]) < rim)
+            within = -rim if n == RUN - 1 else min(place[Z + n], place[Z + min(n + 1, RUN - 1)])
+            work[NEAR + n] = np.float32(2.0 if within < rim else within < rim + way)
+    return lowest > 0
 
 
 @inlined
 def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
     """Fill GOAL, PART and SHARE of the nodes low..high of a run; return whether the step may lower any.
 
-    start: y of the first node of the run [m]; near: the tool covers cells in part; known: least level of the run;
+    start: y of the first node of the run [m]; near: NEAR of the run; known: least level of the run;
     follows: the tool comes from its last place, so that it has cut all that its back covers.
     """
     ux, uy, sine, cosine = step[12], step[13], step[14], step[15]
     place, work, first = s.edge.place, s.edge.work, low & ~(RUN - 1)
     depth, levels, rim = p.top - tip_z, 1.0 / p.level_step, RIM * p.spacing
     for n in range(RUN):
-        y = start + n * p.spacing
+        y = start + min(max(n, low - first), high - first) * p.spacing
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
         work[PART + n] = np.float32(1.0)
-    if near:
+    if near > 1.0:
         _inside_run(p.profile.parts, place, sine, cosine)
         for n in range(RUN):
             within, out_u, out_v = place[Z + n], place[NU + n], place[NV + n]
@@ -463,7 +473,8 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
     rises = 0
     for n in range(RUN):
         hit = place[Z + n] != MISSED and first + n >= low and first + n <= high and work[PART + n] > np.float32(0.0)
-        work[GOAL + n] = np.float32(min((depth - place[Z + n]) * levels, float(LEVELS)) if hit else -1.0)
+        goal = min(max((depth - place[Z + n]) * levels, 0.0), float(LEVELS))
+        work[GOAL + n] = np.float32(goal if hit else -1.0)
         work[SHARE + n] = np.float32(1.0)
         place[LAST + n], place[RISE + n] = place[Z + n], place[NZ + n]
         place[X + n], place[Y + n] = place[U + n] * ux - place[V + n] * uy, place[U + n] * uy + place[V + n] * ux
@@ -474,7 +485,7 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
         for n in range(RUN):
             x, y = place[X + n] + step[0], place[Y + n] + step[1]
             place[U + n], place[V + n], place[COVER + n] = x * ux + y * uy, y * ux - x * uy, p.spacing
-        if near:
+        if near > 0.0:
             _inside_run(p.profile.parts, place, s0, c0)
             for n in range(RUN):
                 place[COVER + n] = place[Z + n]
