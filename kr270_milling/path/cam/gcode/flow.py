@@ -176,9 +176,9 @@ class Flow:
                 self.controls[index] = control
                 self._pair(index, control, opened, names)
                 calls |= {f"SUB {control.label}"} if control.word == "CALL" else set()
-            if match := NUMBERED.match(text):
+            if "P" in text and (match := NUMBERED.match(text)):
                 calls |= {match[1], f"{int(match[1]) % 10_000}"}  # P30012 is three times O12
-            elif match := LOCAL.fullmatch(text):
+            elif "L" in text and (match := LOCAL.fullmatch(text)):
                 calls.add(f"L{match[1]}")
         self.faults += [(index, f"{word} of {label or 'its loop'} has no end") for index, label, word in opened]
         return calls
@@ -233,17 +233,20 @@ class Flow:
         if self.faults:
             for index, reason in self.faults:
                 self._go(index)
-                program.refuse("O", reason, MACROS)
+                program.refuse("O", reason, MACROS, line=0 if self.part else index + 1)
             return
         index = executed = 0
         refused: set[int] = set()
         count = min(self.ends, default=len(self.lines))  # of the lines of the program
         while index != count and not machine.ended and not program.hopeless:
-            self._go(index)
+            if self.part or index >= count:
+                self._go(index)
+            if not self.part:
+                program.line = index + 1
             refusals = program.refusals
             executed += 1
             try:
-                if index in self.ends or index == len(self.lines):
+                if self.part and (index in self.ends or index == len(self.lines)):
                     raise _Stop("the sub-program does not end; end it with M99, or with endsub")
                 if executed > MOST_BLOCKS:
                     raise _Stop(f"the program runs more than {MOST_BLOCKS} lines; does a loop end?")
@@ -263,12 +266,11 @@ class Flow:
         program.where = ""
 
     def _go(self, index: int) -> None:
-        """Note the place of a line: that of another file is named, after the line of the program that calls it."""
+        """Note the file of a line; a line of another file than the program is named after the line that calls it."""
         program = self.machine.program
         self.part = sum(first <= index for first, _ in self.files) - 1
         first, path = self.files[self.part]
         program.where = f"{path.name}, line {index - first + 1}: " if self.part else ""
-        program.line = program.line if self.part else index + 1
 
     def _step(self, index: int) -> int:
         """Run a line and return the index of the next one."""
