@@ -126,7 +126,9 @@ def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> flo
     path = np.array([20e-3, 0.0, -2e-3 - lowest(tool, axis)]) + way[:, None] * step / np.linalg.norm(step)
     wrench, _, _ = cut.along(path, n * np.arange(way.size), axes=np.tile(axis, (way.size, 1)))
     chosen, exact = np.flatnonzero(way > -1e-3), []
-    for tip in (path - 0.5 * step)[chosen[:: len(chosen) // 4]]:
+    lag = 0.5 + math.pi / TEETH / (n * MICRO_STEP)  # the middle of a step, and half a pitch of the teeth
+    for place in (np.arange(6) + 0.5) / 6 * chosen.size - 0.5:
+        tip = path[chosen[0]] + (place - lag) * step
 
         def inside(places, z=tip[2]):
             return (places[..., 2] + z < 0.0) & (np.abs(places[..., 1]) < side)
