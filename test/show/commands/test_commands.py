@@ -199,7 +199,7 @@ def test_grid_and_period_follow_tool_and_feed_where_the_cell_does_not_state_them
 def test_the_usual_period_follows_an_arm_that_bounces_on_its_end_edges(tmp_path):
     """The thrust of a ramp with a share of 1 is that of half the period; with 0.25 ms it is 8 % larger."""
     head, moves = (
-        "(T1 D=20. - flat end mill)\nG21 G90 G54\nS8000 M3\nG0 X-10 Y-10 Z2\n",
+        "(T1 D=10. - flat end mill)\nG21 G90 G54\nS8000 M3\nG0 X-10 Y-10 Z2\n",
         "G1 Z0 F1000\nX10 Z-1 F2000\nG0 Z2\nM30\n",
     )
     (tmp_path / "ramp.nc").write_text(head + moves)
