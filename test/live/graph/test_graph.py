@@ -88,6 +88,7 @@ def publish():
     for publisher, message in sent:
         publisher.publish(message)
 node.create_timer(0.02, publish)
+print("ready", flush=True)
 rclpy.spin(node)
 """
 
@@ -97,7 +98,8 @@ def test_run_gives_the_plain_loop_bit_for_bit_while_a_stranger_publishes_what_ca
 ):
     """A gripper with errors on joint_states and /diagnostics, wrenches of no frame. A repeated method is run once."""
     methods = ("--method", "linear", "--method", "spline", "--method", "linear")
-    with running([sys.executable, "-c", STRANGER], ros_environment):
+    with running([sys.executable, "-c", STRANGER], ros_environment, stdout=subprocess.PIPE, text=True) as stranger:
+        assert stranger.stdout.readline() == "ready\n"
         assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
     assert not nodes_of(tmp_path)
     printed = capsys.readouterr()
@@ -202,7 +204,8 @@ def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_
     assert not out and errors.endswith("interrupted\n")
     recorded = tmp_path / "original"
     same(pass_from_recording(recorded)[0].result, simulate(short_cell).result)
-    assert recompute(recorded).verdict == "identical"
+    again = recompute(recorded)
+    assert again.verdict == "identical", str(again.first)
     with Recording(recorded) as recording:
         assert "/left/clock" in recording.topics()
         assert {name for name in recording.topics() if not name.startswith("/left/")} == {"/diagnostics"}
