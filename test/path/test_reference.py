@@ -247,7 +247,7 @@ def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text,
 
 
 @pytest.mark.parametrize(("call", "files", "sentence"), [
-    ("M98 P7", {}, "part.nc, line 4: the sub-program O7 is not in this file, and no file of this name is beside it"),
+    ("M98 P7", {}, "part.nc, line 4: the sub-program O7 is not in this file, and no file of this name that has it"),
     ("M98 P7", {"O8.nc": FANUC}, "O7 is not in this file"),
     ("M98 P7", {"O7.nc": FANUC.replace("7", "8")}, "O7 is not in this file"),  # the file has another one
     ("o<../out> call", {"../out.ngc": "o<../out> sub\no<../out> endsub\n"}, "O<../out> is not in this file"),

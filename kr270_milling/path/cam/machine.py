@@ -564,7 +564,7 @@ class Machine:
         """Return whether a G1 from an unknown place stays above the part: posts may feed where others go rapidly."""
         if all(map(math.isfinite, end)):
             return self.program.last is None or start[2] == TOP
-        return end[2] == start[2] or math.isnan(end[2]) or end[2] > 0
+        return end[2] == start[2] or end[2] > 0 or (math.isnan(end[2]) and self.program.last is None)
 
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
         if self.turned_from is not None:

@@ -42,7 +42,7 @@ NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 REMARK = re.compile(r"\([^)]*\)|;.*")
 HEADER = re.compile(r"[O:]0*([0-9]+)")
 SINUMERIK = re.compile(r"%_N_(L[0-9]+)_SPF", re.I)
-MISSING = "the sub-program {} is not in this file, and no file of this name is beside it"
+MISSING = "the sub-program {} is not in this file, and no file of this name that has it is beside it"
 NUMBERED = re.compile(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])")  #: calls of a number
 LOCAL = re.compile(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?")
 ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
