@@ -233,6 +233,7 @@ START = "G21 G90\nT1 M6\nG0 X0 Y0 Z0\n"
 @pytest.mark.parametrize(("call", "file", "text", "end"), [
     ("M98 P7", "O0007.nc", FANUC, 1), ("M98 P7 L3", "7", FANUC, 3), ("M98 P20007", "7.ngc", FANUC, 2),
     ("G65 P7", "O7.CNC", FANUC, 1), ("L7 P2", "L007.SPF", "G91 G1 X1 F600\nG90\nM17\n", 2),
+    ("L7", "L7.SPF", "%_N_L7_SPF\nPROC L7 SAVE DISPLOF\nG1 X7 F600\nRET\n", 7),
     ("o<a pocket> call [4]", "A Pocket.ngc", "o<a pocket> sub\nG1 X#1 F600\no<a pocket> endsub", 4),
     ("M98 P7", "subs/O7.nc", "G1 X5 F600\nM98 P8\nM99\n", 6),
 ])  # fmt: skip

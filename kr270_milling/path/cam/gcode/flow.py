@@ -41,7 +41,7 @@ NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 #: a comment; the words before a bracket are not the name of a cycle here
 REMARK = re.compile(r"\([^)]*\)|;.*")
 HEADER = re.compile(r"[O:]0*([0-9]+)")
-SINUMERIK = re.compile(r"%_N_(L[0-9]+)_SPF", re.I)
+SINUMERIK = re.compile(r"(?:%_N_|PROC)(L[0-9]+)", re.I)
 MISSING = "the sub-program {} is not in this file, and no file of this name that has it is beside it"
 NUMBERED = re.compile(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])")  #: calls of a number
 LOCAL = re.compile(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?")
@@ -168,7 +168,7 @@ class Flow:
                 if not part:
                     self.heads.add(index + 1)
             elif match := SINUMERIK.match(text):
-                names.setdefault(match[1].upper(), index + 1)
+                names[match[1].upper()] = index + 1  # PROC follows %_N_
             elif match := CONTROL.fullmatch(text):
                 control = _Line(_label(match["label"] or ""), match["word"] or match["fanuc"], match["rest"] or "")
                 if match["fanuc"]:
