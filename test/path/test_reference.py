@@ -103,6 +103,7 @@ REFUSED = {
     "X9,R20\nY9": ",R does not fit",
     "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",
     "M98 P7\nO7\nX1\nM99": "runs into a sub-program",
+    "M98 P7 H100\nM30\nO7\nX1\nN100 X2\nM99": "M98 with H, a sub-program from one of its lines on",
     "(abort, no part)": "stops itself",
 }
 

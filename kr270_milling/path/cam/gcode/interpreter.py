@@ -151,6 +151,9 @@ class Interpreter(Machine):
             self.program.refuse(name, "" if "P" in axes else f"{name} without P, the sub-program", MACROS, lost=True)
             axes.clear()
             return
+        if word != 65 and "H" in axes and not groups.keys() & {"G43", "tip"}:  # a line of the sub-program
+            reason = f"{name} with H, a sub-program from one of its lines on"
+            self.program.refuse(word_of("H", axes.pop("H")), reason, MACROS, lost=True)
         number, repeats = axes.pop("P"), axes.pop("L", 1.0)
         values = {}
         if word == 65:
