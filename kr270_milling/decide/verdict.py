@@ -73,14 +73,14 @@ class Verdict:
     def recommended(self) -> str:
         """The method, planned on the model, that is no risk and leaves the least deviation to 95 % of the plants.
 
-        "none" where no method makes the part better by 10 %.
+        "none" where no method makes the part better by 10 %. All robots of a method show whether it is a risk.
         """
         planned = {name: rows for name, rows in self.methods.items() if name != TRACKED}
         count = min(map(len, planned.values()), default=0)  # robots that run all of them
         before = self.original[:count]
         sound = {NO_METHOD: _high(before) * (1.0 - SAME)}
         for name, rows in planned.items():
-            if judge_plants(before, rows[:count], 0.0)[0] != UNTRUSTED:
+            if judge_plants(self.original[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
                 sound[name] = _high(rows[:count])
         return min(sound, key=sound.__getitem__)
 

@@ -415,6 +415,8 @@ def test_the_method_whose_95_percent_are_least_and_that_harms_no_plant_is_recomm
     first = np.append(methods["inverse"][:8], np.full(12, 79 * UM))  # on the robots that run all methods it is best
     later = {"inverse": first, "mirror": np.full(8, 20 * UM)}
     assert Verdict(HELPS, "", before, before, 1, later).recommended == "inverse"
+    harmful = later | {"inverse": np.where(np.arange(20) < 15, 9 * UM, 200 * UM)}  # a risk to robots behind the first 8
+    assert Verdict(HELPS, "", before, before, 1, harmful).recommended == "mirror"
     assert Verdict(HELPS, "", before, before, 1, {"spline": often}).recommended == "none"
     assert Verdict(HELPS, "", before, before, 1, {"linear": np.full(20, 79 * UM)}).recommended == "none"
 
