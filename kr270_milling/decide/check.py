@@ -24,7 +24,7 @@ from kr270_milling.decide.link_contacts import link_contacts
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.programs.files import knot_feeds
-from kr270_milling.decide.programs.points import ProgramBlocks, fixed_knots, point_numbers, program_blocks
+from kr270_milling.decide.programs.points import ProgramBlocks, fixed_knots, program_blocks, program_points
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import Trajectory
@@ -226,6 +226,6 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: 
     results += correction_per_tick(target, run, settings.tick_ns, settings.max_change_per_tick)
     if robot_program.motion == "LIN":
         fixed = fixed_knots(target.standing, knot_feeds(path_of(cell), len(target)))
-        points = point_numbers(robot_program, target, run, fixed)
-        results += corner_blending(target, run, robot_program.blend_distance, cell.limits.blending_share, points)
+        points = program_points(robot_program, target, run, fixed)
+        results += corner_blending(target, run, robot_program.blend_distance, cell.limits.blending_share, *points)
     return results

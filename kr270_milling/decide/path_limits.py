@@ -14,6 +14,7 @@ from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.sections import Limits
 from kr270_milling.decide.findings import Finding, violation, violations
+from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
 from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
@@ -134,21 +135,22 @@ def _on_the_way(original: Trajectory, time_ns: np.ndarray, values: np.ndarray) -
 
 
 def corner_blending(
-    original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5, points: np.ndarray | None = None
+    original: Trajectory,
+    revised: Trajectory,
+    blend_distance: float,
+    share=0.5,
+    points: np.ndarray | None = None,
+    auxiliary: np.ndarray | None = None,
 ) -> list[Finding]:
-    """Check the share of the correction [m] at a point that the controller's blending of LIN motions rounds off.
+    """Check the share of the correction [m] at a point that the controller's blending of LIN and CIRC rounds off.
 
-    A parabola that leaves the corner's legs at the distance d, at most half a leg, misses the corner by d sin(t/2) / 2
-    for a turn by t. Points where the tool stops are not blended. points: the knots that are points; None: all.
+    The path through the points is that of ``places_on_program``. Points where the tool stops are not blended. points:
+    the knots that are points, None: all; auxiliary: those that are auxiliary points of arcs, None: none.
     """
     points = np.arange(len(revised)) if points is None else points
-    legs = np.diff(revised.position[points], axis=0)
-    length = np.linalg.norm(legs, axis=1)
-    ahead = legs / np.where(length > 0, length, 1.0)[:, None]
-    half_sine = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 2
-    distance = np.minimum(blend_distance, np.minimum(length[:-1], length[1:]) / 2)
-    inner = points[1:-1]
-    rounded = np.where(original.standing[inner], 0.0, distance * half_sine / 2)
+    stops, inner = original.standing[points], points[1:-1]
+    place = places_on_program(revised, points, revised.position[points], stops, False, blend_distance, auxiliary)
+    rounded = np.linalg.norm(place - revised.position, axis=1)[inner]
     correction = np.linalg.norm(revised.position - original.position, axis=1)[inner]
     least_rounding = 1e-7  # [m], of a corner; less is no matter
     ratio = np.where(rounded < least_rounding, 0.0, rounded / np.maximum(correction, 1e-9))

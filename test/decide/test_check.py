@@ -140,6 +140,17 @@ def test_blending_rounds_a_corner_as_a_parabola_does_unless_the_tool_stops():
     assert corner_blending(*corner(stop=True), 1e-3) == corner_blending(*corner(stop=False), 0.0) == []
 
 
+def test_blending_rounds_lines_of_a_circle_and_not_its_arcs():
+    """Points each 22.5 deg of a radius of 10 mm: d sin(t / 2) / 2 of a corner are twice the correction of 50 um."""
+    angle = np.radians(22.5) * np.arange(9)
+    position = 0.01 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    velocity = np.roll(position, 1, axis=1) * [-1, 1, 0]
+    circle = Trajectory(10**8 * np.arange(9), position, TOOL_DOWN, velocity)
+    revised, points = circle.with_position(position + [0, 0, 5e-5]), np.arange(9)
+    assert corner_blending(circle, revised, 1e-3, points=points)
+    assert not corner_blending(circle, revised, 1e-3, points=points, auxiliary=points % 2 == 1)
+
+
 def test_a_large_or_hasty_correction_must_not_be_run_and_a_reference_of_another_path_is_refused(cell, ran):
     target, most = path_of(cell).target, cell.compensation.max_correction
     checked = check(cell, shifted(target, 1.01 * most * (np.arange(len(target)) == 40)), ran=ran)
