@@ -207,6 +207,6 @@ def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Finding]:
 
 def limit_sentence(part: Limited, by: Compensator) -> str:
     """Return the part of a correction that was cut off; if inertia dominates, also the feed at which it would fit."""
-    if by.learner is None or by.learner.inertia(part.time) < 0.5 * part.wanted:
+    if by.learner is None or part.missing >= part.wanted or by.learner.inertia(part.time) < 0.5 * part.wanted:
         return part.sentence
     return f"{part.sentence}; in reach at about {100 * part.feed_share:.0f} % of the programmed feed there"

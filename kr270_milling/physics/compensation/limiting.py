@@ -31,26 +31,28 @@ class Limited:
     worst: int = column("worst")  #: point that lost most
     time: float = column("time_s")  #: [s], of the worst one
     wanted: float = column("wanted_um", 1e6)  #: [m], size of the correction there
-    missing: float = column("missing_um", 1e6)  #: [m], the part of it that is left out
+    missing: float = column("missing_um", 1e6)  #: [m], the part of it that is left out; more where the sign turns
 
     @property
     def feed_share(self) -> float:
         """Share of the programmed feed at which the limit would about hold, where the inertia of the arm asks for it.
 
+        Of a correction of which a part is left.
         A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
         in a tick goes with f^3.
         """
-        remaining = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
+        remaining = 1.0 - self.missing / self.wanted
         return remaining ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
 
     @property
     def sentence(self) -> str:
         where = f"point {self.first}" if self.first == self.last else f"points {self.first} to {self.last}"
         why = "is too large" if self.kind == "size" else "changes too fast"
-        return (
-            f"the correction {why} at {where}: {1e6 * self.missing:.1f} of {1e6 * self.wanted:.1f} um are left out at "
-            f"point {self.worst} ({self.time:.3f} s)"
-        )
+        left = f"{1e6 * self.missing:.1f} of {1e6 * self.wanted:.1f} um are left out"
+        if self.missing >= self.wanted:
+            wanted = f"{1e6 * self.wanted:.1f} um are wanted"
+            left = f"{wanted}, and the correction is {1e6 * self.missing:.1f} um away from them,"
+        return f"the correction {why} at {where}: {left} at point {self.worst} ({self.time:.3f} s)"
 
 
 def limit_change(knots: np.ndarray, most: np.ndarray) -> np.ndarray:

@@ -286,6 +286,8 @@ def test_a_limited_correction_is_in_reach_at_a_lower_feed():
     size = Limited("size", 1, 2, 1, 0.0, wanted=400e-6, missing=300e-6)
     change = Limited("change", 1, 2, 1, 0.0, wanted=80e-6, missing=70e-6)
     assert size.feed_share == pytest.approx(0.5) and change.feed_share == pytest.approx(0.5)
+    turned = dataclasses.replace(change, wanted=1e-5, missing=4e-5)
+    assert "10.0 um are wanted, and the correction is 40.0 um away from them" in turned.sentence
 
 
 # --- a long path: pieces identify the arm, and blocks of segments are one path ---
