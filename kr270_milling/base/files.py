@@ -101,21 +101,25 @@ def write_files(contents: dict[Path, Iterable], newline: str = "\n") -> None:
     """Write several files from pieces of text or of bytes; raise InputError.
 
     Either all files appear under their names and replace existing files, or none does. A power cut may leave some.
+    Missing folders are made.
     """
     parts = {Path(path): Path(path).with_name(f".{Path(path).name}.{os.getpid()}.part") for path in contents}
     try:
         for path, pieces in contents.items():
             part = parts[Path(path)]
+            part.parent.mkdir(parents=True, exist_ok=True)
             part.unlink(missing_ok=True)
             _write(part, iter(pieces), newline)
         for path, part in parts.items():
             part.replace(path)
     except OSError as error:
-        place = error.filename or next(iter(contents), "output")
+        drafts = {str(part): path for path, part in parts.items()}
+        place = drafts.get(error.filename) or error.filename or next(iter(contents), "output")
         raise InputError(place, f"cannot be written ({write_failure(error, place)})") from None
     finally:
         for part in parts.values():
-            part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # a folder that is missing or no folder
+                part.unlink()
 
 
 def _write(path: Path, pieces: Iterator, newline: str) -> None:
