@@ -126,7 +126,6 @@ def write_programs(
     parts = [(0, len(original) - 1)]
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
-        folder.mkdir(parents=True, exist_ok=True)
         written, points, ends = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, notes, feeds)
         files[f"krl_{motion.lower()}"] = written
         parts = parts if programs else ends  # of the first motion: RSI runs it
@@ -136,7 +135,6 @@ def write_programs(
         limits = limits or krl.time_statements(program.replace(motion=motion), setup)
     if rsi and motions is not None:
         folder = place / f"rsi_{label}"
-        folder.mkdir(parents=True, exist_ok=True)
         limit, lines = cell.compensation.max_correction, setup.heading(program, "ORG", commanded[0])
         files["rsi_context"] = write_rsi_context(folder, program, setup, limit, rsi, lines, len(parts))
     tick_ns = cell.compensation.tick_ns

@@ -41,7 +41,6 @@ def write_report_page(directory, text: str) -> Path:
     The file appears whole or not at all. Raises InputError where it cannot be written.
     """
     path = Path(directory) / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_files({path: (text,)})
     return path
 

@@ -42,7 +42,6 @@ def write_series(directory, arm: PlacedArm, target: Trajectory, passes: Sequence
     Returns the paths, first those of the series. Each file appears whole or not at all.
     """
     place = Path(directory)
-    place.mkdir(parents=True, exist_ok=True)
     series, references = [], []
     for stem, scored in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")

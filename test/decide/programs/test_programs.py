@@ -235,8 +235,6 @@ def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_
             write(tmp_path, Program(), *swaying(20), source_hash=text)
     with pytest.raises(TrajectoryError):
         write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
-    with pytest.raises(InputError):
-        write(tmp_path / "none" / "none", Program(), *swaying(20))
     with pytest.raises(TrajectoryError, match="raise program.line_limit"):
         write(tmp_path, Program(motion="LIN", line_limit=100), *swaying(4000))
     assert not list(tmp_path.iterdir())
