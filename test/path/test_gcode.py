@@ -176,11 +176,14 @@ def test_cycles_return_by_g98_and_g99_repeat_by_l_and_end_with_a_motion_word_or_
 
 
 def test_a_retract_goes_to_the_highest_level_and_a_tool_that_comes_back_from_home_travels_above(read):
-    for home in ("G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 Z5", "G74 Z1=0"):
+    for home in ("G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 G91 Z0\nG90", "G74 Z1=0"):
         path = read(f"G0 X0 Y0 Z20\nG0 Z1\nG1 Z-1 F100\n{home}\nG0 X9 Y9\nG0 Z1\nG1 Z-1\n")
         assert millimetres(path)[2:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
     path = read("G0 X0 Y0 Z20\nG1 Z-1 F100\nG28\nG0 X9 Y9 Z1\nG1 Z-1\n")
     assert millimetres(path)[1:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
+    path = read("G0 X0 Y0 Z20\nG1 Z-1 F100\nG28 X3 Z-5\nG0 X9 Y9 Z1\nG91 G30 Z3\nG90 G0 X0 Y0\nZ1\nG1 Z-1\n")
+    between = [[3, 0, -5], [3, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, 4], [9, 9, 20], [0, 0, 20]]  # stated with G28, G30
+    assert millimetres(path)[2:-2] == between and path.rapid[2:-1].all()
     path = read("G53 G0 Z0\nG1 X5 Y5 F5000\nG0 Z2\nG1 Z-1 F100\n")
     assert millimetres(path) == [[5, 5, 2], [5, 5, -1]]
 

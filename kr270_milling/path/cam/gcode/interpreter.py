@@ -465,7 +465,10 @@ class Interpreter(Machine):
         program.set_frame("tool lengths", word)
 
     def _home(self, groups: dict, axes: dict) -> None:
-        """G28, G30, G53: the named axes leave the workpiece; without a name, and not for G53, all of them."""
+        """G28, G30, G53: the named axes leave the workpiece; without a name, and not for G53, all of them.
+
+        G28 and G30 lead the named axes through their stated place: NIST RS274/NGC 3.5.8.
+        """
         word, mode = word_of("G", groups["home"]), groups.get("motion")
         if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
             return
@@ -475,6 +478,15 @@ class Interpreter(Machine):
             self.program.refuse(word, f"{word} occurs with an arc in one line")
         elif mode is not None:
             self.set_mode(mode)
+        between = {
+            axis: axes[axis]
+            for axis in axes_home
+            if self.absolute.get(axis, not self.incremental) or (axes[axis] and abs(self.position[AXES[axis]]) < TOP)
+        }
+        if between and word != "G53":
+            mode, self.mode = self.mode, 0
+            self._move(between)
+            self.mode = mode
         text = " ".join([word, *(axes_home or (AXES if word in ("G28", "G30") else []))])
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
         self.home(text.split()[1:])

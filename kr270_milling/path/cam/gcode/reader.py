@@ -336,6 +336,7 @@ class GcodeReader:
         elif numbered and letter in "XYZ" and any(word in words for word in HOMES):  # of the machine: it goes home
             words[:] = [word for word in words if word not in HOMES[:2]]
             words += [("G", 28.0), (letter, 0.0)]
+            self.machine.absolute[letter] = False  # it has no place between
         else:
             names.append((name, text[len(name) :]))
 
