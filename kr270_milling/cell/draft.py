@@ -160,9 +160,11 @@ def draft(file: str, paths: Sequence[Toolpath], robot: str) -> tuple[str, list[s
 
 
 def _entry(path: Toolpath) -> str:
-    """The lines of one of several tools."""
+    """The lines of one of several tools; of a further run of a tool a comment."""
     tool, names = path.program.current, ", ".join(path.program.operations)
     label = _words(f"{tool.label if tool else path.program.tool}{f': {names}' if names else ''}")
+    if tool and tool.name != tool.changed_as:
+        return f"      # {label}: a further run, with the keys of {tool.changed_as} where it has no group of its own"
     keys = "\n".join(f"  {line}" for line in TOOL.format(**_tool(path)).splitlines())
     return f"      {path.program.tool}:  # {label}\n{keys}"
 

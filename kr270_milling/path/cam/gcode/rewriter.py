@@ -51,12 +51,12 @@ class _Watch(Interpreter):
         self._corrected: frozenset[str] = frozenset()  #: axes that a corrected feed move placed
 
     def _note(self, kind: str, axes: Collection[str]) -> None:
-        if self.program.tool in self.tools:
+        if self.program.run in self.tools:
             self.move_of_line = SourceMove(kind, self.unit, self.mode in (2, 3))
             self._corrected = frozenset("XYZ") if kind == "feed" else self._corrected.difference(axes)
 
     def _refuse(self, reason: str) -> None:
-        if self.program.tool in self.tools:
+        if self.program.run in self.tools:
             raise InputError(self.program.source, reason, self.program.line)
 
     def _relative(self, axes: Collection[str]) -> str:
