@@ -62,14 +62,11 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
             by_tool[run.name] = _cell_of_tool(run.name, _tree_of_tool(tree, run.name, path), assigned, path)
     cells = [by_tool[run.name] for run in runs]
     cut = [removal_of(cell) for cell in cells]
-    tips = [(cell.mount.xyz.tolist(), run.changed_as) for cell, run in zip(cells, runs, strict=True)]
+    tips = [cell.mount.xyz.tolist() for cell in cells]
     stages = [
-        Stage(
-            runs[k].name, k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :]),
-            same_tip=any(tip == tips[k][0] and tool != tips[k][1] for tip, tool in tips[:k]),
-        )
-        for k in range(len(cells))
-    ]  # fmt: skip
+        Stage(run.name, k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :]), run.first and tips[k] in tips[:k])
+        for k, run in enumerate(runs)
+    ]
     staged = [_staged(cell, stage, path) for cell, stage in zip(cells, stages, strict=True)]
     return tuple(cell for cell in staged if chosen in ("", cell.path.tool))
 

@@ -40,6 +40,11 @@ class ProgramTool:
     length_offset: bool = False  #: the program switches on a length for this tool (G43)
 
     @property
+    def first(self) -> bool:
+        """Return whether this is the first run of the tool."""
+        return self.name == self.changed_as
+
+    @property
     def label(self) -> str:
         """T1 (flat end mill, 10 mm); without a name "the tool (...)"."""
         known = [self.description] if self.description else []

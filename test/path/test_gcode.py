@@ -190,11 +190,23 @@ def test_a_retract_goes_to_the_highest_level_and_a_tool_that_comes_back_from_hom
 
 def test_a_change_of_the_tool_lifts_it_but_keeps_its_coordinates_and_a_preselected_one_is_not_yet_in_the_spindle(read):
     text = "T1 M6\nG0 X0 Y0 Z20\nG0 Z1\nG1 X5 F100\nT2 M6\nG1 X7\nG0 Z20\nT1 M6\nG0 X1 Z1\nG1 X2\n"
-    path = read(text, tool="T1")
-    assert millimetres(path) == [[0, 0, 20], [0, 0, 1], [5, 0, 1], [5, 0, 20], [1, 0, 20], [1, 0, 1], [2, 0, 1]]
+    assert millimetres(read(text, tool="T1")) == [[0, 0, 20], [0, 0, 1], [5, 0, 1]]
     assert read(text, tool="T2").length == pytest.approx(2e-3 + 19e-3)
+    assert millimetres(read(text, tool="T1_2")) == [[1, 0, 1], [2, 0, 1]]
     program = read("T1 M6\nT2\n" + HIGH + "G1 Z-1 F100\nM30\n").program
     assert [tool.name for tool in program.tools] == ["T1"]
+
+
+def test_a_tool_runs_again_after_another_one_or_at_another_speed_after_a_rapid_move(read):
+    sub = "T1 M6\nS1000 M3\nM98 P7\nT2 M6\nS1000 M3\nM98 P7\nS2000\nM98 P7\nM30\n"
+    sub += "O7\nG0 X0 Y0 Z1\nG1 Z-1 F100\nG0 Z1\nM99\n"
+    program = read(sub, tool="T1").program
+    assert [(tool.name, tool.cuts) for tool in program.tools] == [("T1", 1), ("T2", 1), ("T2_2", 1)]
+    speeds = [read(sub, tool=name).program.spindle_speeds[0] * 30 / math.pi for name in ("T1", "T2_2")]
+    assert speeds == pytest.approx([1000, 2000])
+    cutting = "T1 M6\nS1000 M3\nG0 X0 Y0 Z1\nG1 Z-1 F100\nS2000\nX5\nG0 Z5\nX9\nG1 Z-1\n"
+    with pytest.raises(InputError, match=r"2 spindle speeds: S1000 \(line 4\), S2000 \(line 6\)"):
+        read(cutting, tool="T1")
 
 
 def test_clockwise_is_seen_against_the_axis_across_the_plane_and_a_helix_of_sinumerik_turns_further_circles(read):
