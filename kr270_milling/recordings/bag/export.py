@@ -1,8 +1,7 @@
-"""Export topics as CSV or Parquet files, message by message, with bounded memory. Parquet needs pyarrow."""
+"""Export topics as CSV files, message by message, with bounded memory."""
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import itertools
@@ -16,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError, RecordingError
-from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording
@@ -24,7 +22,6 @@ from kr270_milling.recordings.messages.cdr import FIXED, TRAJECTORY, read_trajec
 from kr270_milling.recordings.messages.definitions import plain
 
 MAX_FILES = 100  # most files of a topic; a new file begins when the columns change
-ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
 Row = tuple[list[str], list]  # names of the columns, cells
 POINT = [
     *(f"position_{a}_m" for a in "xyz"),
@@ -41,15 +38,12 @@ def export(
     directory,
     topics: Collection[str] | None = None,
     progress: Callable | None = None,
-    kind: str = "csv",
 ) -> tuple[list[Path], dict[str, str]]:
-    """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
+    """Write one file for each topic into a directory; progress(messages done, of all).
 
     Returns the written files, and a sentence for each topic that cannot be read; the other topics are written. Raises
-    RecordingError for an unknown topic and a full disk, MillingError without pyarrow.
+    RecordingError for an unknown topic and a full disk.
     """
-    if kind == "parquet":
-        require_extra("Parquet", "studies", "pyarrow")
     known = recording.topics()
     missing = sorted(set(topics or ()) - set(known))
     if missing:
@@ -62,7 +56,7 @@ def export(
         for topic, about in known.items():
             if about.count and (topics is None or topic in topics):
                 try:
-                    files += _export_topic(recording, topic, Path(directory), kind, files)
+                    files += _export_topic(recording, topic, Path(directory), files)
                 except RecordingError as error:
                     refused[topic] = str(error)
             exported += about.count
@@ -75,21 +69,20 @@ def export(
     return files, refused
 
 
-def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, taken: list[Path]) -> list[Path]:
+def _export_topic(recording: Recording, topic: str, directory: Path, taken: list[Path]) -> list[Path]:
     """Write the files of a topic: a new file each time the columns change. They appear when all are complete."""
     files: list[Path] = []
-    write = _write_csv if kind == "csv" else _write_parquet
     with staged(directory) as (draft, _):
         for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
             if len(files) == MAX_FILES:
                 raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-            number, file = 1, directory / f"{_word(topic)}.{kind}"
+            number, file = 1, directory / f"{_word(topic)}.csv"
             while file in (*taken, *files):  # another topic has this name
                 number += 1
-                file = directory / f"{_word(topic)}_{number}.{kind}"
+                file = directory / f"{_word(topic)}_{number}.csv"
             files.append(file)
             with open(draft / files[-1].name, "xb") as stream:
-                write(stream, columns, (cells for _, cells in alike))
+                _write_csv(stream, columns, (cells for _, cells in alike))
     return files
 
 
@@ -103,32 +96,6 @@ def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
 def _inert(cell):
     """Return a cell that no spreadsheet takes for a formula: an apostrophe before texts such as =1+1."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
-
-
-def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
-    import pyarrow.parquet
-
-    with contextlib.ExitStack() as stack:
-        writer: pyarrow.parquet.ParquetWriter | None = None
-        for table in _tables(rows):
-            schema = writer.schema if writer else None
-            group = pyarrow.table(dict(zip(columns, map(list, zip(*table, strict=True)), strict=True)), schema=schema)
-            writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, group.schema))
-            writer.write_table(group)
-
-
-def _tables(rows: Iterable[list]) -> Iterator[list[list]]:
-    """Group rows, up to 1024 rows or 1 MB of text."""
-    table: list[list] = []
-    size = 0
-    for row in rows:
-        table.append(row)
-        size += sum(len(cell) for cell in row if isinstance(cell, str))
-        if len(table) == ROWS or size > TEXT_BYTES:
-            yield table
-            table, size = [], 0
-    if table:
-        yield table
 
 
 def rows(recording: Recording, topic: str) -> Iterator[Row]:

@@ -398,8 +398,7 @@ def _add_export(parser) -> None:
     _example(parser, "export out/pass1 --csv tables")
     add = parser.add_argument
     _shared(parser, "file")
-    add("--csv", metavar="DIR", help="write one CSV file per topic into this directory")
-    add("--parquet", metavar="DIR", help="the same as Parquet")
+    add("--csv", metavar="DIR", required=True, help="write one CSV file per topic into this directory")
     add("--topics", metavar="TOPIC", nargs="+", help="only these")
 
 
@@ -433,19 +432,13 @@ def _add_replay(parser) -> None:
     _example(parser, "replay out/pass1 --recompute")
     add = parser.add_argument
     add("file", metavar="FILE.mcap|DIR", help="a recording")
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
+    add(
         "--recompute",
         action="store_true",
         help="no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
         "missing or is left over, or the recompute cannot continue",
     )
-    group.add_argument(
-        "--compensate", action="store_true", help="no playback: the revised trajectory from the recorded pass"
-    )
     _shared(parser, "--cell")
-    add("--method", choices=_methods(), help="with --compensate: in place of the recorded method")
-    add("--out", metavar="DIR", help="with --compensate: write reference_trajectory.csv there")
     _shared(parser, "--remap")
     group = parser.add_argument_group("playback (names as in ros2 bag play)")
     for names, keywords in PLAY:
@@ -640,7 +633,7 @@ COMMANDS: dict[str, dict[str, tuple[str, Callable[[argparse.ArgumentParser], Non
     },
     "ROS": {
         "run": ("run the passes of a cell as ROS 2 nodes, each recorded to MCAP", _add_run),
-        "replay": ("play a recording back onto topics, recompute it bit for bit, or compensate from it", _add_replay),
+        "replay": ("play a recording back onto topics, or recompute it bit for bit", _add_replay),
     },
     "recordings": {
         "info": ("show what a recording holds", _add_info),

@@ -142,7 +142,6 @@ def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(wor
 @pytest.mark.parametrize(("module", "extra", "words"), [
     ("pyarrow", "studies", "map paper.yaml --out out"),
     ("distributed", "studies", "sweep paper.yaml --vary tool.teeth=2,4 --out out --scheduler tcp://127.0.0.1:9"),
-    ("pyarrow", "studies", "export nowhere --csv out --parquet out"),
     ("pyuff", "uff", "identify damping nowhere.uff"),
     ("rclpy", "ros", "run paper.yaml --out out"),
     ("rclpy", "ros", "replay nowhere"),
