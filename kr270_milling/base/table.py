@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import InputError, nearest
-from kr270_milling.base.text import read_lines, unended
+from kr270_milling.base.files import read_lines, unended
 
 SEPARATOR = re.compile(r'"?sep=(.)"?\s*', re.I)  #: the first line of a table that a spreadsheet wrote
 #: decimal sign -> a number with this sign, perhaps with the other one between groups of three digits

@@ -21,10 +21,9 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, perturbed
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
-from kr270_milling.physics.compensation.learning import Learner
+from kr270_milling.physics.compensation.learning import CellModels, Learner
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import method_of
-from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
 from kr270_milling.physics.motion.dynamics import ArmFactors, ModalModel

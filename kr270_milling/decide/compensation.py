@@ -14,11 +14,11 @@ from kr270_milling.cell.jobs import PLANNED, ScoredPass, compensated, compensato
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import DIVERGED, Plant
 from kr270_milling.decide.check import Checked, check
+from kr270_milling.decide.check_arm import backlash_statement
 from kr270_milling.decide.decision import ENOUGH, Decision, decided
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.levers import QUICK, scheduled
 from kr270_milling.decide.limits import Limit, limits
-from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
 from kr270_milling.decide.tolerance import judge, um_text
@@ -34,9 +34,9 @@ from kr270_milling.decide.verdict import (
 )
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
-from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import BEST
+from kr270_milling.physics.compensation.revision import Limited
 from kr270_milling.physics.motion.scores import Scores
 
 

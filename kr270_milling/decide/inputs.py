@@ -15,7 +15,7 @@ from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.path.cam.comments import AXIAL_KINDS
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import LinearEdgeLaw
-from kr270_milling.physics.cutting.materials import materials
+from kr270_milling.physics.cutting.laws import materials
 
 #: [rad] assumed: usual angles of a spindle from the axis of the flange, and how far bracket and calibration miss them
 MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)

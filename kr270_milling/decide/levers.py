@@ -22,8 +22,7 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import coarser
 from kr270_milling.decide.decision import ENOUGH
 from kr270_milling.decide.part.assessment import assess_result
-from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import ideal_part
+from kr270_milling.decide.part.surface import ideal_part, stations_of
 from kr270_milling.decide.programs.written import written_trajectory
 from kr270_milling.decide.tolerance import Judgement, judge_part
 from kr270_milling.decide.verdict import CHOOSING_SEED, NO_METHOD, drawn_errors

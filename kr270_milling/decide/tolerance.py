@@ -18,8 +18,7 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of, program_path
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
-from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import ideal_part
+from kr270_milling.decide.part.surface import ideal_part, stations_of
 from kr270_milling.physics.motion.milling_pass import SERIES, PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE, quaternion_from_rotation
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.robot.urdf_links import Link, links_of
+from kr270_milling.physics.robot.urdf import Link, links_of
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import from_bytes, named, serialise, time_fields
 from kr270_milling.recordings.messages.topics import TOPICS

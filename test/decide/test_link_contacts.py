@@ -10,7 +10,7 @@ import pytest
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.decide.link_contacts import link_contacts
+from kr270_milling.decide.check_arm import link_contacts
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot.kinematics import forward, pose
 from kr270_milling.physics.robot.urdf import LINKS, link_capsules

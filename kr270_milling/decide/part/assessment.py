@@ -12,8 +12,16 @@ from kr270_milling.base.column import CONVERGED, as_dict, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.models import path_of
-from kr270_milling.decide.part.stations import Stations, deviations, stations_of
-from kr270_milling.decide.part.surface import Floors, IdealPart, Walls, ideal_part, surface
+from kr270_milling.decide.part.surface import (
+    Floors,
+    IdealPart,
+    Stations,
+    Walls,
+    deviations,
+    ideal_part,
+    stations_of,
+    surface,
+)
 from kr270_milling.physics.motion.milling_pass import PassResult
 
 

@@ -14,15 +14,14 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.comments import operation_name
-from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.gcode import flow
 from kr270_milling.path.cam.gcode.expressions import NUMBER, ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.words import SILENT_M, word_of
 from kr270_milling.path.cam.machine import INCH, MM, Machine
-from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath

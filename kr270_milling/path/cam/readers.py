@@ -85,13 +85,13 @@ class PathReader:
 
 
 GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed", "offsets", "machine"))
-APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
+APT = PathReader("kr270_milling.path.cam.apt", "read_apt", ("tool", "feed"))
 #: the reader of each kind of file, by the end of the name; ``cell.sections`` adds recordings, which are above this room
 READERS: dict[str, PathReader] = {
     **dict.fromkeys(ENDINGS, GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
     ".h": PathReader("kr270_milling.path.cam.heidenhain", "read_heidenhain", ("tool", "feed", "machine")),
-    ".src": PathReader("kr270_milling.path.cam.krl.reader", "read_krl_program", ("tool", "feed")),
+    ".src": PathReader("kr270_milling.path.cam.krl", "read_krl_program", ("tool", "feed")),
     ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
 }
 

@@ -27,18 +27,18 @@ from kr270_milling.decide.part import FeatureRow, write_part
 from kr270_milling.decide.programs.files import (
     OLDER,
     program_bytes,
+    rsi_address,
     set_aside,
     time_law,
     write_manifest,
     write_programs,
 )
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
-from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
 from kr270_milling.decide.tolerance import after_passes, um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.decide.verdict import SAMPLES
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (

@@ -16,12 +16,11 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
 from kr270_milling.cell.sections import Workpiece
-from kr270_milling.decide.programs.files import write_manifest, write_programs
-from kr270_milling.decide.programs.rsi_context import rsi_address
+from kr270_milling.decide.programs.files import rsi_address, write_manifest, write_programs
 from kr270_milling.exchange.replay.recorded import passes_from_recording
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 from kr270_milling.physics.cutting import LAWS
-from kr270_milling.physics.cutting.materials import find_material, materials
+from kr270_milling.physics.cutting.laws import find_material, materials
 from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.recordings.bag.reader import Recording, remapping

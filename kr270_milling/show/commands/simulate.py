@@ -21,7 +21,7 @@ from kr270_milling.decide.part import FeatureRow, assess, write_part
 from kr270_milling.decide.programs.files import kuka_frames
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.decide.tools import in_turn
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 from kr270_milling.show.commands.console import Answer, joints_text, steps, title_of
 from kr270_milling.show.report.series import write_series
 

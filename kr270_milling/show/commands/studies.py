@@ -16,7 +16,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.stability import FeatureLimit, feature_limits, modes_of
-from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.path.trajectory import write_csv
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.cdr import TRAJECTORY

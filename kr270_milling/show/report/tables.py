@@ -19,7 +19,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.decide.exchange_share import exchange_share
+from kr270_milling.decide.check import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.motion.scores import Scores

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.physics.cutting.materials import materials
+from kr270_milling.physics.cutting.laws import materials
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.studies.identification.compliance import TILTS, Fit, Measurements, Problem, fit_compliance
 from kr270_milling.studies.identification.forces import FIRST, CutMeasurements, LawFit, contradicting_cut, fit_forces

@@ -16,8 +16,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant, coarser, perturbed
-from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import ideal_part, remaining_walls, tooth_tips
+from kr270_milling.decide.part.surface import ideal_part, remaining_walls, stations_of, tooth_tips
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.studies.identification.comparison import LinearFit, line_through

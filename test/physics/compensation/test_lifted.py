@@ -15,12 +15,12 @@ from kr270_milling import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation import arm_fit, ensemble, response
-from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
+from kr270_milling.physics.compensation import ensemble, learning, response
 from kr270_milling.physics.compensation.ensemble import Ensemble, least_mean_square
+from kr270_milling.physics.compensation.learning import Evidence, fit_arm
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, knots
-from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.response import ArmResponse, Lag, Segments, cubic_coefficients
+from kr270_milling.physics.compensation.revision import Limited
 
 OMEGA, ZETA = 42.0, 0.04
 KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
@@ -299,7 +299,7 @@ LONG_PATH = np.zeros((MANY, 4, 3))
 
 def test_pieces_of_a_long_path_identify_the_arm_and_it_costs_in_proportion_to_its_length():
     # a hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments
-    assert MANY > arm_fit.MOST_FITTED
+    assert MANY > learning.MOST_FITTED
     true = LONG_ARM.scaled(1.1, 0.8, 1.0, 1.15)
     wrench = np.random.default_rng(3).normal(0.0, 0.1, (MANY, 4, 6))
     passes = (Evidence(LONG_PATH, true.deflect(LONG, wrench), wrench),)

@@ -28,8 +28,8 @@ from kr270_milling.decide.programs.points import ProgramBlocks
 from kr270_milling.decide.stability import FeatureLimit, Stability
 from kr270_milling.decide.tolerance import Judgement
 from kr270_milling.decide.verdict import MethodComparison, Verdict
-from kr270_milling.live.nodes.start import start
-from kr270_milling.physics.compensation.limiting import Limited
+from kr270_milling.live.nodes.__main__ import start
+from kr270_milling.physics.compensation.revision import Limited
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.physics.robot.analysis import analyse, read_arm

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import read_lines, short
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.path.cam.gcode import ENDINGS
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.interpreter import Interpreter

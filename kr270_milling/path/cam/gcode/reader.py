@@ -12,7 +12,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from kr270_milling.base.text import read_lines, short, unended
+from kr270_milling.base.files import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.flow import Flow, has_flow

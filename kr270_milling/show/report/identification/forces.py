@@ -8,7 +8,7 @@ import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict
 from kr270_milling.physics.cutting import LAWS
-from kr270_milling.physics.cutting.materials import NAMES, SCALE, Material, spread
+from kr270_milling.physics.cutting.laws import NAMES, SCALE, Material, spread
 from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import COLOURS, points
 from kr270_milling.studies.identification.doubts import force_doubts

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_abc
-from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.arcs import ArcError, arc_points
 from kr270_milling.path.cam.comments import operation_name
-from kr270_milling.path.cam.krl.values import FRAME, KrlError, UnknownValueError, composed, evaluated, parts
+from kr270_milling.path.cam.krl_values import FRAME, KrlError, UnknownValueError, composed, evaluated, parts
 from kr270_milling.path.cam.machine import CHORD, MM, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, Toolpath
