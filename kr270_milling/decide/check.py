@@ -188,7 +188,7 @@ def check(
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
-        results += link_contacts(cell, run)
+        results += link_contacts(arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)

@@ -20,16 +20,15 @@ import numpy as np
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.arm import PlacedArm
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import arm_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import joint_gaps
-from kr270_milling.cell.sections import Limits
+from kr270_milling.cell.sections import Limits, Workpiece
 from kr270_milling.decide.findings import Finding, violation, violations
 from kr270_milling.path.controller_motion import places_on_program
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
+from kr270_milling.physics.cutting import Stock
 from kr270_milling.physics.motion.backlash import tool_jumps
 from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
 from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
@@ -180,14 +179,19 @@ STOCK = "the box of the uncut stock"
 APART = 3  # links in the chain from a link to the nearest link with which it is compared
 
 
-def link_contacts(cell: Cell, run: Trajectory) -> list[Finding]:
-    """Return the deepest contact of each link with each obstacle along a trajectory that the arm can follow."""
-    placed, stamps = arm_of(cell), _stamps(run)
-    capsules = link_capsules(cell.arm, cell.mount, cell.tool.stick_out)
-    turned, obstacles = placed.place.inverse(), _obstacles(cell)
+def link_contacts(
+    placed: PlacedArm, stick_out: float, workpiece: Workpiece, stock: Stock, run: Trajectory
+) -> list[Finding]:
+    """Return the deepest contact of each link with each obstacle along a trajectory that the arm can follow.
+
+    stick_out: of the tool [m]; stock, workpiece: box of the uncut stock, fixtures and table.
+    """
+    arm, mount, stamps = placed.arm, placed.mount, _stamps(run)
+    capsules = link_capsules(arm, mount, stick_out)
+    turned, obstacles = placed.place.inverse(), _obstacles(workpiece, stock)
     deepest: dict[tuple[str, str], tuple[float, int]] = {}
     for part in blocks(len(stamps)):
-        frames = forward(cell.arm, cell.mount, placed.joints_along(run, stamps[part]))
+        frames = forward(arm, mount, placed.joints_along(run, stamps[part]))
         links = [Pose(frames.nodes[:, k], frames.rotations[:, k]) for k in range(6)]
         base = Pose(0.0 * frames.flange.position, np.eye(3))
         in_part = [turned @ frame for frame in (base, *links, frames.flange, frames.tool)]
@@ -228,11 +232,11 @@ def _stamps(run: Trajectory) -> np.ndarray:
     return np.rint(np.interp(np.linspace(0.0, length[-1], count), length, run.time_ns)).astype(np.int64)
 
 
-def _obstacles(cell: Cell) -> list[tuple[str, tuple[np.ndarray, np.ndarray]]]:
+def _obstacles(workpiece: Workpiece, stock: Stock) -> list[tuple[str, tuple[np.ndarray, np.ndarray]]]:
     """Return name, lower and upper corner [m] of stock, fixtures and the table below them, workpiece frame."""
-    boxes = [(STOCK, (cell.stock.min, cell.stock.max))]
-    boxes += [(f"fixture {k}", (low, high)) for k, (low, high) in enumerate(cell.workpiece.fixture_boxes, 1)]
-    top, thick = cell.workpiece.table_z, 0.05  # [m], assumed: thickness of a table
+    boxes = [(STOCK, (stock.min, stock.max))]
+    boxes += [(f"fixture {k}", (low, high)) for k, (low, high) in enumerate(workpiece.fixture_boxes, 1)]
+    top, thick = workpiece.table_z, 0.05  # [m], assumed: thickness of a table
     if not math.isnan(top):
         low, high = np.min([b[1][0] for b in boxes], axis=0), np.max([b[1][1] for b in boxes], axis=0)
         boxes.append(

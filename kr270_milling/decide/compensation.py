@@ -15,13 +15,11 @@ from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import DIVERGED, Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.check_arm import backlash_statement
-from kr270_milling.decide.decision import ENOUGH, Decision, decided
+from kr270_milling.decide.decision import ENOUGH, Decision, Limit, decided, limits
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.levers import QUICK, scheduled
-from kr270_milling.decide.limits import Limit, limits
-from kr270_milling.decide.part.assessment import PartAssessment, assess_all
+from kr270_milling.decide.part.assessment import PartAssessment, assess_all, judge, um_text
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
-from kr270_milling.decide.tolerance import judge, um_text
 from kr270_milling.decide.verdict import (
     CHOOSING_SEED,
     NO_METHOD,

@@ -21,10 +21,9 @@ from kr270_milling.cell.jobs import PLANNED, compensated, compensator, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import coarser
 from kr270_milling.decide.decision import ENOUGH
-from kr270_milling.decide.part.assessment import assess_result
+from kr270_milling.decide.part.assessment import Judgement, assess_result, judge_part
 from kr270_milling.decide.part.surface import ideal_part, stations_of
 from kr270_milling.decide.programs.written import written_trajectory
-from kr270_milling.decide.tolerance import Judgement, judge_part
 from kr270_milling.decide.verdict import CHOOSING_SEED, NO_METHOD, drawn_errors
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory

@@ -70,7 +70,7 @@ class Child:
         self.log = logs / f"{self.name}.log"
         program = nodes if len(nodes) == 1 else ("milling_cell", *nodes)
         command = [sys.executable, "-m", "kr270_milling.live.nodes", *program, *arguments]
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)  # until the child has its handlers, see nodes.start
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)  # until the child has its handlers, see live.nodes
         try:
             with open(self.log, "ab") as stream:
                 self.process = subprocess.Popen(

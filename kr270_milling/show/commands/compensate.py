@@ -24,6 +24,7 @@ from kr270_milling.decide.compensation import compensate, limit_sentence
 from kr270_milling.decide.decision import CAUTION, NO, YES
 from kr270_milling.decide.levers import Lever, levers
 from kr270_milling.decide.part import FeatureRow, write_part
+from kr270_milling.decide.part.assessment import after_passes, um_text
 from kr270_milling.decide.programs.files import (
     OLDER,
     program_bytes,
@@ -35,7 +36,6 @@ from kr270_milling.decide.programs.files import (
 )
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
-from kr270_milling.decide.tolerance import after_passes, um_text
 from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.decide.verdict import SAMPLES
 from kr270_milling.path.trajectory import read_csv

@@ -21,8 +21,7 @@ from kr270_milling.decide.stability import modes_of
 from kr270_milling.decide.tools import DecisionOnTools
 from kr270_milling.physics.robot import Arm
 from kr270_milling.show.report import page
-from kr270_milling.show.report.decision_block import TONES, cut_text
-from kr270_milling.show.report.tables import micro, typographic
+from kr270_milling.show.report.tables import TONES, cut_text, micro, typographic
 from kr270_milling.studies.maps.lobes import engagement_text
 from kr270_milling.studies.maps.placements import MAPPED, PlacementRow, Summary
 from kr270_milling.studies.maps.sweep import SweepSummary

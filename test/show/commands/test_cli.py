@@ -20,13 +20,13 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cli import main
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.check_cut import Residue
+from kr270_milling.decide.decision import Limit
 from kr270_milling.decide.findings import Finding, Place
-from kr270_milling.decide.limits import Limit
 from kr270_milling.decide.part import FeatureRow
+from kr270_milling.decide.part.assessment import Judgement
 from kr270_milling.decide.programs.gcode import WrittenGcode
 from kr270_milling.decide.programs.points import ProgramBlocks
 from kr270_milling.decide.stability import FeatureLimit, Stability
-from kr270_milling.decide.tolerance import Judgement
 from kr270_milling.decide.verdict import MethodComparison, Verdict
 from kr270_milling.live.nodes.__main__ import start
 from kr270_milling.physics.compensation.revision import Limited
