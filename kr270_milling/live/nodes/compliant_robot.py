@@ -12,7 +12,6 @@ from rclpy.timer import Timer
 
 from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import WrenchSample
-from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
@@ -33,7 +32,7 @@ class CompliantRobot(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("compliant_robot", **kwargs)
-        self.cell = read_cell(self.declared_cell())
+        self.cell = self.declared_cell()
         self.protocol = RobotProtocol(self.cell)
         about = "seconds of the pass in a second of the wall clock; 0: as fast as possible"
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]

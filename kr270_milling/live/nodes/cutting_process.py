@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from kr270_milling.base.samples import PoseSample
-from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.models import cut_of
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.live.ros import topics
@@ -21,7 +20,7 @@ class CuttingProcess(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
-        self.cell = read_cell(self.declared_cell())
+        self.cell = self.declared_cell()
         self.protocol = CutProtocol(self.cell)
         self._robots = 0
         self._silence = Silence()

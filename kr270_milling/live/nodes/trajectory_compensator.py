@@ -43,7 +43,7 @@ class TrajectoryCompensator(ReportingNode):
 
     def __init__(self, **kwargs):
         super().__init__("trajectory_compensator", **kwargs)
-        cell = read_cell(self.declared_cell())
+        cell = self.declared_cell()
         about = "how to compensate; a new method starts from the pass along the target"
         method = self.declared(METHOD, cell.compensation.method, about, read_only=False)
         self.cell = cell.replace(compensation=cell.compensation.replace(method=method))

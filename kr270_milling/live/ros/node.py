@@ -7,7 +7,6 @@ import math
 import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -25,6 +24,8 @@ from std_srvs.srv import Trigger
 from kr270_milling.base.errors import InputError, MessageError, MillingError, one_line
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.units import SECOND
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.readiness import SUBSCRIBERS, Report, joined
@@ -125,13 +126,13 @@ class ReportingNode(Node):
         descriptor = ParameterDescriptor(description=about, read_only=read_only, **fields)
         return self.declare_parameter(name, default, descriptor).value
 
-    def declared_cell(self) -> Path:
-        """Declare the parameter ``cell_file`` and return the file that it names. Raises InputError, ConfigError."""
+    def declared_cell(self) -> Cell:
+        """Declare the parameter ``cell_file`` and return the cell of this file. Raises InputError, ConfigError."""
         name = self.declared("cell_file", "", "parameter file of the cell; a shipped file may go by its name")
         if not name:
             where = f"parameters of {self.get_fully_qualified_name()}"
             raise InputError(where, "cell_file is missing: -p cell_file:=CELL.yaml")
-        return find_file(name)
+        return read_cell(find_file(name))
 
     def subscribe(self, topic: topics.RosTopic, use: Callable, read: Callable | None = None):
         """Subscribe to a topic; ``use`` receives the record of each message, see ``used``.

@@ -20,7 +20,7 @@ from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.jobs import joint_ranges
 from kr270_milling.cell.models import cut_of, cut_text_of, path_of
-from kr270_milling.decide.compensation import compensate, limit_sentence
+from kr270_milling.decide.compensation import DecisionOnTools, compensate, in_turn, limit_sentence
 from kr270_milling.decide.decision import CAUTION, NO, YES
 from kr270_milling.decide.levers import Lever, levers
 from kr270_milling.decide.part import FeatureRow, write_part
@@ -36,7 +36,6 @@ from kr270_milling.decide.programs.files import (
 )
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
-from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.decide.verdict import SAMPLES
 from kr270_milling.path.trajectory import read_csv
 from kr270_milling.physics.compensation.revision import chord_error

@@ -17,8 +17,8 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.arcs import arcs_along
+from kr270_milling.decide.compensation import DecisionOnTools
 from kr270_milling.decide.stability import modes_of
-from kr270_milling.decide.tools import DecisionOnTools
 from kr270_milling.physics.robot import Arm
 from kr270_milling.show.report import page
 from kr270_milling.show.report.tables import TONES, cut_text, micro, typographic
