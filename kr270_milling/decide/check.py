@@ -68,7 +68,6 @@ def exchange_share(path: CellPath, ran: ScoredPass, tolerances: Tolerances) -> t
 
 
 RAPID_MOVES = "removed by rapid moves"
-MOST_LINES = 10  #: lines of the program in the text about rapid moves
 
 
 ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
@@ -151,11 +150,12 @@ class Checked:
     @property
     def rapid_text(self) -> str:
         """Return the volume, and the lines of the program that remove it, in one line."""
+        most_lines = 10  # lines of the program in the text about rapid moves
         if self.rapid_moves is None:
             return f"{RAPID_MOVES}: not known, the arm cannot make the path"
         lines = list(dict.fromkeys(str(f.where.line) for f in self.rapid_moves if f.where.line))
-        more = f" and {len(lines) - MOST_LINES} more" if len(lines) > MOST_LINES else ""
-        where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:MOST_LINES])}{more})" if lines else ""
+        more = f" and {len(lines) - most_lines} more" if len(lines) > most_lines else ""
+        where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:most_lines])}{more})" if lines else ""
         return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
 
 

@@ -37,16 +37,15 @@ from kr270_milling.physics.robot.inverse import branches
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.physics.robot.urdf import LINKS, link_capsules
 
-MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
-
 
 def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[list[Finding], np.ndarray | None]:
     """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
+    most_turned = 4 * np.pi  # [rad], of joints that have no limits
     arm = placed.arm
     results = _reach(placed, run)
     if results:
         return results, None
-    unlimited = arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
+    unlimited = arm.replace(joint_lower=np.full(6, -most_turned), joint_upper=np.full(6, most_turned))
     try:
         joints = dataclasses.replace(placed, arm=unlimited).joints(run)
     except SingularityError as error:
@@ -174,9 +173,7 @@ def corner_blending(
 
 
 WAY = 5e-3  # [m] of the tip between two postures that are compared
-TURN = 0.3  # [m], assumed: a turn of the tool by an angle counts as a way on this radius
 STOCK = "the box of the uncut stock"
-APART = 3  # links in the chain from a link to the nearest link with which it is compared
 
 
 def link_contacts(
@@ -201,7 +198,8 @@ def link_contacts(
             for name, box in obstacles if link else ():
                 pairs.append((LINKS[link], name, radius - _nearest(start, end, _from_box, *box)))
             for other, first, last, wide in moved:
-                if min(other, 6) - min(link, 6) >= APART:
+                # links in the chain from a link to the nearest link with which it is compared
+                if min(other, 6) - min(link, 6) >= 3:
                     away = _nearest(start, end, _from_segment, first, last)
                     pairs.append((LINKS[other], LINKS[link], radius + wide - away))
         for body, obstacle, depth in pairs:
@@ -226,7 +224,8 @@ def _stamps(run: Trajectory) -> np.ndarray:
     """Stamps [ns] on a trajectory, WAY apart."""
     cosine = np.abs(np.einsum("ij,ij->i", run.quaternion[1:], run.quaternion[:-1]))
     turn = 2.0 * np.arccos(np.minimum(cosine, 1.0))
-    way = np.linalg.norm(np.diff(run.position, axis=0), axis=1) + TURN * turn
+    # [m], assumed: a turn of the tool by an angle counts as a way on this radius
+    way = np.linalg.norm(np.diff(run.position, axis=0), axis=1) + 0.3 * turn
     length = np.concatenate([[0.0], np.cumsum(way)])
     count = 2 + math.ceil(length[-1] / WAY)
     return np.rint(np.interp(np.linspace(0.0, length[-1], count), length, run.time_ns)).astype(np.int64)

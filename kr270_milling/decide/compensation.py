@@ -141,7 +141,8 @@ def compensate(
     if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
         with progress("limits"):
             program = written_trajectory(cell, revised.reference, motion)
-            rows = limits(cell, program, max(2, robots // DRAWN_OF))
+            # robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
+            rows = limits(cell, program, max(2, robots // 8))
     shares = cell.uncertainty.least_backlash, cell.uncertainty.backlash
     backlash = backlash_statement(cell.arm.backlash, shares, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)
@@ -192,7 +193,6 @@ def _verdict(
 
 
 FORMER, PROGRAMMED = "former", "as_programmed"  #: names of a program that stays, and of one without a correction
-DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
 
 
 def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Finding]:

@@ -34,7 +34,6 @@ from kr270_milling.physics.compensation.methods import LEARNED
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult
 
-SEED = 1_000_001  #: of these robots, beyond the seeds of verdicts and of ``robust``
 SHOWN = 3  #: unknowns in a line
 #: name of each unknown: its keys of ``uncertainty``, and the measurement with its instrument and minutes (assumed)
 UNKNOWNS: dict[str, tuple[tuple[str, ...], str]] = {
@@ -86,7 +85,8 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     for name, (keys, _) in UNKNOWNS.items():
         left = {key: values[key] for key in keys}
         if any(np.any(value) for value in left.values()):
-            rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
+            # the seed of these robots is beyond those of verdicts and of ``robust``
+            rng, other = np.random.default_rng(1_000_001), model.replace(uncertainty=known.replace(**left))
             drawn += [(name, perturbed(other, rng)) for _ in range(count)]
     with ThreadPoolExecutor(at_once(path_of(model))) as pool:
         ran_rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))

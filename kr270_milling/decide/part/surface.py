@@ -182,9 +182,6 @@ def _sheet(p: np.ndarray) -> np.ndarray:
 SLOPE = 0.02  #: a steeper floor is a wall
 STEEP = 2.75  #: assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
 
-CHUNK = 5_000  #: marks at once, with the neighbours of each 25 kB
-CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
-
 
 #: passage of a tooth by the left or right of the path of a rigid arm
 MARK = np.dtype(
@@ -213,7 +210,8 @@ def marks(tool: Tool, path: Stations, period: float, rigid: np.ndarray) -> np.nd
     """All marks, MARK, of a pass with tool centres (n + 1, 3) [m] every ``period`` [s]; for each side by time."""
     heading = np.unwrap(path.heading)
     first, last = heading[:-1], heading[1:]
-    corner = np.abs(last - first) > CORNER  # there the path turns at once to its new direction
+    # [rad] a larger turn of the path within a period is a corner
+    corner = np.abs(last - first) > 0.1  # there the path turns at once to its new direction
     first = np.where(corner, last, first)
     turn, rows = period * tool.spindle_speed, []
     relative = np.arange(len(rigid)) * turn - tool.sense * heading
@@ -278,6 +276,7 @@ def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.nda
     error (m, 2) [m]: shifts of the teeth. own: reach of the tooth of the mark itself [m], (k,); it counts
     alone where a tool rests so long that all the nearest marks are of other walls.
     """
+    chunk = 5_000  # marks at once, with the neighbours of each 25 kB
     out = np.array(own)
     if not out.size:
         return out
@@ -286,8 +285,8 @@ def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.nda
     bound = float(np.sqrt(2.0 * hits["radius"].max() * deepest))
     neighbours = 48  # at most; a tool that rests marks one place with every tooth
     parallel = 0.98  # cosine between normals of one wall
-    for first in range(0, out.size, CHUNK):
-        mine = staying[first : first + CHUNK]
+    for first in range(0, out.size, chunk):
+        mine = staying[first : first + chunk]
         place, normal = tooth_tips(mine), mine["normal"]
         _, near = tree.query(place, k=min(neighbours, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
@@ -303,7 +302,7 @@ def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.nda
         moved = rigid + np.einsum("mkd,md->mk", error[near], normal)
         farthest = [np.where(same, reach, -np.inf).max(axis=1) for reach in (moved, rigid)]
         known = same.any(axis=1)
-        out[first : first + CHUNK][known] = farthest[0][known] - farthest[1][known]
+        out[first : first + chunk][known] = farthest[0][known] - farthest[1][known]
     return out
 
 

@@ -36,7 +36,6 @@ from kr270_milling.path.trajectory import Trajectory, TrajectoryError, offsets, 
 from kr270_milling.physics.robot import pose, status_turn
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
-AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 TABLES = ("joints", "rsi")  #: that ``write_programs`` can write beside the programs
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
@@ -230,7 +229,8 @@ def _approach(cell: Cell, run: Trajectory, knot: int) -> tuple[np.ndarray, int, 
             raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
         status, turn = status_turn(cell.arm, joints)
         approaches.append((above[0] + [*shift, 0.0], int(status), int(turn)))
-        if np.abs(joints).min() > AT_ZERO:
+        # an axis nearer to zero has no certain sign: points are written to 0.1 um
+        if np.abs(joints).min() > np.radians(1e-3):
             return approaches[-1]
     return approaches[0]
 

@@ -27,7 +27,6 @@ from kr270_milling.path.trajectory import Trajectory
 
 SOFTER = 0.8  #: share of the acceleration of the second time law
 NOWHERE = Pose(np.zeros(3), np.eye(3))
-CALL = re.compile(r"([A-Z]\w*)\( \)")
 MOTION = re.compile(r"(SPL|LIN|CIRC)(?: \{(X [^}]*)\},| )\{(X [^}]*)\}( C_DIS)?(?: WITH .*)?")
 START = re.compile(r"DECL FRAME XP\d+=\{(.*)\}")
 
@@ -143,7 +142,7 @@ def read_krl(directory, main: str) -> tuple[Pose, np.ndarray, np.ndarray]:
         if start and not rows:
             add(start[1], True)
         for line in path.read_text(encoding="ascii").splitlines():
-            if match := CALL.fullmatch(line):
+            if match := re.fullmatch(r"([A-Z]\w*)\( \)", line):
                 run(match[1])
             elif line == "ENDSPLINE":
                 stops[-1] = True

@@ -43,8 +43,8 @@ SILENT = frozenset({
     "MCHTOL", "ARCSLP", "BREAK", "UNLOAD", "TLON",
 })  # fmt: skip
 TEXTS = ("PARTNO", "PPRINT", "REMARK", "INSERT", "LETTER")  #: their values are text, in which $ is a character
+TEXT = re.compile(rf"\s*(?:{'|'.join(TEXTS)})\b", re.I)
 SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: words that set the origin of the coordinates
-CENTRE = "let the CAM output the path of the tool's centre"
 MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
 DATUM = "let the CAM output coordinates of one system"
 MOVES = "let the CAM output this move as GOTO"
@@ -59,13 +59,6 @@ ADVICE = {
 }  # fmt: skip
 
 
-WORD = re.compile(r"[A-Z][A-Z0-9 _-]*")
-TEXT = re.compile(rf"\s*(?:{'|'.join(TEXTS)})\b", re.I)
-BEGINNING = re.compile(r"\s*([A-Z][A-Z-]*)\s*(?:[/$]|\Z)", re.I)
-ROW = re.compile(r"[-+0-9.,EeDd \t]*\$?\s*")  #: numbers that continue a remark of Creo
-CARD = re.compile(r".{72}\s{0,7}[A-Z]{0,5}([0-9]{1,8})\s*")  #: columns 73 to 80 of a punched card number it
-INSERTED = re.compile(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", re.I)  #: a block of an INSERT that sets or moves
-SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO")
 NO_END = "a CIRCLE/ without the GOTO/ of its end"
 
 
@@ -119,7 +112,8 @@ class _AptReader(Machine):
         """Up to the end of the program, or of the file."""
         statement, remark, first, number, cuts = "", "", 0, 1, 0
         for number, line in enumerate(_without_numbers(lines if lines[-1].strip() else lines[:-1]), 1):
-            if remark and ROW.fullmatch(line):
+            # numbers that continue a remark of Creo
+            if remark and re.fullmatch(r"[-+0-9.,EeDd \t]*\$?\s*", line):
                 remark, line = remark.rstrip("$ \t") + line.strip(), ""
             if remark and not remark.endswith("$"):
                 self._remark(remark)
@@ -161,7 +155,7 @@ class _AptReader(Machine):
 
     def _begins(self, line: str) -> str:
         """Return the known word that a line begins with, "" for none."""
-        match = BEGINNING.match(line)
+        match = re.match(r"\s*([A-Z][A-Z-]*)\s*(?:[/$]|\Z)", line, re.I)
         word = match[1].upper() if match else ""
         return word if word in self.actions or word in SILENT or word in ADVICE or word in TEXTS else ""
 
@@ -189,7 +183,7 @@ class _AptReader(Machine):
             self.program.count(first)
         elif first in ADVICE:
             self.program.refuse(first, advice=ADVICE[first], lost=True)
-        elif WORD.fullmatch(word):
+        elif re.fullmatch(r"[A-Z][A-Z0-9 _-]*", word):
             self.program.refuse(word, f"{short(word)} is not supported", MILL, lost=True)
         else:
             self.program.refuse(statement, f"{short(statement)!r} is no APT statement", lost=True)
@@ -214,7 +208,8 @@ class _AptReader(Machine):
             self.program.name_feature(name)
 
     def _text(self, word: str, text: str, block: str) -> None:
-        if word == "INSERT" and INSERTED.search(block):
+        # a block of an INSERT that sets or moves
+        if word == "INSERT" and re.search(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", block, re.I):
             self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} sets or moves", MOVES, lost=True)
             return
         self.program.count(word)
@@ -485,6 +480,7 @@ class _AptReader(Machine):
         self.rapid = False
 
     def _spindle(self, values: list[str]) -> None:
+        spindle_words = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO")
         sense, speeds = 1, []
         rest = iter(values)
         for value in rest:
@@ -495,9 +491,9 @@ class _AptReader(Machine):
                 next(rest, "")
             elif value == "CCLW":
                 sense = -1
-            elif value[:1].isalpha() and value not in SPINDLE_WORDS:
+            elif value[:1].isalpha() and value not in spindle_words:
                 raise StatementError(f"SPINDL/{short(value)} is not supported (ON, OFF, a number, RPM, CLW, CCLW are)")
-            elif value not in SPINDLE_WORDS:
+            elif value not in spindle_words:
                 speeds.append(_number(value) * 2 * math.pi / 60)
                 if not 0 <= speeds[-1] <= 1e6:  # [rad/s]
                     raise StatementError(f"the spindle speed {short(value)} is out of range")
@@ -518,7 +514,7 @@ class _AptReader(Machine):
         """Count the compensation of the tool's length and the end of each; refuse all others."""
         side = {"LEFT", "RIGHT"} & set(values) or not {"OFF", "ADJUST", "LENGTH"} & set(values)
         if values and side:
-            self.program.refuse("CUTCOM", advice=CENTRE, lost=True)
+            self.program.refuse("CUTCOM", advice="let the CAM output the path of the tool's centre", lost=True)
         else:
             self.program.count("CUTCOM")
 
@@ -545,7 +541,8 @@ class _AptReader(Machine):
 
 def _without_numbers(lines: list[str]) -> list[str]:
     """Return the lines of punched cards without the rising numbers of their columns 73 to 80, other lines unchanged."""
-    cards = [CARD.fullmatch(line) for line in lines if line.strip()]
+    # columns 73 to 80 of a punched card number it
+    cards = [re.fullmatch(r".{72}\s{0,7}[A-Z]{0,5}([0-9]{1,8})\s*", line) for line in lines if line.strip()]
     numbers = [int(card[1]) for card in cards if card]
     rising = all(a < b for a, b in itertools.pairwise(numbers))
     return [line[:72] for line in lines] if len(numbers) == len(cards) > 1 and rising else lines

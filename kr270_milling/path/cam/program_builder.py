@@ -321,7 +321,6 @@ def _several(what: str, words: list[tuple[str, int]]) -> list[Refusal]:
 
 #: [m] how far above the last depth a peck starts again: 0.01 inch, as in LinuxCNC
 CLEARANCE = 0.254e-3
-MOST_PECKS = 10_000
 
 
 @dataclass
@@ -340,6 +339,7 @@ class Cycle:
         81, 82, 86: in, out rapidly; 76 also, without its small shift by Q at the bottom of the bored hole; 83: out to R
         after each peck; 73: back by the clearance; 85, 89: out at the feed.
         """
+        most_pecks = 10_000
         if self.kind not in (73, 83) or not 0 < self.peck < self.retract - self.bottom:
             return [(self.bottom, False), (self.retract, self.kind not in (85, 89))]
         depth = self.retract
@@ -350,6 +350,6 @@ class Cycle:
                 path += [(above, True)] if self.kind == 73 else [(self.retract, True), (above, True)]
             depth = depth - self.peck if depth - self.peck > self.bottom + NEAR else self.bottom
             path.append((depth, False))
-            if len(path) > 3 * MOST_PECKS:
-                raise ValueError(f"the hole takes more than {MOST_PECKS} pecks; wrong Q?")
+            if len(path) > 3 * most_pecks:
+                raise ValueError(f"the hole takes more than {most_pecks} pecks; wrong Q?")
         return [*path, (self.retract, True)]

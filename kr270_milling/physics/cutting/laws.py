@@ -243,7 +243,6 @@ FILE = "materials.csv"
 #: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
 NAMES = LinearEdgeLaw.result_keys()
 SCALE = np.array([spec.scale for spec in specs(LinearEdgeLaw)])  #: [N/m^2, N/m per file unit]
-TEXTS = ("material", "cutter", "lubrication", "reference")
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,10 +258,11 @@ class Material:
 
 def materials() -> list[Material]:
     """All rows, in the order of the file."""
-    columns = (*TEXTS, *NAMES)
+    fields = ("material", "cutter", "lubrication", "reference")
+    columns = (*fields, *NAMES)
     table = read_table(find_file(FILE), columns, columns)
     values = table.numbers(NAMES, np.nan) * SCALE
-    texts = zip(*map(table.texts, TEXTS), strict=True)
+    texts = zip(*map(table.texts, fields), strict=True)
     journal = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
     return [
         Material(name, cutter, cooling, row, f"{journal}, reference [{reference}] there")

@@ -73,10 +73,7 @@ def lower_nodes(s, p, base, first):
 
 
 MISSED = math.inf  # height of a tool that does not cover a node
-SLICES = 40  # of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
 ROUND = 4  # the same without a level end
-STEEP = 0.9  # cos(kappa) of a piece of an arc, below which it is seen from the middle of the way
-NEWTON = 2  # steps to the moment at which the tool meets a slice
 U, V, X, Y, Z, NU, NV, NZ, LAST, RISE, COVER = (RUN * k for k in range(11))  # rows of ``EdgeBins.place``
 FLAT = 1e-9  # [m] and sine of an angle below which a length and a tilt are none
 
@@ -584,7 +581,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
     m = step[0] * frame[0] + step[1] * frame[1] + step[2] * frame[2]
     side = step[0] * frame[3] + step[1] * frame[4] + step[2] * frame[5]
     sink = step[0] * frame[6] + step[1] * frame[7] + step[2] * frame[8]
-    count = 1 + min(int((SLICES if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
+    # slices of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
+    count = 1 + min(int((40 if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
     thin = height / (count * count)
     entry = ENTRIES / p.radius
     slant = end_x * step[6] + end_y * step[7]
@@ -603,7 +601,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
             radius = _radius_at(p.profile.parts, at) + slack
             beyond = at > 0.0 and square > radius * radius and slant < at * step[14] * step[14]
         before = 0.5 * share  # of the lowest place
-        for left in range(NEWTON if p.end_radius > 0.0 else 0, -1, -1):
+        # steps to the moment at which the tool meets a slice
+        for left in range(2 if p.end_radius > 0.0 else 0, -1, -1):
             u, v, w = end_x + before * step[0], end_y + before * step[1], end_z + before * step[2] + up
             h = u * frame[6] + v * frame[7] + w * frame[8]
             e1 = u * frame[0] + v * frame[1] + w * frame[2]
@@ -621,7 +620,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
             if left == 0 and h > p.end_radius - rho and shape.sine[b] < FLAT and shape.edges[b] < 0.5:
                 while b < last and shape.sine[b] < FLAT:  # nearer to the side, which left it in a cell of its rim
                     b += 1
-            if beyond or left == 0 or (shape.bend[b] > 0.0 and shape.cosine[b] < STEEP):
+            # cos(kappa) of a piece of an arc, below which it is seen from the middle of the way
+            if beyond or left == 0 or (shape.bend[b] > 0.0 and shape.cosine[b] < 0.9):
                 break
             gap = (rho - shape.rims[b]) * shape.sine[b] - (h - shape.edges[b] * p.level_step) * shape.cosine[b]
             speed = (m * e1 + side * e2) / rho * shape.sine[b] - sink * shape.cosine[b]

@@ -21,7 +21,6 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import FIXED, TRAJECTORY, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import plain
 
-MAX_FILES = 100  # most files of a topic; a new file begins when the columns change
 Row = tuple[list[str], list]  # names of the columns, cells
 POINT = [
     *(f"position_{a}_m" for a in "xyz"),
@@ -71,11 +70,12 @@ def export(
 
 def _export_topic(recording: Recording, topic: str, directory: Path, taken: list[Path]) -> list[Path]:
     """Write the files of a topic: a new file each time the columns change. They appear when all are complete."""
+    max_files = 100  # most files of a topic; a new file begins when the columns change
     files: list[Path] = []
     with staged(directory) as (draft, _):
         for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
-            if len(files) == MAX_FILES:
-                raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
+            if len(files) == max_files:
+                raise RecordingError(recording.path, f"the columns of {topic} change more than {max_files} times")
             number, file = 1, directory / f"{_word(topic)}.csv"
             while file in (*taken, *files):  # another topic has this name
                 number += 1

@@ -53,8 +53,6 @@ RECORD = (
     "with RSI run SERVOTEST_ORG, and 'kr270_milling rsi' with the table rsi_offsets_servo; its recording has both",
     "without RSI run SERVOTEST_CMP, and trace commanded and actual positions on the controller, or use a tracker",
 )
-DESIGNS = ("planned for the test pose", "A-optimal", "D-optimal")  #: names of ``load_tests.CRITERIA``
-BLIND_DESIGNS = 201  #: random designs, of which the median is shown
 
 
 def _answer(args, outcome) -> Answer:
@@ -86,6 +84,8 @@ def identify_compliance(args) -> Answer:
 
 def _plan(args, arm, mount, pose) -> Answer:
     """Plan load tests; write their table and program."""
+    blind_designs = 201  # random designs, of which the median is shown
+    criteria = ("planned for the test pose", "A-optimal", "D-optimal")  # names of ``load_tests.CRITERIA``
     if pose is None:
         raise InputError(
             "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
@@ -96,11 +96,11 @@ def _plan(args, arm, mount, pose) -> Answer:
     if args.plan > len(choice.tests):
         raise InputError("--plan", f"asks for {args.plan} load tests, but only {len(choice.tests)} are possible here")
     planner = load_tests.Planner(arm, mount, choice, pose, not args.no_gravity, args.base)
-    designs = {name: planner.best(args.plan, c) for name, c in zip(DESIGNS, load_tests.CRITERIA, strict=True)}
+    designs = {name: planner.best(args.plan, c) for name, c in zip(criteria, load_tests.CRITERIA, strict=True)}
     rng = np.random.default_rng(args.seed)
-    blind = sorted((planner.random(args.plan, rng) for _ in range(BLIND_DESIGNS)), key=lambda d: d.pose_error)
-    designs[f"random (median of {BLIND_DESIGNS})"] = blind[BLIND_DESIGNS // 2]
-    best = designs[DESIGNS[0]]
+    blind = sorted((planner.random(args.plan, rng) for _ in range(blind_designs)), key=lambda d: d.pose_error)
+    designs[f"random (median of {blind_designs})"] = blind[blind_designs // 2]
+    best = designs[criteria[0]]
     plan = load_tests.sorted_tests(choice.take(best.rows))
     result = plan_as_dict(plan, designs, best, planner.names)
     if args.out:

@@ -40,7 +40,6 @@ from kr270_milling.studies.maps.placements import (
 )
 from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
-SHOWN = 24  #: rows of the printed table
 OTHERS = (
     "the path itself: check and --along take the engagement, feed direction and posture of each feature, so that their "
     "limits differ from the lobes"
@@ -76,7 +75,8 @@ def run_stability(args) -> Answer:
     about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
     cut = engagement_text(cell.path)
     title = f"Stability lobes of {cut} (path.radial_immersion, path.mode) at the start of the path"
-    table = table_of(title, shown, rows[:: max(1, -(-len(rows) // SHOWN))])
+    # rows of the printed table
+    table = table_of(title, shown, rows[:: max(1, -(-len(rows) // 24))])
     return Answer(about, [table, summary, OTHERS, *files])
 
 

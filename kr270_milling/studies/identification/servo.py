@@ -23,7 +23,6 @@ from kr270_milling.studies.identification.intervals import half_interval
 from kr270_milling.studies.identification.signals import even_stamps, pose_series, read_topic, resampled
 
 PAIRS = (("commanded_mm", "measured_mm"), ("commanded_deg", "measured_deg"))
-LINEAR = 3  #: numbers that are eliminated: a, b, g
 FINE = 0.5e-3  #: [s], longest step of the integration; samples are farther apart
 
 
@@ -187,7 +186,8 @@ def fit_servo(move: Move, damping: float | None = None) -> Servo:
     ]
     columns = np.column_stack(slopes)
     columns -= np.outer(explained, explained @ columns) / max(float(explained @ explained), 1e-300)  # of the scale
-    freedom = len(left) - LINEAR - columns.shape[1]
+    # numbers that are eliminated: a, b, g
+    freedom = len(left) - 3 - columns.shape[1]
     length = np.linalg.norm(columns, axis=0)
     inverse = np.linalg.pinv((columns / length).T @ (columns / length))
     variance = float(left @ left) / freedom * _correlation(left) + 1e-24 * size**2

@@ -40,11 +40,7 @@ CONTROL = re.compile(
 NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 #: a comment; the words before a bracket are not the name of a cycle here
 REMARK = re.compile(r"\([^)]*\)|;.*")
-HEADER = re.compile(r"[O:]0*([0-9]+)")
-SINUMERIK = re.compile(r"(?:%_N_|PROC)(L[0-9]+)", re.I)
 MISSING = "the sub-program {} is not in this file, and no file of this name that has it is beside it"
-NUMBERED = re.compile(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])")  #: calls of a number
-LOCAL = re.compile(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?")
 ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
 #: letters of G65 -> numbers of the parameters (Fanuc, argument specification I)
 ARGUMENTS = dict(zip("ABCIJKDEFHQRSTUVWXYZ", (*range(1, 10), 11, *range(17, 27)), strict=True))
@@ -163,11 +159,11 @@ class Flow:
             text = "".join(REMARK.sub("", self.lines[index]).split()).upper()
             if match := NUMBER.match(text.lstrip("/")):
                 self.numbers.setdefault((part, int(match[1])), []).append(index)
-            if match := HEADER.fullmatch(text):
+            if match := re.fullmatch(r"[O:]0*([0-9]+)", text):
                 names.setdefault(match[1], index + 1)
                 if not part:
                     self.heads.add(index + 1)
-            elif match := SINUMERIK.match(text):
+            elif match := re.match(r"(?:%_N_|PROC)(L[0-9]+)", text, re.I):
                 names[match[1].upper()] = index + 1  # PROC follows %_N_
             elif match := CONTROL.fullmatch(text):
                 control = _Line(_label(match["label"] or ""), match["word"] or match["fanuc"], match["rest"] or "")
@@ -176,9 +172,10 @@ class Flow:
                 self.controls[index] = control
                 self._pair(index, control, opened, names)
                 calls |= {f"SUB {control.label}"} if control.word == "CALL" else set()
-            if "P" in text and (match := NUMBERED.match(text)):
+            # calls of a number
+            if "P" in text and (match := re.match(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])", text)):
                 calls |= {match[1], f"{int(match[1]) % 10_000}"}  # P30012 is three times O12
-            elif "L" in text and (match := LOCAL.fullmatch(text)):
+            elif "L" in text and (match := re.fullmatch(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?", text)):
                 calls.add(f"L{match[1]}")
         self.faults += [(index, f"{word} of {label or 'its loop'} has no end") for index, label, word in opened]
         return calls

@@ -35,9 +35,6 @@ ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their 
 DROPPED = frozenset((17, 97, 98, 99))
 
 
-TITLE = re.compile(r"\s*O\s*[0-9]+\s*", re.I)
-
-
 class _Expansion(Interpreter):
     """Writes each block as its settings and its moves."""
 
@@ -131,7 +128,7 @@ class _Reader(GcodeReader):
     def _comments(self, code: str, comments: list[str]) -> None:
         super()._comments(code, comments)
         texts = [f"({comment.replace('(', '[').replace(')', ']')})" for comment in comments if comment]
-        if texts and TITLE.fullmatch(code):
+        if texts and re.fullmatch(r"\s*O\s*[0-9]+\s*", code, re.I):
             texts[0] = f"{code.strip()} {texts[0]}"
         self.machine.lines += texts
 
@@ -157,7 +154,6 @@ def _number(length: float) -> str:
     return f"{round(length / MM, 7) + 0.0:.7f}".rstrip("0").rstrip(".")
 
 
-SAME_PLACE = 1e-9  #: [m], of a position and its number with seven decimals of a mm
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
 #: words that end a block: they stay on the last of its new blocks
@@ -283,7 +279,8 @@ class GcodeSource:
         if not self.written_out:
             return path.line
         read = gcode_path(file, list(self.lines), path.program.tool, feed)
-        if len(read) != len(path) or np.abs(read.position - path.position).max() > SAME_PLACE:
+        # [m], of a position and its number with seven decimals of a mm
+        if len(read) != len(path) or np.abs(read.position - path.position).max() > 1e-9:
             raise InputError(file, "cannot be written out without parameters and sub-programs")
         return read.line
 
