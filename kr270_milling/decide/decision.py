@@ -123,11 +123,6 @@ def _deviation(model: Cell, robot: Cell, reference: Trajectory, scored: tuple[np
     return np.einsum("nij,nj->ni", weights[cutting], actual[cutting])
 
 
-def limit_line(rows: tuple[Limit, ...]) -> str:
-    """One line: the unknowns with the largest shares."""
-    return "limits: " + ", ".join(f"{row.name} ({100 * row.share:.0f} %)" for row in rows[:SHOWN])
-
-
 def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str]:
     """Lines: what to measure, and how many of the robots would meet the tolerance then; the best first.
 
@@ -257,7 +252,8 @@ class Decision:
         """The lines that terminal, manifest and programs print."""
         more = [self.backlash] if self.backlash else []
         if self.limits and self.verdict:
-            more += [limit_line(self.limits), *measurements(self.limits, self.verdict.shares)[1:]]
+            largest = ", ".join(f"{row.name} ({100 * row.share:.0f} %)" for row in self.limits[:SHOWN])
+            more += [f"limits: {largest}", *measurements(self.limits, self.verdict.shares)[1:]]
         return [self.text, *more, f"as programmed: {self.as_programmed.words}", self.method_text, *self.notes]
 
 

@@ -242,16 +242,7 @@ class Trajectory:
         return Trajectory(self.time_ns, position, self.quaternion, velocity, self.frame)
 
     @classmethod
-    def straight_line(
-        cls,
-        start,
-        direction,
-        length: float,
-        feed_rate: float,
-        knot_period_s: float,
-        quaternion=TOOL_DOWN,
-        frame: str = "workpiece",
-    ) -> Trajectory:
+    def straight_line(cls, start, direction, length: float, feed_rate: float, knot_period_s: float) -> Trajectory:
         """Return a line of a length [m] at constant feed rate [m/s]; the last knot is at the exact end."""
         direction = np.asarray(direction, float)
         if not (length > 0 and feed_rate > 0 and knot_period_s > 0 and np.linalg.norm(direction) > 0):
@@ -261,7 +252,7 @@ class Trajectory:
         time_ns = np.round(np.append(np.arange(knots) * knot_period_s, duration) * 1e9).astype(np.int64)
         path = np.append(time_ns[:-1] * 1e-9 * feed_rate, length)
         unit = direction / np.linalg.norm(direction)
-        return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, quaternion, None, frame)
+        return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, np.array(TOOL_DOWN))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -415,7 +406,7 @@ def _in_mm(values: np.ndarray) -> Iterator[list[str]]:
         yield from ([str(Decimal(repr(v)).scaleb(3)) for v in row] for row in values[part].tolist())
 
 
-def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | None]:
+def read_csv(path) -> tuple[Trajectory, np.ndarray | None]:
     """Read what ``write_csv`` wrote: the trajectory and the joint angles [rad], (n, 6), or None."""
     table = read_table(path, KNOT + VELOCITY + JOINTS, KNOT, whole=True)
     column = dict(zip(table.names, table.numbers(table.names).T, strict=True))
@@ -434,7 +425,7 @@ def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | N
     joints = columns(JOINTS) if JOINTS[0] in column else None
     velocity = columns(VELOCITY) if VELOCITY[0] in column else None
     try:
-        run = Trajectory(time_ns, columns(KNOT[1:4]), columns(KNOT[4:]), velocity, frame)
+        run = Trajectory(time_ns, columns(KNOT[1:4]), columns(KNOT[4:]), velocity)
     except TrajectoryError as error:
         raise InputError(path, error.reason, None if error.index is None else table.lines[error.index]) from None
     return run, None if joints is None else np.radians(joints)

@@ -159,12 +159,10 @@ def read_path_file(
     return reader.read(path, **{name: options[name] for name in reader.options})
 
 
-def read_toolpath(
-    path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = (), machine: Kinematics = NO_ROTARY_AXES
-) -> Toolpath:
+def read_toolpath(path, tool: str = "", feed: float = 0.0, machine: Kinematics = NO_ROTARY_AXES) -> Toolpath:
     """Read the tool path of a CAM program or of a CSV of points, as ``read_path_file``."""
     recorded = reader_of(path).recorded
-    toolpath = None if recorded else read_path_file(path, tool, feed=feed, offsets=offsets, machine=machine)
+    toolpath = None if recorded else read_path_file(path, tool, feed=feed, machine=machine)
     if not isinstance(toolpath, Toolpath):
         raise InputError(path, "is a recording, not a program")
     return toolpath

@@ -381,10 +381,10 @@ class Learner:
         base = self._with(controller_motion(plain, self.target) if self.conditions.smooth else plain)
         smoothness = SMOOTHNESS + (self._rough / ROUGH) ** 2
         if self.criterion == "min_max" and not self._rough:
-            solution = lifted.min_max(base, self._weight(), smoothness, self.scored)
+            cubic, _ = lifted.min_max(base, self._weight(), smoothness, self.scored)
         else:
-            solution = lifted.least_squares(base, self._weight(), smoothness)
-        return knots(self.segments, solution.cubic)
+            cubic, _ = lifted.least_squares(base, self._weight(), smoothness)
+        return knots(self.segments, cubic)
 
     def robust_correction(self) -> np.ndarray:
         """Values [m] at the knots, (k, 3), for the simulated robots; that of the model where there are none."""

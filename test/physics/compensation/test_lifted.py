@@ -112,7 +112,7 @@ def test_the_least_mean_square_over_robots_has_no_slope_in_any_direction_that_th
     least = cost(best)
     assert least < 0.8 * cost(np.zeros_like(best))
     for _ in range(8):
-        way = lifted.least_squares(rng.normal(0.0, 20e-6, (m, 16, 3)), weight, 1e-3).cubic
+        way = lifted.least_squares(rng.normal(0.0, 20e-6, (m, 16, 3)), weight, 1e-3)[0]
         ahead, behind = cost(best + way) - least, cost(best - way) - least
         assert min(ahead, behind) > 0.0 and abs(ahead - behind) < 1e-3 * (ahead + behind)
 
@@ -253,18 +253,18 @@ def spline_numbers(number):
 @pytest.mark.parametrize("smooth", [True, False])
 def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     arm = one_mode()
-    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(DEVIATION, WEIGHTS, SMOOTH)
+    cubic, _ = Lifted(arm, EIGHTH, course(smooth)).least_squares(DEVIATION, WEIGHTS, SMOOTH)
     expected = dense(arm, smooth)
     scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
-    difference = np.abs(obtained.cubic[:, :, 1] - expected)[:, : scale.size]
+    difference = np.abs(cubic[:, :, 1] - expected)[:, : scale.size]
     assert np.all(difference.max(axis=0) < 1e-5 * scale)
 
 
 def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_even_peaks():
     lifted = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,)))
-    obtained = lifted.least_squares(DEVIATION, WEIGHTS, SMOOTH)
+    cubic, _ = lifted.least_squares(DEVIATION, WEIGHTS, SMOOTH)
     t = EIGHTH.duration[:, None]
-    c, v, a, j = np.swapaxes(obtained.cubic, 0, 1)
+    c, v, a, j = np.swapaxes(cubic, 0, 1)
     ends = c + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
     for end, start, size in zip(ends, (c, v, a), (1e-5, 1e-3, 1e-1), strict=True):
         jump = np.abs(end[:-1] - start[1:]).max(axis=1)
@@ -272,12 +272,12 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_eve
         assert size == 1e-1 or jump.max() < 1e-8 * size
     for knot in (5, 8, 9):
         assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
-    assert not obtained.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
+    assert not cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
     assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a separate bend after a stop
     scored = EIGHTH.middle_ns >= 150_000_000
     lifted = Lifted(one_mode(), EIGHTH, course())
     both = lifted.least_squares(DEVIATION, WEIGHTS, 1e-9), lifted.min_max(DEVIATION, WEIGHTS, 1e-9, scored)
-    plain, even = (np.abs(obtained.left[..., 1][scored]) for obtained in both)
+    plain, even = (np.abs(left[..., 1][scored]) for _, left in both)
     assert even.max() < 0.9 * plain.max() and even.std() / even.max() < plain.std() / plain.max() + 0.1
 
 
@@ -333,7 +333,7 @@ def test_blocks_of_segments_are_one_path(monkeypatch):
         solved = []
         for smooth in (True, False):
             conditions = KnotConditions(smooth, np.arange(91) % 40 == 0, np.zeros(90, bool))
-            solved += vars(Lifted(arm, segments, conditions).least_squares(deviation, weight, 1e-6)).values()
+            solved += Lifted(arm, segments, conditions).least_squares(deviation, weight, 1e-6)
         return [arm.deflect(segments, wrench), arm.swing(segments, cubic, np.ones(3)), *solved]
 
     at_once = results()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,13 +133,13 @@ class _Reader(GcodeReader):
         self.machine.lines += texts
 
 
-def expanded(path, lines: list[str], feed: float = 0.0, offsets: Sequence[float] = ()) -> list[str] | None:
+def expanded(path, lines: list[str], feed: float = 0.0) -> list[str] | None:
     """Return the lines of a program written out; None for a program of plain blocks in one place.
 
     Raises InputError for a program that cannot be run.
     """
     program = ProgramBuilder(path, "")
-    machine = _Expansion(program, feed, changes_by_m6(lines), offsets)
+    machine = _Expansion(program, feed, changes_by_m6(lines), ())
     reader = _Reader(program, machine)
     reader.read(lines)
     if not (reader.computed or machine.needed):
