@@ -37,7 +37,6 @@ from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
 WINDOW = 0.1  #: [s], over which the corrections of the mean force count: one period corrects the next
-NEGLIGIBLE = 0.05  #: share of the tolerance: a smaller correction is no stop, however slow the feed, as in a plunge
 
 
 def exchange_share(path: CellPath, ran: ScoredPass, tolerances: Tolerances) -> tuple[float, str, list[Finding]]:
@@ -49,6 +48,7 @@ def exchange_share(path: CellPath, ran: ScoredPass, tolerances: Tolerances) -> t
     square over WINDOW with the feed of a period, or with that of a tooth where this is longer: material that one period
     missed is removed in the next, so that a single step of the force, as at an entry, changes one period alone.
     """
+    negligible = 0.05  # share of the tolerance: a smaller correction is no stop, however slow the feed, as in a plunge
     scale = path.feed_rate * 2.0 * np.pi / (path.tool.spindle_speed * path.tool.teeth)
     correction, name, period = ran.result.correction, "feed per tooth", "exchange.period_ms"
     if not path.by_teeth:
@@ -61,16 +61,13 @@ def exchange_share(path: CellPath, ran: ScoredPass, tolerances: Tolerances) -> t
     above = f": above {100 * warn:g} %, use a shorter {period}" if share > warn else ""
     text = f"exchange: largest correction of a predicted pose is {100 * share:.1f} % of the {name}{above}"
     tolerance = min(filter(None, tolerances.of()), default=0.0)
-    if share <= stop or correction[k] <= NEGLIGIBLE * tolerance:
+    if share <= stop or correction[k] <= negligible * tolerance:
         return share, text, []
     point = int(np.searchsorted(ran.reference.time_ns, ran.result.time_ns[min(k, len(ran.result.time_ns) - 1)])) + 1
     return share, text, [violation("exchange", share, stop, point, scale=name)]
 
 
 RAPID_MOVES = "removed by rapid moves"
-
-
-ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +172,7 @@ def check(
     context that yields a function for the progress of a step. Where the arm cannot make the path, nothing is simulated.
     Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
     """
+    arm_errors = DeflectionError, UnstableLoadError, EquilibriumError  # an arm that cannot bear its load
     fed = path_of(cell).fed
     programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
@@ -200,7 +198,7 @@ def check(
         results += cut
         about["ran"] = ran
         about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
-        with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
+        with contextlib.suppress(*arm_errors):  # the pass reports the same error as a finding
             with progress("stability") as report:
                 about["stability"] = stability_statement(cell, report)
             results += chatter_violations(about["stability"], run.time)

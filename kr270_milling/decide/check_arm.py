@@ -172,7 +172,6 @@ def corner_blending(
     return violations("corner blending", ratio, share, points=inner + 1)
 
 
-WAY = 5e-3  # [m] of the tip between two postures that are compared
 STOCK = "the box of the uncut stock"
 
 
@@ -222,12 +221,13 @@ def link_contacts(
 
 def _stamps(run: Trajectory) -> np.ndarray:
     """Stamps [ns] on a trajectory, WAY apart."""
+    spacing = 5e-3  # [m] of the tip between two postures that are compared
     cosine = np.abs(np.einsum("ij,ij->i", run.quaternion[1:], run.quaternion[:-1]))
     turn = 2.0 * np.arccos(np.minimum(cosine, 1.0))
     # [m], assumed: a turn of the tool by an angle counts as a way on this radius
     way = np.linalg.norm(np.diff(run.position, axis=0), axis=1) + 0.3 * turn
     length = np.concatenate([[0.0], np.cumsum(way)])
-    count = 2 + math.ceil(length[-1] / WAY)
+    count = 2 + math.ceil(length[-1] / spacing)
     return np.rint(np.interp(np.linspace(0.0, length[-1], count), length, run.time_ns)).astype(np.int64)
 
 

@@ -140,7 +140,6 @@ def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str
 
 YES, CAUTION, NO = "yes", "caution", "no"
 ENOUGH, HALF = 0.9, 0.5  #: shares of the robots that must meet the tolerance for ``yes`` and for ``caution``
-NEEDS_TRACKER = "learned needs a tracker on the real machine: here it learned from simulated passes"
 
 
 @dataclass(frozen=True)
@@ -265,8 +264,9 @@ def decided(
 
     checked: findings of the path of the second one; backlash: whether the figures include it.
     """
+    needs_tracker = "learned needs a tracker on the real machine: here it learned from simulated passes"
     stops = tuple(finding.sentence for finding in checked.findings if finding.severity == "stop")
-    notes = [NEEDS_TRACKER] if method == LEARNED.name else []
+    notes = [needs_tracker] if method == LEARNED.name else []
     if after.error > before.error:
         errors = f"{um_text(after.error)} against {um_text(before.error)}"
         notes.append(f"{method} makes the part worse than no compensation ({errors})")

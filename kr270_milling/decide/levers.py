@@ -32,7 +32,6 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 RATIOS = (1.0, 1.1, 1.25, 1.5)  #: cycle times of softer ramps, of the programmed one; also feeds stay below the last
 NEEDS = "needs part.tolerance_um, and a program without times in path.file"
 QUICK = "inverse"  #: method that plans while feeds are chosen; ``robust`` takes eight times as long
-STRETCH = 0.25  #: [s] of a stretch at the programmed feed: ramps of 2 m/s2 and 20 m/s3 to 4 m/min take 0.12 s
 ROUNDS = 4  #: feeds that are tried; each plans the correction again
 FAILED = 1e6  #: error of a robot that fails, as a share of the tolerance
 
@@ -181,6 +180,7 @@ def _within_time(cell: Cell, path: Toolpath, ends: np.ndarray, share: np.ndarray
 
 def _stretches(path: Toolpath) -> np.ndarray:
     """Ends of the stretches [m]: pieces of ``STRETCH`` of a cut, which ends at a corner or with its feed or feature."""
+    usual = 0.25  # [s] of a stretch at the programmed feed: ramps of 2 m/s2 and 20 m/s3 to 4 m/min take 0.12 s
     k = np.arange(1, len(path))
     start, end = path.tangent(k, np.zeros(k.size)), path.tangent(k, path.plane_length[k])
     # [rad], turn of the path that ends a stretch
@@ -190,7 +190,7 @@ def _stretches(path: Toolpath) -> np.ndarray:
     border = np.cumsum(path.block_length)[last]
     length = np.diff(border, prepend=0.0)
     steady = path.rapid[last] | path.drilling[last]
-    count = np.where(steady, 1, np.ceil(length / np.maximum(path.feed[last] * STRETCH, 1e-6))).astype(int)
+    count = np.where(steady, 1, np.ceil(length / np.maximum(path.feed[last] * usual, 1e-6))).astype(int)
     return np.repeat(border - length, count) + np.repeat(length / count, count) * (
         1 + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     )

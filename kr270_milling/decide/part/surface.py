@@ -89,9 +89,6 @@ def deviations(path: Stations, error: np.ndarray) -> np.ndarray:
     return np.column_stack([np.sum(error * path.tangent, axis=1), normal, error[:, 2]])
 
 
-TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-
-
 def machined(cut: CutModel, positions: np.ndarray, clock: Clock, run: Trajectory | None = None) -> CutModel:
     """Move the tool tip through positions (n + 1, 3) [m] of a fresh workpiece, and return the workpiece.
 
@@ -133,13 +130,14 @@ def write_stl(path, cut: CutModel, lattice: tuple[np.ndarray, ...] = ()) -> int:
     A large part has 4 million triangles at most. lattice: x (a,), y (b,) and heights (a, b) [m] in place of those of
     the cut. The file appears whole or not at all. Raises InputError where it cannot be written.
     """
+    triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     stock = cut.stock
     x, y, z = lattice or cut.heights(thinning=_thinning(cut))
     x, y = (np.concatenate([[stock.min[k]], axis, [stock.max[k]]]) for k, axis in enumerate((x, y)))  # to the borders
     least = stock.min[2] + cut.params.level_step  # where the tool went through, a skin is left: the surface is one
     z = np.maximum(np.pad(z, 1, mode="edge"), least)
     triangles = _triangles(x * 1e3, y * 1e3, z * 1e3, float(stock.min[2]) * 1e3)
-    record = np.zeros(len(triangles), TRIANGLE)
+    record = np.zeros(len(triangles), triangle)
     record["corners"] = triangles
     corners = record["corners"].astype(float)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -180,7 +178,6 @@ def _sheet(p: np.ndarray) -> np.ndarray:
 
 
 SLOPE = 0.02  #: a steeper floor is a wall
-STEEP = 2.75  #: assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
 
 
 #: passage of a tooth by the left or right of the path of a rigid arm
@@ -417,9 +414,10 @@ def _curved(stock: Stock, ideal: IdealPart, height: np.ndarray) -> Floors:
 
     Steeper places than ``STEEP`` are left out: the nodes of the map do not resolve them.
     """
+    steep = 2.75  # assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
     spacing = stock.grid_step * ideal.thinning
     slope = np.hypot(*np.gradient(ideal.height, spacing))
-    cut = ~ideal.unjudged & (slope < STEEP) & (ideal.height < stock.max[2] - 0.5 * ideal.level)
+    cut = ~ideal.unjudged & (slope < steep) & (ideal.height < stock.max[2] - 0.5 * ideal.level)
     border = maximum_filter(~cut, 3, mode="constant")  # the slope there is that of an edge
     error = np.where(cut & ~border, (height - ideal.height) / np.hypot(1.0, slope), np.nan)
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner, curved=True)

@@ -32,9 +32,6 @@ FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MM
          "PERREV": (None, True)}  # fmt: skip
 #: kind of CYCLE/ -> the cycle of G-code that makes the same hole
 CYCLES = {"DRILL": 81, "FACE": 82, "DEEP": 83, "BRKCHP": 73, "REAM": 85}
-#: word of CYCLE/ -> the distance that follows
-DISTANCES = {"DEPTH": "depth", "FEDTO": "depth", "CLEAR": "clear", "RAPTO": "clear", "STEP": "step", "INCR": "step",
-             "RETURN": "back", "RTRCTO": "back"}  # fmt: skip
 #: words without effect on the path, whatever their values
 SILENT = frozenset({
     "REMARK", "MACHIN", "COOLNT", "DISPLY", "PAINT", "INTOL", "OUTTOL", "TOLER", "END-OF-PATH", "STOP", "OPSTOP",
@@ -347,6 +344,9 @@ class _AptReader(Machine):
         depth, feed, unit, clear, step, or DEPTH, unit and feed, CLEAR, STEP, RETURN; RETURN,0 leads to the height
         before the cycle, as RTRCTO,AUTO of NX does. Without either the tool returns to the clear height.
         """
+        # word of CYCLE/ -> the distance that follows
+        distances = {"DEPTH": "depth", "FEDTO": "depth", "CLEAR": "clear", "RAPTO": "clear", "STEP": "step",
+                     "INCR": "step", "RETURN": "back", "RTRCTO": "back"}  # fmt: skip
         if self.holes:
             (self.feed_mode, self.feed), self.holes = self.feed_beside, {}
         self.cycle = None
@@ -360,7 +360,7 @@ class _AptReader(Machine):
                 kinds.append(value)
             elif value in FEEDS:
                 units.append(value)
-            elif name := DISTANCES.get(value):
+            elif name := distances.get(value):
                 number = next(rest, "")
                 if name in holes:
                     raise StatementError(f"CYCLE/ has two words for one distance, the second is {value}")

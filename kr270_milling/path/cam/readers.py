@@ -26,7 +26,6 @@ LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_p
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
 COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}
 COLUMNS |= {name: (name, 1.0) for name in "ijk"}
-HEADERS = [f"x_mm,y_mm,z_mm,{turn}feed_mm_per_min" for turn in ("", "a_deg,b_deg,c_deg,", "i,j,k,")]
 
 
 def read_points(path) -> Toolpath:
@@ -34,10 +33,11 @@ def read_points(path) -> Toolpath:
 
     a, b, c are KUKA angles of tcp in the workpiece frame; i, j, k are the tool axis from tip to holder, ``tool_along``.
     """
+    headers = [f"x_mm,y_mm,z_mm,{turn}feed_mm_per_min" for turn in ("", "a_deg,b_deg,c_deg,", "i,j,k,")]
     table = read_table(path, COLUMNS, whole=True)
     names, scales = zip(*(COLUMNS[name] for name in table.names), strict=True)
-    if sorted(names) not in [sorted(COLUMNS[name][0] for name in header.split(",")) for header in HEADERS]:
-        raise InputError(path, f"the header must be {' or '.join(HEADERS)}", 1)
+    if sorted(names) not in [sorted(COLUMNS[name][0] for name in header.split(",")) for header in headers]:
+        raise InputError(path, f"the header must be {' or '.join(headers)}", 1)
     builder = PathBuilder(path)
     for number, row in zip(table.lines, (table.numbers(table.names) * scales).tolist(), strict=True):
         values = dict(zip(names, row, strict=True))

@@ -22,14 +22,6 @@ from kr270_milling.recordings.messages.cdr import FIXED, TRAJECTORY, read_trajec
 from kr270_milling.recordings.messages.definitions import plain
 
 Row = tuple[list[str], list]  # names of the columns, cells
-POINT = [
-    *(f"position_{a}_m" for a in "xyz"),
-    *(f"orientation_{a}" for a in "xyzw"),
-    *(f"velocity_{a}_m_per_s" for a in "xyz"),
-    *(f"angular_velocity_{a}_rad_per_s" for a in "xyz"),
-    *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
-    *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
-]
 
 
 def export(
@@ -130,11 +122,19 @@ def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
 
 def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
     """Yield one row for each point; with several bodies the columns have the name of the body."""
+    quantities = [
+        *(f"position_{a}_m" for a in "xyz"),
+        *(f"orientation_{a}" for a in "xyzw"),
+        *(f"velocity_{a}_m_per_s" for a in "xyz"),
+        *(f"angular_velocity_{a}_rad_per_s" for a in "xyz"),
+        *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
+        *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
+    ]
     for number, message in enumerate(recording.messages([topic])):
         trajectory = read_trajectory(message.data)
         prefixes = [f"{_word(name)}_" if len(trajectory.names) > 1 else "" for name in trajectory.names]
         columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
-        columns += [prefix + name for prefix in prefixes for name in POINT]
+        columns += [prefix + name for prefix in prefixes for name in quantities]
         bodies = np.concatenate(
             [trajectory.position, trajectory.quaternion, trajectory.velocity, trajectory.acceleration], axis=2
         )

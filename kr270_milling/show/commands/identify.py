@@ -235,18 +235,16 @@ def identify_material(args) -> Answer:
     return _answer(args, material_outcome(rows, args.name, rows[args.row - 1] if args.out else None))
 
 
-IDENTIFY = {
-    "compliance": identify_compliance,
-    "forces": identify_forces,
-    "damping": identify_damping,
-    "servo": identify_servo,
-    "backlash": identify_backlash,
-    "material": identify_material,
-}
-
-
 def run_identify(args) -> Answer:
-    return IDENTIFY[args.what](args)
+    identify = {
+        "compliance": identify_compliance,
+        "forces": identify_forces,
+        "damping": identify_damping,
+        "servo": identify_servo,
+        "backlash": identify_backlash,
+        "material": identify_material,
+    }
+    return identify[args.what](args)
 
 
 def run_compare(args) -> Answer:

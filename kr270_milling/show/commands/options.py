@@ -225,7 +225,18 @@ def _add_demo(parser) -> None:
 def _add_identify(parser) -> None:
     _example(parser, "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml")
     parts = parser.add_subparsers(dest="what", metavar="WHAT", required=True, help="each has --help and --json")
-    for name, (text, add) in IDENTIFICATIONS.items():
+    kinds = {  # as ``COMMANDS``
+        "compliance": ("joint compliances from load tests, or the load tests to make", _add_compliance),
+        "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", _add_forces),
+        "damping": ("frequency and damping of the modes from a ring-down or an impact", _add_damping),
+        "servo": (
+            "frequency, damping and dead time of the servo lag from a test move, or the program of the move",
+            _add_servo,
+        ),
+        "backlash": ("backlash of the joints from push and pull at the tool with a dial gauge", _add_backlash),
+        "material": ("published force coefficients of a material", _add_material),
+    }
+    for name, (text, add) in kinds.items():
         _add_command(parts, name, text, add, argparse.SUPPRESS, help=text)
 
 
@@ -341,20 +352,6 @@ def _add_material(parser) -> None:
     add("name", metavar="NAME", nargs="?", help="of a material; without it all are listed")
     add("--row", type=bounded(1, 1000, int), default=1, help="which, where a material has several")
     add("--out", metavar="DIR", help="write YAML to include")
-
-
-#: as ``COMMANDS``
-IDENTIFICATIONS = {
-    "compliance": ("joint compliances from load tests, or the load tests to make", _add_compliance),
-    "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", _add_forces),
-    "damping": ("frequency and damping of the modes from a ring-down or an impact", _add_damping),
-    "servo": (
-        "frequency, damping and dead time of the servo lag from a test move, or the program of the move",
-        _add_servo,
-    ),
-    "backlash": ("backlash of the joints from push and pull at the tool with a dial gauge", _add_backlash),
-    "material": ("published force coefficients of a material", _add_material),
-}
 
 
 def _add_compare(parser) -> None:

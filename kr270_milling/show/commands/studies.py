@@ -93,7 +93,6 @@ def _write_lobes(args, cell, rows: list[dict], summary: str) -> list[str]:
 
 
 STUDIES = ("pyarrow", "dask", "distributed")  #: Dask with --scheduler only
-READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
 
 
@@ -219,6 +218,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
 
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
+    read = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
     require_extra("sweep", "studies", *STUDIES[: 3 if args.scheduler else 1])
 
     if args.latin != (args.samples is not None):
@@ -250,7 +250,7 @@ def run_sweep(args) -> Answer:
     for table in study.tables(rows.chunks):
         summary.add(table)
     sentence = f"{len(rows)} rows, {summary.failed} failed (column error), in {seconds:.1f} s: {args.out}"
-    picture = shown_path(write_sweep(args.out, summary, [sentence, READ.format(args.out)], args.self_contained))
+    picture = shown_path(write_sweep(args.out, summary, [sentence, read.format(args.out)], args.self_contained))
     result = {
         "rows": len(rows),
         "failed": summary.failed,
@@ -260,4 +260,4 @@ def run_sweep(args) -> Answer:
         "out": args.out,
         "wall_s": seconds,
     }
-    return Answer(result, [*sweep_tables(summary), sentence, READ.format(args.out), picture])
+    return Answer(result, [*sweep_tables(summary), sentence, read.format(args.out), picture])

@@ -99,7 +99,8 @@ def report_text(
     }
     return page.page_text(
         "report",
-        page.REPORT_SCRIPTS,
+        # in the order in which the page runs them
+        ("base", "place", "maps", "series", "zoom", "source", "part", "robot", "charts", "start"),
         title=title,
         cell=cell,
         path=path,

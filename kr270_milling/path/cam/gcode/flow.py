@@ -23,8 +23,6 @@ from kr270_milling.path.cam.gcode.words import MACROS
 
 MOST_BLOCKS = 1_000_000  #: lines that a program with sub-programs or loops runs; assumed
 DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVELS
-#: of files with a sub-program, from the folder of the program; those of the first folder with such a file count
-FOLDERS = (".", "subroutines", "subs")
 MOST_FILES, MOST_BYTES = 100, 16_000_000  #: files with sub-programs of a program, bytes of each; assumed
 #: a text that has one of these somewhere may jump
 MAY_JUMP = re.compile(
@@ -136,9 +134,11 @@ class Flow:
     @cached_property
     def _beside(self) -> dict[str, list[Path]]:
         """Return the files of sub-programs by the name or number that calls them: 7 for O0007.nc, L100, POCKET."""
+        # of files with a sub-program, from the folder of the program; those of the first folder with such a file count
+        folders = (".", "subroutines", "subs")
         main = self.files[0][1]
         files: dict[str, list[Path]] = {}
-        for folder in FOLDERS[::-1]:
+        for folder in folders[::-1]:
             names: dict[str, list[Path]] = {}
             with contextlib.suppress(OSError):  # no such folder
                 for path in sorted((main.parent / folder).iterdir()):

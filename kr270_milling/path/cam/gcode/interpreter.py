@@ -21,7 +21,6 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.path.cam.gcode.words import (
     ADVICE,
     AXES5,
-    BELONGS,
     CLAIMS,
     DATUM,
     G_GROUPS,
@@ -33,7 +32,6 @@ from kr270_milling.path.cam.gcode.words import (
     SILENT_G,
     SILENT_M,
     UNKNOWN,
-    UNKNOWN_M,
     word_of,
 )
 from kr270_milling.path.cam.machine import AXES, CENTRES, MM, OF_ARCS, Machine
@@ -85,7 +83,6 @@ class Offsets:
 FURTHER = frozenset("ABCUVW")
 VECTOR = ("A3", "B3", "C3")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
-DATA = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  #: groups of ``_datum``
 LETTERS = {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD", "G68.2": "XYZIJKP"}
 SAVED = (*MODAL, "feed_mode", "feed", "feed_word", "no_feed", "turning", "speed")  #: modes of M70
 
@@ -253,7 +250,8 @@ class Interpreter(Machine):
         else:
             word = word_of(letter, value)
             moves = letter == "M" or value not in (96, 22, 23)
-            advice = ADVICE.get(word, UNKNOWN if letter == "G" else UNKNOWN_M)
+            other = UNKNOWN if letter == "G" else "it is not known; leave it out where it moves no axis"
+            advice = ADVICE.get(word, other)
             self.program.refuse(word, advice=advice, lost=moves)
             if moves:
                 groups["refused"] = value
@@ -275,7 +273,8 @@ class Interpreter(Machine):
         else:
             word = word_of(letter, value)
             reason = "" if letter in FURTHER else f"the word {word} belongs to no other word of its line"
-            self.program.refuse(word, reason, LEFT.get(letter, BELONGS), derived=letter in OF_ARCS)
+            other = "write it in the line of the word that it belongs to, or leave it out"
+            self.program.refuse(word, reason, LEFT.get(letter, other), derived=letter in OF_ARCS)
 
     def _read_over(self, word: str, axes: dict, letters: str) -> None:
         """Count a word together with the words that belong to it."""
@@ -284,6 +283,7 @@ class Interpreter(Machine):
     # --- what a block sets ---
 
     def _set(self, groups: dict, axes: dict) -> None:
+        data = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  # groups of ``_datum``
         if "modes" in groups:
             self._save(groups["modes"])
         if "I" in axes and "L" in axes:
@@ -317,7 +317,7 @@ class Interpreter(Machine):
             self._silent(word, groups, axes)
         if "home" in groups:
             self._home(groups, axes)
-        for group, word in DATA.items():
+        for group, word in data.items():
             if group in groups:
                 self._datum(word, groups, axes)
         if "tip" in groups:

@@ -27,8 +27,6 @@ from kr270_milling.path.cam.machine import AXES, MM, NURBS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
-#: words that stay in their line: dwell, tool length, exact stop, look-ahead
-KEPT = frozenset((4, 8, 9, 43, 43.1, 49, 61, 61.1, 64))
 #: groups of words that place the coordinates: they stay before the first move
 PLACING = frozenset(("offset", "data", "preset"))
 ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their line
@@ -64,10 +62,12 @@ class _Expansion(Interpreter):
         )
 
     def _stays(self, letter: str, value: Any, words: list, began: bool) -> bool:
+        # words that stay in their line: dwell, tool length, exact stop, look-ahead
+        unchanged = frozenset((4, 8, 9, 43, 43.1, 49, 61, 61.1, 64))
         codes = {number for kind, number in words if kind == "G"}
         placing = any(G_GROUPS.get(code) in PLACING for code in codes) and not began
         if letter == "G":
-            return value in KEPT or (placing and G_GROUPS.get(value) in PLACING)
+            return value in unchanged or (placing and G_GROUPS.get(value) in PLACING)
         if letter == "M":
             return value not in ENDING and value not in DROPPED
         if letter in "ST":
@@ -156,8 +156,6 @@ def _number(length: float) -> str:
 
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
-#: words that end a block: they stay on the last of its new blocks
-LAST_OF_BLOCK = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
 
 
 @dataclass(frozen=True)
@@ -359,6 +357,8 @@ def _rewritten(line: str, move: SourceMove, places: list[str], rates: np.ndarray
 def _sorted_words(code: str, move: SourceMove) -> tuple[list[str], list[str], list[str], int]:
     """The words of a line without those of its move: of its first block, of its last block, comments; where the move
     was."""
+    # words that end a block: they stay on the last of its new blocks
+    last_of_block = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
     words: list[str] = []
     ending: list[str] = []
     comments: list[str] = []
@@ -372,7 +372,7 @@ def _sorted_words(code: str, move: SourceMove) -> tuple[list[str], list[str], li
                 continue
             if _of_move(match, move):
                 place = len(words) if place is None else place
-            elif match.lastgroup == "word" and (text[0], float(text[1:])) in LAST_OF_BLOCK:
+            elif match.lastgroup == "word" and (text[0], float(text[1:])) in last_of_block:
                 ending.append(text)
             else:
                 words.append(code[start:][slice(*match.span())])
