@@ -15,18 +15,17 @@ from pathlib import Path
 TOP = Path(__file__).resolve().parents[1]
 LOADS, BALANCE = "physics/robot/loads.py", "physics/robot/elastostatics.py"
 MASS, SWEEP = "physics/robot/mass.py", "physics/cutting/sweep.py"
-FRACTIONAL, EDGE = "physics/cutting/fractional.py", "physics/cutting/linear_edge.py"
+LAWS, LAWS = "physics/cutting/laws.py", "physics/cutting/laws.py"
 LOAD = "physics/cutting/load.py"
 MOTION, MEASURED = "physics/motion/dynamics.py", "physics/motion/arm_model.py"
-MIRROR, REVISION = "physics/compensation/mirror.py", "physics/compensation/revision.py"
+REVISION, REVISION = "physics/compensation/revision.py", "physics/compensation/revision.py"
 RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lifted.py"
 LEARNING = "physics/compensation/learning.py"
 IMPERFECTIONS, BACKLASH = "physics/motion/imperfections.py", "physics/motion/backlash.py"
 TESTS = {
     LOADS: ["statics"], BALANCE: ["statics"], MASS: ["mass"], MEASURED: ["dynamics"], MOTION: ["dynamics"],
-    FRACTIONAL: ["force"], EDGE: ["force"], LOAD: ["force"], SWEEP: ["force", "sweep"], MIRROR: ["revision"],
-    REVISION: ["revision"], RESPONSE: ["lifted"], LIFTED: ["lifted"], LEARNING: ["compensator"],
-    IMPERFECTIONS: ["plant"], BACKLASH: ["plant"],
+    LAWS: ["force"], LOAD: ["force"], SWEEP: ["force", "sweep"], REVISION: ["revision"], RESPONSE: ["lifted"],
+    LIFTED: ["lifted"], LEARNING: ["compensator"], IMPERFECTIONS: ["plant"], BACKLASH: ["plant"],
 }  # fmt: skip
 
 #: equation, file, a text that occurs once in the file, with <<old|new>>
@@ -99,19 +98,19 @@ MUTATIONS = [
     ("measured modes", MEASURED, "np.linalg.pinv(<<weight[:, None] * |>>shapes)"),
     ("tool in series", MEASURED, "larger[:, order:, order:] = (1.0 - <<share|0.9 * share>>) * np.eye(3)"),
     ("tool in series", MEASURED, "np.eye(3) <<-|+>> axes[:, :, None] * axes[:, None, :]"),
-    ("(26)", FRACTIONAL, "(u <<+|->> r * u * u) / (1.0 + u)"),
-    ("(26)", FRACTIONAL, "(u + r * u * u) / (1.0 <<+|->> u)"),
-    ("(26) reading", FRACTIONAL, "READING_DEPTH = <<1e-3|1.0>>"),
-    ("(27)", FRACTIONAL, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
-    ("(27) linear edge", EDGE, "k_e * (h <<>|>=>> 0.0)"),
-    ("(28)", FRACTIONAL, "return tangential, <<radial|-radial>>_ratio * tangential"),
+    ("(26)", LAWS, "(u <<+|->> r * u * u) / (1.0 + u)"),
+    ("(26)", LAWS, "(u + r * u * u) / (1.0 <<+|->> u)"),
+    ("(26) reading", LAWS, "READING_DEPTH = <<1e-3|1.0>>"),
+    ("(27)", LAWS, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
+    ("(27) linear edge", LAWS, "k_e * (h <<>|>=>> 0.0)"),
+    ("(28)", LAWS, "return tangential, <<radial|-radial>>_ratio * tangential"),
     ("(29) F_x, F_r", LOAD, "force_x = share * (<<-|+>>f_r * c"),
     ("(29) F_x, F_t", LOAD, "-f_r * c <<+|->> p.sense * f_t * d"),
     ("(29) F_y, F_r", LOAD, "force_y = share * (<<-|+>>f_r * d"),
     ("(29) F_y, F_t", LOAD, "-f_r * d <<-|+>> p.sense * f_t * c"),
     ("axial force", LOAD, "force_z = <<-|>>share * f_a"),
-    ("axial law", EDGE, "linear_edge(h, <<axial|radial>>_cutting, axial_edge)"),
-    ("axial law", FRACTIONAL, "axial_ratio <<*|+>> tangential"),
+    ("axial law", LAWS, "linear_edge(h, <<axial|radial>>_cutting, axial_edge)"),
+    ("axial law", LAWS, "axial_ratio <<*|+>> tangential"),
     ("M_x", LOAD, "d * force_z <<-|+>> z * force_y"),
     ("M_y", LOAD, "now[4] += z * force_x <<-|+>> p.radii[i] * c * force_z"),
     ("M_z, reaction", SWEEP, "wrench[5] = <<-|>>p.sense * (sum_torque / n)"),
@@ -126,13 +125,13 @@ MUTATIONS = [
     ("h_i = A_i / (R dphi)", SWEEP, "(<<height|2 * height>> * p.radii[i] * p.micro_step)"),
     ("A_i", SWEEP, "total = s.tally[0] * (depth <<-|+>> level * p.level_step) + s.tally[1]"),
     ("torque", LOAD, "now[5] += share * (f_t <<*|+>> p.radii[i])"),
-    ("(30)", MIRROR, "commanded.position <<+ loaded.position - |- loaded.position + >>sagged.position"),
-    ("(30) rotation", MIRROR, "turned = <<loaded|sagged>>.rotation @ np.swapaxes(sagged.rotation, -1, -2)"),
-    ("(30) weights", MIRROR, "loaded = equilibrium(arm, mount, joints, wrench, gravity=<<True|False>>).pose"),
-    ("(31)", MIRROR, "shift = <<target.position - loaded.position|loaded.position - target.position>>"),
-    ("(32)", MIRROR, "modified.position <<+|->> relaxation * shift"),
-    ("(32) alpha", MIRROR, "modified.position + <<relaxation|2 * relaxation>> * shift"),
-    ("(32) rotation", MIRROR, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
+    ("(30)", REVISION, "commanded.position <<+ loaded.position - |- loaded.position + >>sagged.position"),
+    ("(30) rotation", REVISION, "turned = <<loaded|sagged>>.rotation @ np.swapaxes(sagged.rotation, -1, -2)"),
+    ("(30) weights", REVISION, "loaded = equilibrium(arm, mount, joints, wrench, gravity=<<True|False>>).pose"),
+    ("(31)", REVISION, "shift = <<target.position - loaded.position|loaded.position - target.position>>"),
+    ("(32)", REVISION, "modified.position <<+|->> relaxation * shift"),
+    ("(32) alpha", REVISION, "modified.position + <<relaxation|2 * relaxation>> * shift"),
+    ("(32) rotation", REVISION, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
     ("Fig. 14", REVISION, "return <<-|>>record.sampled_displacement(reference, target.time_ns)"),
     ("z / r bend", RESPONSE, "return (h11 <<-|+>> 1.0) / w**2, of_jerk"),
     ("z / r jerk", RESPONSE, "of_jerk = (2.0 * z / w * (1.0 <<-|+>> h11)"),

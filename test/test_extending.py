@@ -223,7 +223,7 @@ def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(
 
 MINE = """
 from dataclasses import dataclass
-from kr270_milling.physics.cutting.fractional import FractionalLaw
+from kr270_milling.physics.cutting.laws import FractionalLaw
 class Other:
     name = "other"
     def revise(self, task): ...

@@ -19,7 +19,6 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map, with_profile
 
-LAG = 10  #: nodes: the crescent in front of the tool is then several nodes thick
 BLOCK = 2000  #: places of the path between two reports of progress
 EVERY = 8  #: places from one evaluation to the next
 
@@ -133,12 +132,13 @@ def _engage(grid, path, heading, radius, look, met, first, last):
 
     heading, look: of the places that are evaluated; look: whether to evaluate the place. first, last: rows of the path.
     """
+    lag = 10  # nodes: the crescent in front of the tool is then several nodes thick
     count, depth, least, most = met
     step = grid.step
     cuts = 1e-6  # [m] of depth, less is rounding
     for k in range(first, last):
-        before = max(k - LAG, 0)
-        if k >= LAG:
+        before = max(k - lag, 0)
+        if k >= lag:
             _lower_outside(grid, radius, path, before)
         n = k // EVERY
         if k % EVERY or not look[n]:
@@ -151,7 +151,7 @@ def _engage(grid, path, heading, radius, look, met, first, last):
             away_x = grid.x + i * step - x
             first_j, last_j = chord(away_x, y, radius**2, grid.y, step)
             skip_from, skip_to = 0, -1
-            if k >= LAG:  # there the tool was: the surface is no higher than ``level``
+            if k >= lag:  # there the tool was: the surface is no higher than ``level``
                 skip_from, skip_to = chord(away_x + x - path[before, 0], path[before, 1], radius**2, grid.y, step)
             j, stop = max(first_j, grid.first[i]) - 1, min(last_j + 1, grid.end[i])
             while j + 1 < stop:
@@ -163,7 +163,7 @@ def _engage(grid, path, heading, radius, look, met, first, last):
                 if grid.depth[i, j] >= level or away_x**2 + away_y**2 >= radius**2:
                     continue
                 behind_x, behind_y = away_x + x - path[before, 0], away_y + y - path[before, 1]
-                if k >= LAG and behind_x**2 + behind_y**2 < radius**2:
+                if k >= lag and behind_x**2 + behind_y**2 < radius**2:
                     continue
                 left = left_x * away_x + left_y * away_y
                 if count[n] == 0:

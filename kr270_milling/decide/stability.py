@@ -22,9 +22,7 @@ from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
 from kr270_milling.physics.motion.stability import DEEPEST, Lobe, Modes, has_uniform_pitch, stability_limit
 
-ANGLE = math.radians(10.0)  #: to which angles of engagement are rounded
 FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
-DIRECTION = math.radians(30.0)  #: to which feed directions are rounded
 FEWEST_TEETH = 10  #: teeth of an engagement; vibration has no time to grow in fewer
 POSTURES = 0.025  #: [m], between two places whose postures are modelled; the modes change little in between
 
@@ -198,10 +196,12 @@ def _groups(arcs: Arcs, shortest: float) -> dict[tuple, np.ndarray]:
 
     Where no engagement of a feature lasts so long, all count.
     """
-    entry = np.where(arcs.entry < -FULL, -9, np.round(arcs.entry / ANGLE)).astype(int)
-    leave = np.where(arcs.exit > FULL, 9, np.round(arcs.exit / ANGLE)).astype(int)
+    direction = math.radians(30.0)  # unit to which feed directions are rounded
+    angle = math.radians(10.0)  # unit to which angles of engagement are rounded
+    entry = np.where(arcs.entry < -FULL, -9, np.round(arcs.entry / angle)).astype(int)
+    leave = np.where(arcs.exit > FULL, 9, np.round(arcs.exit / angle)).astype(int)
     entry, leave = np.minimum(entry, 8), np.maximum(leave, np.minimum(entry, 8) + 1)
-    turn = np.round(arcs.heading / DIRECTION).astype(int) % round(2.0 * np.pi / DIRECTION)
+    turn = np.round(arcs.heading / direction).astype(int) % round(2.0 * np.pi / direction)
     feed = 1e-4  # [m/s], to which feeds are rounded
     keys = np.column_stack([arcs.feature, entry, leave, turn, np.round(arcs.feed / feed).astype(int)])
     groups: dict[tuple, list[int]] = {}

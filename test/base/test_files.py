@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.files import staged, write_failure, write_files
-from kr270_milling.base.text import read_lines, unended
+from kr270_milling.base.files import read_lines, staged, unended, write_failure, write_files
 
 
 def names(folder) -> list[str]:

@@ -9,7 +9,7 @@ from unittest import mock
 from bench.learning_targets import Row
 from kr270_milling.cell.jobs import compensated, compensator, simulate
 from kr270_milling.cell.models import path_of
-from kr270_milling.physics.compensation import arm_fit, learning
+from kr270_milling.physics.compensation import learning
 
 MODEL = ("dynamics.damping_ratio=0.08", "dynamics.follow_pose=true", "stock.grid_step_um=20")
 ROWS = (
@@ -17,15 +17,14 @@ ROWS = (
     Row("frequency × 0.9, damping / 2", MODEL, frequency=0.9, damping=0.5),
     Row("the same, noise 20 µm", MODEL, frequency=0.9, damping=0.5, noise=20e-6),
 )
-NUMBERS = {arm_fit: ("OFFSET", "MODEL_ERROR", "DIFFERENCE_ERROR", "MATTERS", "RESOLVED"),
-           learning: ("UNSCORED", "FREE", "ALONG", "SMOOTHNESS", "ROUGH", "MISFIT")}  # fmt: skip
+NUMBERS = ("UNSCORED", "FREE", "ALONG", "SMOOTHNESS", "ROUGH", "MISFIT")
 FACTORS = (0.5, 2.0)
 
 
-def scaled(module, name: str, key: str | None, factor: float):
+def scaled(name: str, key: str | None, factor: float):
     """A threshold, or an entry of PRIOR, times a factor."""
-    before = getattr(module, name)
-    return mock.patch.object(module, name, before * factor if key is None else {**before, key: before[key] * factor})
+    before = getattr(learning, name)
+    return mock.patch.object(learning, name, before * factor if key is None else {**before, key: before[key] * factor})
 
 
 def main() -> None:
@@ -48,12 +47,12 @@ def main() -> None:
     none = [1e6 * original.scores.max_deviation for original in originals]
     print("| without correction | | " + " | ".join(f"{v:.1f}" for v in none) + " |")
     print("| as shipped | | " + " | ".join(f"{v:.2f}" for v in left()) + " |", flush=True)
-    cases = [(arm_fit, "PRIOR", key, value) for key, value in arm_fit.PRIOR.items()]
-    cases += [(module, name, None, getattr(module, name)) for module, names in NUMBERS.items() for name in names]
-    for module, name, key, value in cases:
+    cases = [("PRIOR", key, value) for key, value in learning.PRIOR.items()]
+    cases += [(name, None, getattr(learning, name)) for name in NUMBERS]
+    for name, key, value in cases:
         columns = []
         for factor in FACTORS:
-            with scaled(module, name, key, factor):
+            with scaled(name, key, factor):
                 columns.append(left())
         texts = [f"{half:.2f}, {double:.2f}" for half, double in zip(*columns, strict=True)]
         print(f"| `{name}{'' if key is None else f' {key}'}` | {value:g} | " + " | ".join(texts) + " |", flush=True)

@@ -13,9 +13,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface
-from kr270_milling.decide.part.stations import Stations, deviations, stations_of
-from kr270_milling.decide.part.surface import MARK, remaining_walls
-from kr270_milling.decide.part.workpiece import write_part
+from kr270_milling.decide.part.surface import MARK, Stations, deviations, remaining_walls, stations_of, write_part
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.motion.dynamics import discretise
 

@@ -16,8 +16,8 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
+from kr270_milling.decide.compensation import in_turn
 from kr270_milling.decide.part import assess
-from kr270_milling.decide.tools import in_turn
 from kr270_milling.path.cam.gcode.reader import read_gcode
 
 pytestmark = pytest.mark.usefixtures("few_robots")

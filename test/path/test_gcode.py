@@ -14,9 +14,9 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.comments import described_tool, operation_name
-from kr270_milling.path.cam.drilling import CLEARANCE, Cycle
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.machine import CHORD
+from kr270_milling.path.cam.program_builder import CLEARANCE, Cycle
 from kr270_milling.path.cam.readers import read_toolpath
 from kr270_milling.path.source_program import ProgramError
 

@@ -1,4 +1,4 @@
-"""A program under construction by its reader: the path of one tool, its statements, and refused words."""
+"""A program under construction by its reader: the path of one tool, its statements, refused words; drilling cycles."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError, one_line
-from kr270_milling.base.text import short
+from kr270_milling.base.files import short
 from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
+from kr270_milling.path.cam.contour import NEAR
 from kr270_milling.path.source_program import ProgramError, ProgramTool, Refusal, SourceProgram
 from kr270_milling.path.toolpath import MOST_BLOCKS, REACH, TOP, PathBuilder, Toolpath, cut_features
 
@@ -340,3 +342,39 @@ def _several(what: str, words: list[tuple[str, int]]) -> list[Refusal]:
         return []
     listing = ", ".join(f"{word} (line {line})" for word, line in words[:6])
     return [Refusal(words[1][1], words[1][0].split()[0], f"{len(words)} {what}: {listing}", _SEVERAL.get(what, EACH))]
+
+
+#: [m] how far above the last depth a peck starts again: 0.01 inch, as in LinuxCNC
+CLEARANCE = 0.254e-3
+
+
+@dataclass
+class Cycle:
+    """As the words of a block define it, lengths in [m]; each hole repeats it."""
+
+    kind: int  #: 73, 76, 81, 82, 83, 85, 86, 89
+    initial: float  #: height where the cycle was called
+    retract: float  #: R
+    bottom: float = math.nan  #: Z
+    peck: float = 0.0  #: Q, 0: in one stroke
+
+    def strokes(self) -> list[tuple[float, bool]]:
+        """Heights [m] that the tool goes to from R on, each with whether it goes there rapidly; the last is R again.
+
+        81, 82, 86: in, out rapidly; 76 also, without its small shift by Q at the bottom of the bored hole; 83: out to R
+        after each peck; 73: back by the clearance; 85, 89: out at the feed.
+        """
+        most_pecks = 10_000
+        if self.kind not in (73, 83) or not 0 < self.peck < self.retract - self.bottom:
+            return [(self.bottom, False), (self.retract, self.kind not in (85, 89))]
+        depth = self.retract
+        path: list[tuple[float, bool]] = []
+        while depth > self.bottom:  # a peck that ends at the bottom may differ from it by rounding
+            above = min(self.retract, depth + CLEARANCE)
+            if path:
+                path += [(above, True)] if self.kind == 73 else [(self.retract, True), (above, True)]
+            depth = depth - self.peck if depth - self.peck > self.bottom + NEAR else self.bottom
+            path.append((depth, False))
+            if len(path) > 3 * most_pecks:
+                raise ValueError(f"the hole takes more than {most_pecks} pecks; wrong Q?")
+        return [*path, (self.retract, True)]

@@ -8,13 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-if TYPE_CHECKING:
-    import numpy as np
+import numpy as np
 
-    from kr270_milling.path.trajectory import Trajectory
-    from kr270_milling.physics.compensation.learning import Learner
-    from kr270_milling.physics.compensation.models import CellModels
-    from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.revision import PassRecord
+
+if TYPE_CHECKING:
+    from kr270_milling.physics.compensation.learning import CellModels, Learner
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,13 +90,9 @@ def _arm_modes(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, join
     to_workpiece = workpiece.rotation.T
     flexible = rotate_matrix(compliance(loaded, arm), to_workpiece)
     inert = rotate_matrix(cartesian_mass(arm, mount, joints, dynamics.mass_model), to_workpiece)
-    return modes(flexible, _clean(inert))
-
-
-def _clean(mass: np.ndarray) -> np.ndarray:
-    """Turning matrices (n, 6, 6) whose rotations carry no inertia must leave exact zeros there."""
-    rounding = 1e-12 * np.abs(mass).max((-2, -1), keepdims=True)
-    return np.where(np.abs(mass) < rounding, 0.0, 0.5 * (mass + mass.swapaxes(-1, -2)))
+    rounding = 1e-12 * np.abs(inert).max((-2, -1), keepdims=True)
+    # turning matrices (n, 6, 6) whose rotations carry no inertia must leave exact zeros there
+    return modes(flexible, np.where(np.abs(inert) < rounding, 0.0, 0.5 * (inert + inert.swapaxes(-1, -2))))
 
 
 def measured_model(measured: MeasuredModes) -> ModalModel:

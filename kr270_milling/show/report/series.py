@@ -11,8 +11,7 @@ import numpy as np
 from kr270_milling.base.files import write_files
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.path.trajectory import Trajectory, write_csv
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 

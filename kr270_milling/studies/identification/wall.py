@@ -16,8 +16,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant, coarser, perturbed
-from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import ideal_part, remaining_walls, tooth_tips
+from kr270_milling.decide.part.surface import ideal_part, remaining_walls, stations_of, tooth_tips
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.studies.identification.comparison import LinearFit, line_through
@@ -25,7 +24,6 @@ from kr270_milling.studies.identification.comparison import LinearFit, line_thro
 PLACE = ("x_mm", "y_mm")
 COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "surface", "note")
 FEWEST = 3  #: places for a gain and an offset
-PLANTS = 16
 BAND = (0.05, 0.95)
 
 
@@ -145,7 +143,7 @@ class PredictedPlaces:
 
 
 def compare_wall(
-    cell: Cell, measured: WallPlaces, reference: Trajectory | None = None, plants: int = PLANTS,
+    cell: Cell, measured: WallPlaces, reference: Trajectory | None = None, plants: int = 16,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> WallComparison:  # fmt: skip
     """Predict the wall of a pass along ``reference`` (default: the target) by the model and by drawn plants.
