@@ -84,12 +84,18 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
             shift, last, tail = 0j, None, []
             continue
         side, radius, start = stroke.side, stroke.radius, stroke.start + shift
-        if not stroke.moves and shift and not side:
+        if not side and not shift and not result and stroke.centre is None and stroke == strokes[index]:
+            results[index], last, tail = None, None, []  # as the program states it
+            continue
+        before = strokes[index - 1] if index else None
+        level = before is not None and before.z == stroke.z and stroke.rapid
+        moves = stroke.moves or (shift and not side and level)
+        if not moves and shift and not side:
             results[index] = "the first move after the compensation is along z, where controls differ; state X and Y"
-        elif not stroke.moves:
+        elif not moves:
             result.append(stroke._replace(start=start, end=start))
             tail.append((index, len(result) - 1))
-        if not stroke.moves:
+        if not moves:
             continue
         if not side:
             if shift and stroke.centre is not None:

@@ -15,7 +15,7 @@ from typing import Any
 from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
-from kr270_milling.path.cam.gcode.flow import Flow, has_flow
+from kr270_milling.path.cam.gcode.flow import CHANGE, Flow, has_flow
 from kr270_milling.path.cam.gcode.interpreter import VECTOR, Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.machine import CORNERS
@@ -56,7 +56,6 @@ PIECE = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
-CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 #: a word that Sinumerik computes from R parameters or functions; and its name
 COMPUTED = re.compile(
     r"(?:^|[ \t])R[0-9]+[ \t]*="
@@ -122,7 +121,6 @@ class GcodeReader:
         flow = Flow(self.machine, self.variables, self.run_line, lines) if has_flow(text) else None
         if flow and program.files:
             text = "\n".join(flow.lines).upper()
-            self.machine.changes = changes_by_m6(flow.lines)
         if self.machine.contour is None and (OFFSET.search(text) or any(word in text for word in CORNERS)):
             self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
         if flow:
