@@ -35,7 +35,7 @@ class ProgramBuilder(PathBuilder):
         self.moved = False  #: True if the tool moved since then: a comment that follows is inside the operation
         self.unknown: list[str] = []  #: axes whose place was not known at the last move without a place
         self.lost = False  #: a move was refused: the place of the tool is unknown
-        self.where = ""  #: of a line in another file than the source: its name and line, as the begin of a sentence
+        self.places: dict[str, int] = {"": 0}  #: lines of further files that were run, "O7.nc, line 3"
         self.files: list[Path] = []  #: further files that were read
         self.title = ""
         self.tool = ""  #: in the spindle
@@ -155,7 +155,15 @@ class ProgramBuilder(PathBuilder):
     def doubt(self, kind: str, sentence: str) -> None:
         """Note a word of the tool whose moves are wanted that another control may run in another way."""
         if self.active:
-            self.doubtful.append((kind, self.where + sentence, self.line))
+            self.doubtful.append((kind, self._elsewhere(sentence), self.line))
+
+    def go_to(self, place: str) -> None:
+        """Note the line of a further file that runs, such as "O7.nc, line 3"; "": the line is one of the source."""
+        self.place = self.places.setdefault(place, len(self.places))
+
+    def _elsewhere(self, sentence: str) -> str:
+        """Return a sentence that begins with the line that runs, where this line is in another file."""
+        return f"{list(self.places)[self.place]}: {sentence}" if self.place else sentence
 
     @property
     def cuts(self) -> int:
@@ -193,8 +201,8 @@ class ProgramBuilder(PathBuilder):
         self.refusals += 1
         if derived and self.lost:
             return
-        if self.where:
-            reason = self.where + (reason or word)
+        if self.place:
+            reason = self._elsewhere(reason or word)
         refusal = Refusal(line or self.line, one_line(short(word)), one_line(reason), advice)
         self._refused.append((self.tool, refusal))
         self.lost = self.lost or lost
@@ -243,6 +251,7 @@ class ProgramBuilder(PathBuilder):
             beside=self.beside.get(chosen, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             files=tuple(map(str, self.files)),
+            places=tuple(self.places),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
             doubtful=tuple(self.doubtful),

@@ -270,14 +270,14 @@ class Flow:
                     break
                 refused.add(index)
             index = following
-        program.where = ""
+        program.go_to("")
 
     def _go(self, index: int) -> None:
         """Note the file of a line; a line of another file than the program is named after the line that calls it."""
         program = self.machine.program
         self.part = sum(first <= index for first, _ in self.files) - 1
         first, path = self.files[self.part]
-        program.where = f"{path.name}, line {index - first + 1}: " if self.part else ""
+        program.go_to(f"{path.name}, line {index - first + 1}" if self.part else "")
 
     def _step(self, index: int) -> int:
         """Run a line and return the index of the next one."""
