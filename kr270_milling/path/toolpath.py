@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 from array import array
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -279,14 +280,18 @@ class PathBuilder:
         numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling, self.place)
         self._blocks.extend((*position, *self.quaternion, *numbers))
 
-    def straight_moves(self, ends: list[tuple[float, float, float, int]], feed: float) -> None:
-        """Append straight blocks at one feed [m/s] to points x, y, z [m], each with its line."""
-        state, rest = self._last_quaternion, (self.feature, self.drilling, self.place)
-        numbers, blocks, last = (feed, 0.0, self.spindle_speed, False), self._blocks, self.last
-        for x, y, z, line in ends:
-            if (x, y, z) != last:
-                last = x, y, z
-                blocks.extend((x, y, z, *state, *numbers, line, *rest))
+    def moves(self, ends: list, lines: Iterable[int], feed: float, curvature: float = 0.0) -> None:
+        """Append feed blocks to points [m], each with its line; the orientation is that of the last block."""
+        if len(self) + len(ends) > MOST_BLOCKS:
+            raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", self.line)
+        rest = 0.0, 0.0, self.feature, self.drilling, self.place
+        numbers = array("d", (*self._last_quaternion, feed, curvature, self.spindle_speed, *rest))
+        extend, last, place = self._blocks.extend, self.last, 8  # of the line in ``numbers``
+        for end, line in zip(ends, lines):  # noqa: B905, the line of an arc is repeated without an end
+            if end != last:
+                last, numbers[place] = end, line
+                extend(end)
+                extend(numbers)
         self.last = last
 
     def columns(self) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -97,21 +98,22 @@ class ProgramBuilder(PathBuilder):
             return
         if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
-        for k, end in enumerate(ends):
-            self.quaternion = turned[k] if turned else self.quaternion
+        for end, quaternion in zip(ends, turned or [self.quaternion], strict=False):
+            self.quaternion = quaternion
             self.move(end, feed, False, self.line, curvature)
+        self.moves(ends[len(turned) or 1 :], itertools.repeat(self.line), feed, curvature)
 
     def cuts_from(self, place: list[float]) -> bool:
         """Return whether the tool whose moves are wanted is at a place."""
         return self.active and not self.away and self.last == tuple(place)
 
-    def straight_cuts(self, ends: list[tuple[float, float, float, int]], feed: float) -> int:
-        """Feed through points (x, y, z, line) from the place of the tool, as ``cut`` does, up to one out of reach.
+    def straight_cuts(self, ends: list[tuple[float, float, float]], lines: list[int], feed: float) -> int:
+        """Feed through points, each with its line, from the place of the tool, as ``cut`` does, up to one out of reach.
 
         Return the number of points.
         """
         near = MOST_BLOCKS - len(self)
-        for k, (x, y, z, _) in enumerate(ends[:near]):
+        for k, (x, y, z) in enumerate(ends[:near]):
             if not (abs(x) <= REACH and abs(y) <= REACH and abs(z) <= REACH):
                 near = k
                 break
@@ -120,9 +122,9 @@ class ProgramBuilder(PathBuilder):
         self.named = False
         self._before_change = len(self.comments)
         self._cuts[self.tool] += len(ends)
-        self._last_cut[self.tool] = self.line = ends[-1][3]
-        self._frames.setdefault(self._key, ends[0][3])
-        self.straight_moves(ends, feed)
+        self._last_cut[self.tool] = self.line = lines[len(ends) - 1]
+        self._frames.setdefault(self._key, lines[0])
+        self.moves(ends, lines, feed)
         return len(ends)
 
     def change_tool(self, tool: str) -> None:

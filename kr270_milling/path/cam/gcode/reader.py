@@ -156,7 +156,7 @@ class GcodeReader:
             return index
         unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
         x, y, z = machine.position
-        ends: list[tuple[float, float, float, int]] = []
+        ends: list[tuple[float, float, float]] = []
         words: list[int] = []
         for number in range(index, len(lines) - 1):
             match = match_line(lines[number])
@@ -173,12 +173,13 @@ class GcodeReader:
                 z = float(to_z) * unit
             elif to_x is None and to_y is None:
                 break
-            ends.append((x, y, z, number + 1))
+            ends.append((x, y, z))
             words.append(6 - groups.count(None))
-        run = program.straight_cuts(ends, machine.feed or 0.0) if ends else 0
+        numbers = list(range(index + 1, index + len(ends) + 1))
+        run = program.straight_cuts(ends, numbers, machine.feed or 0.0) if ends else 0
         if run:
             program.words["used"] += sum(words[:run])
-            machine.position = list(ends[run - 1][:3])
+            machine.position = list(ends[run - 1])
         return index + run
 
     def run_line(self, line: str) -> None:
