@@ -63,7 +63,7 @@ COMPUTED = re.compile(
     re.I,
 )
 NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
-NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
+NAMED_PROGRAM = re.compile(r"[ \t]*O?[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC or Fanuc
 BLANK = re.compile(r"[ \t]+")
 LETTER = re.compile(r"[A-Z@^]")
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
@@ -140,7 +140,8 @@ class GcodeReader:
         if self.machine.ended or program.hopeless:
             codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[read:])
             program.silent["lines after the end"] += sum(map(bool, codes))
-            program.silent["M99 of the program, which is run once"] += self.machine.end_word == 99
+            if self.machine.end_word in (99, 47):
+                program.silent[f"M{self.machine.end_word:g} of the program, which is run once"] += 1
             program.silent = +program.silent
             return
         # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move
@@ -330,6 +331,8 @@ class GcodeReader:
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"
+        elif name == "FP" and ("G", 75.0) in words:
+            self.program.count("FP")
         elif number and numbered and letter in "SM":
             words.append((letter, float(number)))
         elif numbered and letter in "XYZ" and any(word in words for word in HOMES):  # of the machine: it goes home

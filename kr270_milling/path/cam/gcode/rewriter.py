@@ -26,7 +26,7 @@ SAME_PLACE = 1e-9  #: [m], of a position and its number with seven decimals of a
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
 #: words that end a block: they stay on the last of its new blocks
-ENDING = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
+ENDING = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 47, 60, 99))}
 
 
 @dataclass(frozen=True)
