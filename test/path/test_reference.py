@@ -41,6 +41,22 @@ ENDS = {
     "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
     "G41.1 D4\nX10\nG0 Z5\nG40\nG0 Z5\nG1 X20": [(10, 2, 0), (20, 0, 5)],  # beside the contour at its height
+    # around a cusp of two arcs, and into it: the tool of radius 0.5 touches circles of 4.5 and 2.5, 3 apart
+    "G41.1 D1\nX10\nG3 X15 Y5 J5\nG2 X13 Y3 I-2\nG1 X9\nG40\nX0": [
+        (10, 0.5),
+        (10 + 23 / 6, 5 - math.sqrt(4.5**2 - (23 / 6) ** 2)),
+        (13, 2.5),
+        (9, 2.5),
+        (0, 3),
+    ],
+    "G42.1 D1\nX10\nG3 X15 Y5 J5\nG2 X13 Y3 I-2\nG1 X9\nG40\nX0": [
+        (10, -0.5),
+        (15.5, 5),
+        (14.5, 5),
+        (13, 3.5),
+        (9, 3.5),
+        (0, 3),
+    ],
     "G18\nG41.1 D4\nZ10\nX10\nG40\nX20 Z0": [(2, 0, 8), (10, 0, 8), (20, 0, 0)],
     "X EXISTS[#9] Y EXISTS[#99999]": [(1, 0)],
     # back along the same line: around its end

@@ -42,6 +42,11 @@ class Stroke(NamedTuple):
         """Return whether the tool moves in the xy plane."""
         return self.centre is not None or self.end != self.start
 
+    @property
+    def curvature(self) -> float:
+        """Return the curvature [1/m], positive to the left."""
+        return 0.0 if self.centre is None else self.sense / abs(self.start - self.centre)
+
     def direction(self, place: complex) -> complex:
         """Return the direction of the move at a place of the stroke."""
         if self.centre is None:
@@ -124,7 +129,7 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
         elif last is not None and radius:
             turn = cmath.phase(stroke.direction(stroke.start) / last.direction(last.end))
             back = abs(turn) > math.pi - STRAIGHT_ON
-            cusp = back and -side in (last.sense, stroke.sense)
+            cusp = back and side * (last.curvature + stroke.curvature) < 0  # the tool is in between
             inside = side * turn > STRAIGHT_ON
             if back and inside and not cusp:  # LinuxCNC goes around it, through one side of the corner
                 shorter = min(abs(move.end - move.start) for move in (last, stroke))
