@@ -90,6 +90,7 @@ class SourceProgram:
     beside: float = 0.0  #: radius in the comment on the tool, by which G41 and G42 move the path [m]; 0: they do not
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     files: tuple[str, ...] = ()  #: further files that were read: sub-programs, data of a KRL program
+    places: tuple[str, ...] = ("",)  #: lines of these files that were run, such as "O7.nc, line 3"; "": of the program
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
     #: words that another control may run in another way: kind of the finding, sentence, line

@@ -41,6 +41,11 @@ class Stroke(NamedTuple):
         """Return whether the tool moves in the xy plane."""
         return self.centre is not None or self.end != self.start
 
+    @property
+    def curvature(self) -> float:
+        """Return the curvature [1/m], positive to the left."""
+        return 0.0 if self.centre is None else self.sense / abs(self.start - self.centre)
+
     def direction(self, place: complex) -> complex:
         """Return the direction of the move at a place of the stroke."""
         if self.centre is None:
@@ -84,12 +89,18 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
             shift, last, tail = 0j, None, []
             continue
         side, radius, start = stroke.side, stroke.radius, stroke.start + shift
-        if not stroke.moves and shift and not side:
+        if not side and not shift and not result and stroke.centre is None and stroke == strokes[index]:
+            results[index], last, tail = None, None, []  # as the program states it
+            continue
+        before = strokes[index - 1] if index else None
+        level = before is not None and before.z == stroke.z and stroke.rapid
+        moves = stroke.moves or (shift and not side and level)
+        if not moves and shift and not side:
             results[index] = "the first move after the compensation is along z, where controls differ; state X and Y"
-        elif not stroke.moves:
+        elif not moves:
             result.append(stroke._replace(start=start, end=start))
             tail.append((index, len(result) - 1))
-        if not stroke.moves:
+        if not moves:
             continue
         if not side:
             if shift and stroke.centre is not None:
@@ -118,7 +129,7 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
         elif last is not None and radius:
             turn = cmath.phase(stroke.direction(stroke.start) / last.direction(last.end))
             back = abs(turn) > math.pi - STRAIGHT_ON
-            cusp = back and -side in (last.sense, stroke.sense)
+            cusp = back and side * (last.curvature + stroke.curvature) < 0  # the tool is in between
             inside = side * turn > STRAIGHT_ON
             if back and inside and not cusp:  # LinuxCNC goes around it, through one side of the corner
                 shorter = min(abs(move.end - move.start) for move in (last, stroke))

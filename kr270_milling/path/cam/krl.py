@@ -165,9 +165,9 @@ class _KrlReader(Machine):
         for statement in statements:
             if self.program.hopeless:
                 return
-            self.program.where = f"{statement.file.name}, line {statement.line}: "
-            if statement.file == self.path:
-                self.program.line, self.program.where = statement.line, ""
+            inside = statement.file == self.path
+            self.program.line = statement.line if inside else self.program.line
+            self.program.go_to("" if inside else f"{statement.file.name}, line {statement.line}")
             refusals, counted, refused = self.program.refusals, self.program.words["counted"], False
             if statement.text[:1] == ";":
                 name, announced = operation_name(statement.text.lstrip("; "))

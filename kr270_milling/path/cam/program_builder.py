@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -38,7 +39,7 @@ class ProgramBuilder(PathBuilder):
         self.moved = False  #: True if the tool moved since then: a comment that follows is inside the operation
         self.unknown: list[str] = []  #: axes whose place was not known at the last move without a place
         self.lost = False  #: a move was refused: the place of the tool is unknown
-        self.where = ""  #: of a line in another file than the source: its name and line, as the begin of a sentence
+        self.places: dict[str, int] = {"": 0}  #: lines of further files that were run, "O7.nc, line 3"
         self.files: list[Path] = []  #: further files that were read
         self.title = ""
         self.tool = ""  #: in the spindle
@@ -104,21 +105,22 @@ class ProgramBuilder(PathBuilder):
             return
         if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
-        for k, end in enumerate(ends):
-            self.quaternion = turned[k] if turned else self.quaternion
+        for end, quaternion in zip(ends, turned or [self.quaternion], strict=False):
+            self.quaternion = quaternion
             self.move(end, feed, False, self.line, curvature)
+        self.moves(ends[len(turned) or 1 :], itertools.repeat(self.line), feed, curvature)
 
     def cuts_from(self, place: list[float]) -> bool:
         """Return whether the tool whose moves are wanted is at a place."""
         return self.active and not self.away and self.last == tuple(place)
 
-    def straight_cuts(self, ends: list[tuple[float, float, float, int]], feed: float) -> int:
-        """Feed through points (x, y, z, line) from the place of the tool, as ``cut`` does, up to one out of reach.
+    def straight_cuts(self, ends: list[tuple[float, float, float]], lines: list[int], feed: float) -> int:
+        """Feed through points, each with its line, from the place of the tool, as ``cut`` does, up to one out of reach.
 
         Return the number of points.
         """
         near = MOST_BLOCKS - len(self)
-        for k, (x, y, z, _) in enumerate(ends[:near]):
+        for k, (x, y, z) in enumerate(ends[:near]):
             if not (abs(x) <= REACH and abs(y) <= REACH and abs(z) <= REACH):
                 near = k
                 break
@@ -129,9 +131,9 @@ class ProgramBuilder(PathBuilder):
         self._cuts[self.run] += len(ends)
         if self.spindle_speed:
             self._speeds.setdefault(self.run, self.spindle_speed)
-        self.line = ends[-1][3]
-        self._frames.setdefault(self._key, ends[0][3])
-        self.straight_moves(ends, feed)
+        self.line = lines[len(ends) - 1]
+        self._frames.setdefault(self._key, lines[0])
+        self.moves(ends, lines, feed)
         return len(ends)
 
     def change_tool(self, tool: str) -> None:
@@ -177,7 +179,15 @@ class ProgramBuilder(PathBuilder):
     def doubt(self, kind: str, sentence: str) -> None:
         """Note a word of the tool whose moves are wanted that another control may run in another way."""
         if self.active:
-            self.doubtful.append((kind, self.where + sentence, self.line))
+            self.doubtful.append((kind, self._elsewhere(sentence), self.line))
+
+    def go_to(self, place: str) -> None:
+        """Note the line of a further file that runs, such as "O7.nc, line 3"; "": the line is one of the source."""
+        self.place = self.places.setdefault(place, len(self.places))
+
+    def _elsewhere(self, sentence: str) -> str:
+        """Return a sentence that begins with the line that runs, where this line is in another file."""
+        return f"{list(self.places)[self.place]}: {sentence}" if self.place else sentence
 
     @property
     def cuts(self) -> int:
@@ -215,8 +225,8 @@ class ProgramBuilder(PathBuilder):
         self.refusals += 1
         if derived and self.lost:
             return
-        if self.where:
-            reason = self.where + (reason or word)
+        if self.place:
+            reason = self._elsewhere(reason or word)
         refusal = Refusal(line or self.line, one_line(short(word)), one_line(reason), advice)
         self._refused.append((self.run, refusal))
         self.lost = self.lost or lost
@@ -265,6 +275,7 @@ class ProgramBuilder(PathBuilder):
             beside=self.beside.get(self._runs.get(chosen, (chosen, 0))[0], 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             files=tuple(map(str, self.files)),
+            places=tuple(self.places),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
             doubtful=tuple(self.doubtful),

@@ -317,7 +317,8 @@ def finding_rows(checked: Checked | None) -> list[dict]:
     rows = []
     for finding in sorted(checked.findings if checked else (), key=lambda f: SEVERITIES.index(f.severity)):
         point, line = finding.where.point, finding.where.line
-        words = [finding.where.feature, f"line {line}" if line else None, f"XP{point}" if point else None]
+        named = finding.where.called or (f"line {line}" if line else None)
+        words = [finding.where.feature, named, f"XP{point}" if point else None]
         where = ", ".join(filter(None, words))
         rows.append({**vars(finding), "sentence": micro(finding.sentence), "where": where, "point": point})
     return rows

@@ -38,6 +38,7 @@ CONTROL = re.compile(
 NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 #: a comment; the words before a bracket are not the name of a cycle here
 REMARK = re.compile(r"\([^)]*\)|;.*")
+CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 MISSING = "the sub-program {} is not in this file, and no file of this name that has it is beside it"
 ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
 #: letters of G65 -> numbers of the parameters (Fanuc, argument specification I)
@@ -94,13 +95,17 @@ class Flow:
         self.counters: dict[tuple[int, int], int] = {}
         self.furthest = 0  #: index after the last line that ran
         self.faults: list[tuple[int, str]] = []
-        calls, tried = self._scan(self.programs), set(self.programs)
+        self._take(self._scan(self.programs))
+
+    # --- the table of jumps ---
+
+    def _take(self, calls: set[str]) -> None:
+        """Take the sub-programs that are called, and those that they call, from their files."""
+        tried = set(self.programs)
         while new := calls - tried:
             name = min(new)
             tried.add(name)
             calls |= self._load(name)
-
-    # --- the table of jumps ---
 
     def _load(self, name: str) -> set[str]:
         """Take a sub-program that the program has not from its file, and return those that it calls; raises InputError.
@@ -120,8 +125,10 @@ class Flow:
             raise InputError(path, f"has more than {MOST_BYTES} bytes, too many for a sub-program")
         self.ends.add(len(self.lines))
         self.files.append((len(self.lines) + 1, path))
-        self.lines += ["", *read_lines(path)]
+        lines = read_lines(path)
+        self.lines += ["", *lines]
         self.machine.program.files.append(path)
+        self.machine.changes |= any(CHANGE.search(REMARK.sub("", line)) for line in lines)
         names: dict[str, int] = {}
         calls = self._scan(names)
         if not names and not name.startswith("SUB "):  # without its number
@@ -260,14 +267,14 @@ class Flow:
                     break
                 refused.add(index)
             index = following
-        program.where = ""
+        program.go_to("")
 
     def _go(self, index: int) -> None:
         """Note the file of a line; a line of another file than the program is named after the line that calls it."""
         program = self.machine.program
         self.part = sum(first <= index for first, _ in self.files) - 1
         first, path = self.files[self.part]
-        program.where = f"{path.name}, line {index - first + 1}: " if self.part else ""
+        program.go_to(f"{path.name}, line {index - first + 1}" if self.part else "")
 
     def _step(self, index: int) -> int:
         """Run a line and return the index of the next one."""
@@ -369,14 +376,23 @@ class Flow:
         if kind == "M97":
             return self._enter(self._numbered(number), back, int(repeats), None)
         name = f"L{number:g}" if kind == "L" else f"{number:g}"
-        if name not in self.programs and kind == "M98" and number >= 10_000 and repeats == 1:  # P30012: 3 times O12
+        if kind == "M98" and number >= 10_000 and repeats == 1 and self._start(name) is None:  # P30012: 3 times O12
             repeats, name = number // 10_000, f"{number % 10_000:g}"
-        if name not in self.programs:
+        start = self._start(name)
+        if start is None:
             raise _Stop(MISSING.format(name if kind == "L" else "O" + name))
         scope = None
         if kind == "G65":
             scope = 33, {ARGUMENTS[letter]: value for letter, value in arguments.items()}
-        return self._enter(self.programs[name], back, int(repeats), scope)
+        return self._enter(start, back, int(repeats), scope)
+
+    def _start(self, name: str) -> int | None:
+        """Return the first line of a sub-program; the file of a computed name is read now."""
+        if name not in self.programs:
+            self._take({name})
+        if self.faults:
+            raise _Stop(self.faults[0][1])
+        return self.programs.get(name)
 
     def _call_of(self, label: str, rest: str, back: int) -> int:
         if label[:1] in ("#", "["):
@@ -385,7 +401,7 @@ class Flow:
         arguments: list[float] = []
         while not scanner.ended:
             arguments.append(scanner.value())
-        start = self.programs.get(f"SUB {label}")
+        start = self._start(f"SUB {label}")
         if start is None:
             raise _Stop(MISSING.format("O" + label.lower()))
         if len(arguments) > 30:

@@ -462,7 +462,7 @@ class Interpreter(Machine):
         """A word that changes no path, except together with certain words: G5, G54.4, G74, G75, G92.1 to G92.3."""
         began, value = len(self.program) > 0, groups[word]
         letters = (SILENT_G if word[0] == "G" else SILENT_M)[value]
-        if word in ("G92.1", "G92.2", "G92.3") and ((began and self.preset) or self.offsets.local):
+        if word in ("G92.1", "G92.2", "G92.3") and began and self.preset:
             self.program.refuse(word, advice=DATUM, lost=True)
         elif word in ("G5", "G5.1") and not axes.keys().isdisjoint("XYIJ"):
             groups["motion"] = value
@@ -554,7 +554,8 @@ class Interpreter(Machine):
     def _restore(self, value: float) -> None:
         """G92.1 and G92.2 end the shift of G92, which G92.3 restores after G92.2."""
         stored = [0.0] * 3 if value == 92.1 else self.offsets.stored
-        self._change(preset=stored if value == 92.3 else [0.0] * 3, stored=stored)
+        local = self.offsets.local and value != 92.1
+        self._change(preset=stored if value == 92.3 else [0.0] * 3, stored=stored, local=local)
 
     def _datum(self, word: str, groups: dict, axes: dict) -> None:
         """G10, G52, G68, G92: before the first move they place the frame of the path; G92 S is a limit."""
@@ -601,7 +602,7 @@ class Interpreter(Machine):
         preset = [lengths[axis] * self.unit if axis in lengths else self.offsets.preset[n] for axis, n in AXES.items()]
         if not self._began and any(preset) and not self.offsets.given:
             self.offsets.base = self.offsets.affine  # a shift of the zero that the post knows
-        self._change(preset=preset, local=any(preset))
+        self._change(preset=preset, stored=preset, local=any(preset))
         return ""
 
     def _turned(self, lengths: dict, axes: dict) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 from kr270_milling.base.files import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
-from kr270_milling.path.cam.gcode.flow import Flow, has_flow
+from kr270_milling.path.cam.gcode.flow import CHANGE, Flow, has_flow
 from kr270_milling.path.cam.gcode.interpreter import VECTOR, Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.machine import CORNERS
@@ -56,7 +56,6 @@ PIECE = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
-CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 #: a word that Sinumerik computes from R parameters or functions; and its name
 COMPUTED = re.compile(
     r"(?:^|[ \t])R[0-9]+[ \t]*="
@@ -118,7 +117,6 @@ class GcodeReader:
         flow = Flow(self.machine, self.variables, self.run_line, lines) if has_flow(text) else None
         if flow and program.files:
             text = "\n".join(flow.lines).upper()
-            self.machine.changes = changes_by_m6(flow.lines)
         beside = re.search(r"G[ \t]*0*4[12](?![0-9])", text)  # the contour
         if self.machine.contour is None and (beside or any(word in text for word in CORNERS)):
             self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
@@ -139,7 +137,8 @@ class GcodeReader:
         if self.machine.ended or program.hopeless:
             codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[read:])
             program.silent["lines after the end"] += sum(map(bool, codes))
-            program.silent["M99 of the program, which is run once"] += self.machine.end_word == 99
+            if self.machine.end_word in (99, 47):
+                program.silent[f"M{self.machine.end_word:g} of the program, which is run once"] += 1
             program.silent = +program.silent
             return
         # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move
@@ -157,7 +156,7 @@ class GcodeReader:
             return index
         unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
         x, y, z = machine.position
-        ends: list[tuple[float, float, float, int]] = []
+        ends: list[tuple[float, float, float]] = []
         words: list[int] = []
         for number in range(index, len(lines) - 1):
             match = match_line(lines[number])
@@ -174,12 +173,13 @@ class GcodeReader:
                 z = float(to_z) * unit
             elif to_x is None and to_y is None:
                 break
-            ends.append((x, y, z, number + 1))
+            ends.append((x, y, z))
             words.append(6 - groups.count(None))
-        run = program.straight_cuts(ends, machine.feed or 0.0) if ends else 0
+        numbers = list(range(index + 1, index + len(ends) + 1))
+        run = program.straight_cuts(ends, numbers, machine.feed or 0.0) if ends else 0
         if run:
             program.words["used"] += sum(words[:run])
-            machine.position = list(ends[run - 1][:3])
+            machine.position = list(ends[run - 1])
         return index + run
 
     def run_line(self, line: str) -> None:
@@ -215,7 +215,7 @@ class GcodeReader:
         if code[:1] == ":":
             code = "O" + code[1:]
         # title of a program of LinuxCNC
-        if re.fullmatch(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", code, re.I):
+        if re.fullmatch(r"[ \t]*O?[ \t]*<[^>]*>[ \t]*", code, re.I):
             code = ""
         if comments:
             self._comments(code, comments)
@@ -332,6 +332,8 @@ class GcodeReader:
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"
+        elif name == "FP" and ("G", 75.0) in words:
+            self.program.count("FP")
         elif number and numbered and letter in "SM":
             words.append((letter, float(number)))
         elif numbered and letter in "XYZ" and any(word in words for word in homes):  # of the machine: it goes home

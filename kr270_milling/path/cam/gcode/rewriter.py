@@ -358,7 +358,7 @@ def _sorted_words(code: str, move: SourceMove) -> tuple[list[str], list[str], li
     """The words of a line without those of its move: of its first block, of its last block, comments; where the move
     was."""
     # words that end a block: they stay on the last of its new blocks
-    last_of_block = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
+    last_of_block = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 47, 60, 99))}
     words: list[str] = []
     ending: list[str] = []
     comments: list[str] = []

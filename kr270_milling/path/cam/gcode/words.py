@@ -71,7 +71,7 @@ G_GROUPS: dict[float, str] = {
 }
 M_GROUPS: dict[float, str] = {
     **{n: f"M{n:g}" for n in SILENT_M},
-    **dict.fromkeys((2, 30, 99, 17), "end"),
+    **dict.fromkeys((2, 30, 99, 17, 47), "end"),  # 47: from the first line again (Mach3)
     **dict.fromkeys((97, 98), "call"),
     **dict.fromkeys((70, 71, 72, 73), "modes"),
     **dict.fromkeys((3, 4, 5, 13, 14, 19), "spindle"),
