@@ -24,7 +24,7 @@ from kr270_milling.cell.jobs import (
     record_of,
     simulate,
 )
-from kr270_milling.cell.models import cut_of, flat_floors, path_of
+from kr270_milling.cell.models import arm_model_of, cut_of, flat_floors, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
 from kr270_milling.path.trajectory import Trajectory
@@ -356,12 +356,12 @@ def run_sample(
     """The error [m] of one plant along k references, and its share of the tolerance, (k, 2).
 
     NaN where the plant does not survive a reference; a share is also NaN without a tolerance. The references are
-    corrections of one target: the arm's model along the target, with its backlash, holds for all. first: number of the
-    first pass, on which the repeatability depends.
+    corrections of one target: the arm's model along the target holds for all. first: number of the first pass, on which
+    the repeatability depends.
     """
     rows = np.full((len(references), 2), np.nan)
     with contextlib.suppress(MillingError):
-        model = imperfect_arm(plant, target)
+        model = arm_model_of(plant, target)
         for k, reference in enumerate(references):
             rows[k] = _errors(plant, model, target, reference, first + k, gauge)
     return rows
@@ -378,8 +378,9 @@ def _errors(
     """The error [m] of a pass, by its number, and its share of the tolerance; NaN where the plant is unstable."""
     cut = cut_of(plant)
     ran = run_pass(
-        model, cut, path_of(plant).clock, target, imperfect_course(plant, reference, number, target),
-        plant.exchange.iterations, silent=path_of(plant).drilling_at,
+        imperfect_arm(plant, reference, model), cut, path_of(plant).clock, target,
+        imperfect_course(plant, reference, number, target), plant.exchange.iterations,
+        silent=path_of(plant).drilling_at,
     )  # fmt: skip
     if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
         return math.nan, math.nan
