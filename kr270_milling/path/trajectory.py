@@ -65,8 +65,8 @@ class Trajectory:
         if time[0] != 0:
             raise TrajectoryError(f"the first time is {time[0]} ns, but must be 0", 0)
         _refuse(np.diff(time, prepend=-1) <= 0, "its time is not later than the one before")
-        quaternion = np.array(self.quaternion, float)
-        if quaternion.shape == (time.size, 4) and (quaternion == quaternion[0]).all():
+        quaternion = np.asarray(self.quaternion, float)
+        if quaternion.shape == (time.size, 4) and (not quaternion.strides[0] or (quaternion == quaternion[0]).all()):
             quaternion = quaternion[0]
         same = quaternion.shape == (4,)  # one row for all knots takes no memory
         quaternion = _rows("quaternion", np.atleast_2d(quaternion), 1 if same else time.size, 4)
@@ -343,7 +343,8 @@ def _rows(name: str, array, count: int, width: int) -> np.ndarray:
     array = np.array(array, float)
     if array.shape != (count, width):
         raise TrajectoryError(f"{name} has the shape {array.shape}, but must have {(count, width)}")
-    _refuse(~np.isfinite(array).all(axis=1), f"its {name} is not finite")
+    if not np.isfinite(array).all():
+        _refuse(~np.isfinite(array).all(axis=1), f"its {name} is not finite")
     return array
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
@@ -262,30 +263,28 @@ def remaining_walls(ideal: IdealPart, path: Stations, error: np.ndarray) -> Wall
     staying = hits[ideal.staying]
     moved = (error[k] + hits["share"][:, None] * (error[k + 1] - error[k]))[:, :2]
     own = np.einsum("kd,kd->k", moved[ideal.staying], staying["normal"])
-    missed = -_reach(hits, moved, staying, own, 2.0 * ideal.level)
+    _fill_reach(moved, np.ascontiguousarray(staying["normal"]), *ideal.near, own)
     position = np.column_stack([tooth_tips(staying), staying["centre"][:, 2]])
-    return Walls(position, -staying["normal"], ideal.wall_height, missed, path.feature[staying["period"]])
+    return Walls(position, -staying["normal"], ideal.wall_height, -own, path.feature[staying["period"]])
 
 
-def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.ndarray, level: float) -> np.ndarray:
-    """Return the reach of the teeth beyond that of rigid ones at each staying mark [m], (k,).
+def neighbours(hits: np.ndarray, staying: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the marks on the wall of each staying mark that are near it.
 
-    error (m, 2) [m]: shifts of the teeth. own: reach of the tooth of the mark itself [m], (k,); it counts
-    alone where a tool rests so long that all the nearest marks are of other walls.
+    The number of them, (k,), their indices, (m,), and how far a rigid tooth reaches at the mark [m], (m,). A mark has
+    none where a tool rests so long that all the nearest marks are of other walls.
     """
     chunk = 5_000  # marks at once, with the neighbours of each 25 kB
-    out = np.array(own)
-    if not out.size:
-        return out
-    tree = cKDTree(tooth_tips(hits))
+    counts, indices, reaches = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+    tree = cKDTree(tooth_tips(hits), balanced_tree=False, compact_nodes=False) if staying.size else None
     deepest = 20e-6  # [m]; marks this much deeper than their neighbours still are weighed against them
-    bound = float(np.sqrt(2.0 * hits["radius"].max() * deepest))
-    neighbours = 48  # at most; a tool that rests marks one place with every tooth
+    most = 48  # marks; a tool that rests marks one place with every tooth
     parallel = 0.98  # cosine between normals of one wall
-    for first in range(0, out.size, chunk):
-        mine = staying[first : first + chunk]
+    for first in range(0, staying.size, chunk):
+        mine = hits[staying[first : first + chunk]]
         place, normal = tooth_tips(mine), mine["normal"]
-        _, near = tree.query(place, k=min(neighbours, len(hits)), distance_upper_bound=bound)
+        bound = float(np.sqrt(2.0 * hits["radius"].max() * deepest))
+        _, near = tree.query(place, k=min(most, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
         exists = near < len(hits)
         near = np.where(exists, near, 0)
@@ -295,12 +294,27 @@ def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.nda
         away = theirs["centre"][..., :2] - place[:, None]
         across = away[..., 0] * normal[:, None, 1] - away[..., 1] * normal[:, None, 0]
         arc = np.sqrt(np.maximum(theirs["radius"] ** 2 - across**2, 0.0))
-        rigid = np.einsum("mkd,md->mk", away, normal) + arc
-        moved = rigid + np.einsum("mkd,md->mk", error[near], normal)
-        farthest = [np.where(same, reach, -np.inf).max(axis=1) for reach in (moved, rigid)]
-        known = same.any(axis=1)
-        out[first : first + chunk][known] = farthest[0][known] - farthest[1][known]
-    return out
+        counts.append(same.sum(axis=1))
+        indices.append(near[same])
+        reaches.append((np.einsum("mkd,md->mk", away, normal) + arc)[same])
+    return np.concatenate(counts), np.concatenate(indices), np.concatenate(reaches)
+
+
+@njit(cache=True, nogil=True)
+def _fill_reach(moved, normal, counts, near, rigid, own):
+    """Replace the reach of each tooth [m], (k,), by that of the farthest tooth near it, beyond that of rigid teeth.
+
+    moved (m, 2) [m]: shifts of the teeth; normal (k, 2); counts, near, rigid: of ``neighbours``.
+    """
+    n = 0
+    for k in range(own.size):
+        farthest = most = -np.inf
+        for _ in range(counts[k]):
+            shift = moved[near[n], 0] * normal[k, 0] + moved[near[n], 1] * normal[k, 1]
+            farthest, most = max(farthest, rigid[n] + shift), max(most, rigid[n])
+            n += 1
+        if counts[k]:
+            own[k] = farthest - most
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,6 +345,7 @@ class IdealPart:
     marks: np.ndarray  #: MARK, below the top of the stock
     staying: np.ndarray  #: indices of the marks on a wall that stays, (k,)
     wall_height: np.ndarray  #: height of the wall there [m], (k,)
+    near: tuple[np.ndarray, ...]  #: neighbours of these marks, see ``neighbours``
     level: float  #: level step of the height map [m]
     thinning: int
     unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool
@@ -363,7 +378,8 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
     if cell.stage:
         unjudged |= owner < 0
     thinning = cut.map_thinning
-    return IdealPart(x, y, height, owner, passages, staying, wall_height, level, thinning, unjudged)
+    near = neighbours(passages, staying, 2.0 * level)
+    return IdealPart(x, y, height, owner, passages, staying, wall_height, near, level, thinning, unjudged)
 
 
 def surface(

@@ -138,14 +138,15 @@ def arm_model(
 
         t_k = t_(k-1) + (1 - exp(-H / T)) (C_tool F_k - t_(k-1)),   deflection = delta + t
     """
-    stacked = zip(*(discretise(m, damping_ratio, period) for m in models), strict=True)
-    a, b, p, q = (np.ascontiguousarray(s) for s in map(np.stack, stacked))
+    rows = {f.name: [getattr(model, f.name) for model in models] for f in dataclasses.fields(ModalModel)}
+    every = ModalModel(**{name: None if values[0] is None else np.stack(values) for name, values in rows.items()})
+    a, b, p, q = map(np.ascontiguousarray, discretise(every, damping_ratio, period))
     response = np.zeros((*a.shape[:2], 0))
     if reference_inertia:
-        response = np.stack([discretise_reference(m, damping_ratio, period) for m in models])
-    if models[0].tool is not None:
+        response = discretise_reference(every, damping_ratio, period)
+    if every.tool is not None:
         share = -math.expm1(-period / revolution) if revolution else 1.0
-        a, b, p, response = _with_tool(a, b, p, response, np.array([m.tool for m in models]), share)
+        a, b, p, response = _with_tool(a, b, p, response, every.tool, share)
     return ArmModel(a, b, p, q, np.ascontiguousarray(response), float(steps_per_knot), approach)
 
 

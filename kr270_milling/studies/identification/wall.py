@@ -16,7 +16,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant, coarser, perturbed
-from kr270_milling.decide.part.surface import ideal_part, remaining_walls, stations_of, tooth_tips
+from kr270_milling.decide.part.surface import ideal_part, neighbours, remaining_walls, stations_of, tooth_tips
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.studies.identification.comparison import LinearFit, line_through
@@ -95,8 +95,12 @@ class PredictedPlaces:
             self.normal[k] = (0.0, 0.0, 1.0) if measured.floor[k] else (*-staying["normal"][near].mean(axis=0), 0.0)
         on_walls = [near for near, floor in zip(self._near, measured.floor, strict=True) if not floor]
         used = np.unique(np.concatenate([np.zeros(0, int), *on_walls]))
+        ideal, near = self._ideal, self._ideal.staying[used]
         self._used = dataclasses.replace(
-            self._ideal, staying=self._ideal.staying[used], wall_height=self._ideal.wall_height[used]
+            ideal,
+            staying=near,
+            wall_height=ideal.wall_height[used],
+            near=neighbours(ideal.marks, near, 2.0 * ideal.level),
         )
         self._near = [
             n if floor else np.searchsorted(used, n) for n, floor in zip(self._near, measured.floor, strict=True)
