@@ -15,10 +15,10 @@ from pathlib import Path
 TOP = Path(__file__).resolve().parents[1]
 LOADS, BALANCE = "physics/robot/loads.py", "physics/robot/elastostatics.py"
 MASS, SWEEP = "physics/robot/mass.py", "physics/cutting/sweep.py"
-LAWS, LAWS = "physics/cutting/laws.py", "physics/cutting/laws.py"
-LOAD = "physics/cutting/load.py"
+LAWS = "physics/cutting/laws.py"
+LOAD, REVOLUTION = "physics/cutting/load.py", "physics/cutting/revolution.py"
 MOTION, MEASURED = "physics/motion/dynamics.py", "physics/motion/arm_model.py"
-REVISION, REVISION = "physics/compensation/revision.py", "physics/compensation/revision.py"
+REVISION = "physics/compensation/revision.py"
 RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lifted.py"
 LEARNING = "physics/compensation/learning.py"
 IMPERFECTIONS, BACKLASH = "physics/motion/imperfections.py", "physics/motion/backlash.py"
@@ -26,6 +26,7 @@ TESTS = {
     LOADS: ["statics"], BALANCE: ["statics"], MASS: ["mass"], MEASURED: ["dynamics"], MOTION: ["dynamics"],
     LAWS: ["force"], LOAD: ["force"], SWEEP: ["force", "sweep"], REVISION: ["revision"], RESPONSE: ["lifted"],
     LIFTED: ["lifted"], LEARNING: ["compensator"], IMPERFECTIONS: ["plant"], BACKLASH: ["plant"],
+    REVOLUTION: ["revolution"],
 }  # fmt: skip
 
 #: equation, file, a text that occurs once in the file, with <<old|new>>
@@ -125,6 +126,14 @@ MUTATIONS = [
     ("h_i = A_i / (R dphi)", SWEEP, "(<<height|2 * height>> * p.radii[i] * p.micro_step)"),
     ("A_i", SWEEP, "total = s.tally[0] * (depth <<-|+>> level * p.level_step) + s.tally[1]"),
     ("torque", LOAD, "now[5] += share * (f_t <<*|+>> p.radii[i])"),
+    ("revolution: F_x", REVOLUTION, "(out * c <<+|->> p.sense * f_t * d)"),
+    ("revolution: F_y", REVOLUTION, "(out * d <<-|+>> p.sense * f_t * c)"),
+    ("revolution: out", REVOLUTION, "out, up = -f_r * sine <<-|+>> f_a * cosine"),
+    ("revolution: up", REVOLUTION, "f_r * cosine <<-|+>> f_a * sine"),
+    ("revolution: h", REVOLUTION, "h = share * normal, <<normal|2 * normal>> * each"),
+    ("revolution: d.n", REVOLUTION, "normal = forward * sine <<-|+>> dz * cosine"),
+    ("revolution: area", REVOLUTION, "shape.sine_area[b] <<-|+>> dz * shape.cosine_area[b]"),
+    ("revolution: torque", REVOLUTION, "torque += f_t * share * <<area|normal>>"),
     ("(30)", REVISION, "commanded.position <<+ loaded.position - |- loaded.position + >>sagged.position"),
     ("(30) rotation", REVISION, "turned = <<loaded|sagged>>.rotation @ np.swapaxes(sagged.rotation, -1, -2)"),
     ("(30) weights", REVISION, "loaded = equilibrium(arm, mount, joints, wrench, gravity=<<True|False>>).pose"),

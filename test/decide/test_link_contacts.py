@@ -41,10 +41,10 @@ def contacts_in(cell, run) -> list:
 
 
 def test_boxes_in_the_links_are_found_with_the_depth_of_a_dense_sampling_and_the_others_are_not():
-    """Each of 40 boxes begins within or beside the hull of one link at the start; the arm hardly moves."""
+    """Each of 24 boxes begins within or beside the hull of one link at the start; the arm hardly moves."""
     cell, rng, contacts = cell_of("stock.max_mm=[40,40,0]"), np.random.default_rng(3), 0
     places = places_of(cell, arm_of(cell).joints(path_of(cell).target)[0])
-    for _ in range(40):
+    for _ in range(24):
         name = rng.choice(LINKS[2:])
         row = places[name][rng.integers(len(places[name]))]
         way = rng.normal(size=3)
@@ -60,7 +60,7 @@ def test_boxes_in_the_links_are_found_with_the_depth_of_a_dense_sampling_and_the
             if link != "the base" and depth > 0.0:  # at other places of the path the contact is deeper
                 contacts += 1
                 assert depths[link] >= depth - 1.0, (link, box)
-    assert contacts >= 30
+    assert contacts >= 18
 
 
 def test_links_that_meet_in_postures_within_the_limits_of_the_joints_are_found_and_no_others():

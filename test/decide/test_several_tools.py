@@ -66,7 +66,7 @@ def run_in_turn(cells):
 
 @pytest.mark.parametrize("detail", ["cutting.detail=teeth", "cutting.detail=engagement"])
 @pytest.mark.parametrize("first", ["T1", "T2"])
-def test_two_tools_remove_the_union_of_their_slots_and_the_second_on_the_same_path_nothing(tmp_path, detail, first):
+def test_two_tools_remove_the_union_of_their_slots(tmp_path, detail, first):
     slots = [operation("T1", *ALONG), operation("T2", *ACROSS)]
     program = HEAD + "".join(slots if first == "T1" else slots[::-1]) + END
     done = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL}, detail, RIGID))
@@ -75,6 +75,10 @@ def test_two_tools_remove_the_union_of_their_slots_and_the_second_on_the_same_pa
     for (cell, ran), shared in zip(done, (0, both), strict=True):
         assert 1e9 * ran.result.removed_volume == pytest.approx(alone[cell.stage.tool] - shared, rel=0.01)
     assert not any(check(cell, ran=ran).count("stop") for cell, ran in done)
+
+
+@pytest.mark.parametrize("detail", ["cutting.detail=teeth", "cutting.detail=engagement"])
+def test_the_second_tool_on_the_same_path_removes_nothing(tmp_path, detail):
     (_, cuts), (_, second) = run_in_turn(tool_cells(tmp_path, TWICE, {"T1": LARGE, "T2": LARGE}, detail, RIGID))
     assert np.abs(cuts.result.wrench).max() > 50.0
     assert second.result.removed_volume == 0.0 and not second.result.wrench.any()
