@@ -37,7 +37,7 @@ MUTATIONS = [
     ("(1)", MOTION, "(-<<a21|2 * a21>> / w**2)"),
     ("(1) condensed", MOTION, "output[..., free, :] = <<coupling|-coupling>>, coupling.swapaxes(-1, -2)"),
     ("(1) condensed", MOTION, "compliance[..., other, free] <<-|+>> compliance"),
-    ("(1) -M r''", MOTION, "return <<-|>>np.vstack([to * place @ back"),
+    ("(1) -M r''", MOTION, "return <<-|>>np.concatenate([to * place @ back"),
     ("(1) ramp", MOTION, "ramp = (1.0 <<-|+>> a12 / h"),
     ("(1) ramp", MOTION, "a12 / h <<-|+>> 2.0 * z * (1.0 - a11)"),
     ("(1) ramp", MOTION, "(1.0 - a22 <<+|->> 2.0 * z * a21 / w)"),
