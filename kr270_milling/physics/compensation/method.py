@@ -8,13 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
-from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.revision import PassRecord
-
 if TYPE_CHECKING:
+    import numpy as np
+
+    from kr270_milling.path.trajectory import Trajectory
     from kr270_milling.physics.compensation.learning import CellModels, Learner
+    from kr270_milling.physics.compensation.revision import PassRecord
 
 
 @dataclass(frozen=True, eq=False)
