@@ -326,6 +326,7 @@ def placed(path: CellPath, run: Trajectory, finding: Finding) -> Finding:
         ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point or 1, len(fed.distance)) - 1]
         same_place = 1e-9  # [m], rounding of distances along a path
         block = int(np.clip(np.searchsorted(ends, distance - same_place), 1, len(ends) - 1))
-    path_of, called = fed.toolpath, fed.toolpath.program.places[int(fed.toolpath.place[block])]
-    line, feature = int(path_of.line[block]), path_of.features[int(path_of.feature[block])]
+    blocks = fed.toolpath
+    line, feature = int(blocks.line[block]), blocks.features[int(blocks.feature[block])]
+    called = blocks.program.places[int(blocks.place[block])]
     return replace(finding, where=Place(point, line or None, feature or None, (x, y, z), called or None))
