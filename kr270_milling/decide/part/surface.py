@@ -126,7 +126,8 @@ def neighbours(hits: np.ndarray, staying: np.ndarray, level: float) -> tuple[np.
     none where a tool rests so long that all the nearest marks are of other walls.
     """
     counts, indices, reaches = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
-    tree = cKDTree(tooth_tips(hits), balanced_tree=False, compact_nodes=False) if staying.size else None
+    if staying.size:
+        tree = cKDTree(tooth_tips(hits), balanced_tree=False, compact_nodes=False)
     deepest = 20e-6  # [m]; marks this much deeper than their neighbours still are weighed against them
     most = 48  # marks; a tool that rests marks one place with every tooth
     parallel = 0.98  # cosine between normals of one wall
@@ -195,7 +196,7 @@ class IdealPart:
     marks: np.ndarray  #: MARK, below the top of the stock
     staying: np.ndarray  #: indices of the marks on a wall that stays, (k,)
     wall_height: np.ndarray  #: height of the wall there [m], (k,)
-    near: tuple[np.ndarray, ...]  #: neighbours of these marks, see ``neighbours``
+    near: tuple[np.ndarray, np.ndarray, np.ndarray]  #: neighbours of these marks, see ``neighbours``
     level: float  #: level step of the height map [m]
     thinning: int
     unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool
