@@ -43,7 +43,7 @@ MUTATIONS = [
     ("(1) ramp", MOTION, "(1.0 - a22 <<+|->> 2.0 * z * a21 / w)"),
     ("(1) falling", MOTION, "[constant <<-|+>> rising for"),
     ("(1) corner", MOTION, "response(<<a12|0 * a12>>, a22)"),
-    ("(1) components", MOTION, "model.shape.swapaxes(-1, -2) @ <<model.mass @ |>>model.reference  # eta -> delta, r -> eta"),
+    ("(1) components", MOTION, "swapaxes(-1, -2) @ <<model.mass @ |>>model.reference  # eta -> delta, r -> eta"),
     ("(1) r'' at start", MOTION, "(6.0 * p / h - <<4.0|2.0>> * v"),
     ("(1) r'' at end", MOTION, "+ 2.0 * v + <<4.0|2.0>> * w) / h"),
     ("(1) corner", MOTION, "v <<-|+>> before[n, j]"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -194,14 +195,15 @@ def check(
         blocks = about["blocks"] = program_blocks(robot_program, path.target, run, fixed)
         if robot_program.motion == "LIN" and not robot_program.blend_distance:
             results.append(violation("no blending", blocks.points, int(path.target.standing.sum())))
-        ran, cut = _cut(cell, run, ran, progress)
-        results += cut
-        about["ran"] = ran
-        about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
-        with contextlib.suppress(*arm_errors):  # the pass reports the same error as a finding
-            with progress("stability") as report:
-                about["stability"] = stability_statement(cell, report)
-            results += chatter_violations(about["stability"], run.time)
+        with ThreadPoolExecutor(1) as pool:
+            statement = pool.submit(stability_statement, cell)  # on another core than the pass and the contacts
+            ran, cut = _cut(cell, run, ran, progress)
+            results += cut
+            about["ran"] = ran
+            about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
+            with contextlib.suppress(*arm_errors), progress("stability"):  # the pass reports the same error
+                about["stability"] = statement.result()
+                results += chatter_violations(about["stability"], run.time)
         if ran:
             shown, more_findings = _of_pass(cell, run, ran, about.get("stability"))
             results += more_findings

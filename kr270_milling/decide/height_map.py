@@ -126,29 +126,23 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     _rim(grid, square, x, y, move_x, move_y, cleared, first_i, rim)
     for i in range(first_i, end_i):
         n, away_x = i - first_i, grid.x + i * step - x
-        j, stop = max(rim[0, n], grid.first[i]) - 1, min(rim[1, n] + 1, grid.end[i])
-        above, last = max(rim[2, n], grid.first[i]), min(rim[3, n] + 1, grid.end[i])
-        while j + 1 < stop or above < last:
-            j += 1
-            if j >= stop:  # the nodes above the circle
-                j, stop, above = max(above, j), last, last
-                if j >= stop:
-                    break
-            before = grid.depth[i, j]
-            if max(before, depth[i, j]) + ROUNDING >= most:
-                continue
-            away_y = grid.y + j * step - y
-            along, beside = 0.0, away_x**2 + away_y**2
-            if way > VERTICAL:
-                along = (away_x * move_x + away_y * move_y) / way
-                beside -= along**2 * way
-            tip = _deepest(along, beside, way, square, below, to_below)
-            if not flat and tip > before:
-                tip = _deepest_of_profile(grid, along, beside, way, radius, below, to_below, before)
-            if max(before, depth[i, j]) + ROUNDING < tip:
-                deepest = max(deepest, tip - before)
-                volume += (tip - before) * step**2
-                depth[i, j] = tip
+        for part in range(0, 4, 2):
+            for j in range(max(rim[part, n], grid.first[i]), min(rim[part + 1, n] + 1, grid.end[i])):
+                before = grid.depth[i, j]
+                if max(before, depth[i, j]) + ROUNDING >= most:
+                    continue
+                away_y = grid.y + j * step - y
+                along, beside = 0.0, away_x**2 + away_y**2
+                if way > VERTICAL:
+                    along = (away_x * move_x + away_y * move_y) / way
+                    beside -= along**2 * way
+                tip = _deepest(along, beside, way, square, below, to_below)
+                if not flat and tip > before:
+                    tip = _deepest_of_profile(grid, along, beside, way, radius, below, to_below, before)
+                if max(before, depth[i, j]) + ROUNDING < tip:
+                    deepest = max(deepest, tip - before)
+                    volume += (tip - before) * step**2
+                    depth[i, j] = tip
     return deepest, volume
 
 
@@ -178,7 +172,7 @@ def _rim(grid, square, x, y, move_x, move_y, cleared, first_i, rim):
         none = not (meets or to_meets)
         rim[0, n] = np.int32(0 if none else np.ceil(least))
         rim[1, n] = np.int32(-1 if none else np.floor(most if beside else low + tiny))
-        rim[2, n] = np.int32(0 if beside else np.ceil(high - tiny))
+        rim[2, n] = np.int32(0 if beside else max(np.ceil(high - tiny), np.floor(low + tiny) + 1.0))
         rim[3, n] = np.int32(-1 if beside else np.floor(most))
 
 

@@ -6,7 +6,7 @@ Every distinct engagement of a feature (angles, feed and its direction) is evalu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,8 +109,8 @@ class Stability:
         return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
 
 
-def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Stability:
-    """The statement of a cell whose arm can follow the path; progress(done, total): along the path."""
+def stability_statement(cell: Cell) -> Stability:
+    """The statement of a cell whose arm can follow the path."""
     with_tool = bool(cell.tool.modes.frequency.size)
     if not cell.tool.has_flat_end:
         return Stability((), with_tool, shape=f"tool.type is {cell.tool.type}")
@@ -118,7 +118,7 @@ def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None 
         return Stability((), with_tool, shape="the tool is tilted")
     if not has_uniform_pitch(cell.tool):
         return Stability((), with_tool, uniform_pitch=False)
-    return Stability(tuple(feature_limits(cell, progress=progress)), with_tool)
+    return Stability(tuple(feature_limits(cell)), with_tool)
 
 
 def chatter_violations(stability: Stability, time: np.ndarray) -> list[Finding]:
@@ -166,9 +166,7 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
     )
 
 
-def feature_limits(
-    cell: Cell, arm: bool = True, progress: Callable[[int, int], None] | None = None
-) -> list[FeatureLimit]:
+def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
     """The engagement of each feature with the largest depth against its limit, in the order of the path.
 
     arm: False leaves out the modes of the arm. Raises ParameterError for a variable pitch.
@@ -180,7 +178,7 @@ def feature_limits(
         raise ParameterError("path.file", cell.path.file, "upright: the limits do not hold for a tilted tool")
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
-    arcs = arcs_along(path_of(cell), cell.earlier, progress)
+    arcs = arcs_along(path_of(cell), cell.earlier)
     groups = _groups(arcs, FEWEST_TEETH * path_of(cell).feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
     limits: list[FeatureLimit] = []
     models: dict[tuple, ModalModel] = {}

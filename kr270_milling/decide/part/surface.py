@@ -276,7 +276,8 @@ def neighbours(hits: np.ndarray, staying: np.ndarray, level: float) -> tuple[np.
     """
     chunk = 5_000  # marks at once, with the neighbours of each 25 kB
     counts, indices, reaches = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
-    tree = cKDTree(tooth_tips(hits), balanced_tree=False, compact_nodes=False) if staying.size else None
+    if staying.size:
+        tree = cKDTree(tooth_tips(hits), balanced_tree=False, compact_nodes=False)
     deepest = 20e-6  # [m]; marks this much deeper than their neighbours still are weighed against them
     most = 48  # marks; a tool that rests marks one place with every tooth
     parallel = 0.98  # cosine between normals of one wall
@@ -345,7 +346,7 @@ class IdealPart:
     marks: np.ndarray  #: MARK, below the top of the stock
     staying: np.ndarray  #: indices of the marks on a wall that stays, (k,)
     wall_height: np.ndarray  #: height of the wall there [m], (k,)
-    near: tuple[np.ndarray, ...]  #: neighbours of these marks, see ``neighbours``
+    near: tuple[np.ndarray, np.ndarray, np.ndarray]  #: neighbours of these marks, see ``neighbours``
     level: float  #: level step of the height map [m]
     thinning: int
     unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool

@@ -139,7 +139,7 @@ def arm_model(
         t_k = t_(k-1) + (1 - exp(-H / T)) (C_tool F_k - t_(k-1)),   deflection = delta + t
     """
     rows = {f.name: [getattr(model, f.name) for model in models] for f in dataclasses.fields(ModalModel)}
-    every = ModalModel(**{name: None if values[0] is None else np.stack(values) for name, values in rows.items()})
+    every = ModalModel(**{name: np.stack(values) for name, values in rows.items() if values[0] is not None})
     a, b, p, q = map(np.ascontiguousarray, discretise(every, damping_ratio, period))
     response = np.zeros((*a.shape[:2], 0))
     if reference_inertia:
