@@ -223,12 +223,13 @@ def test_feeds_meet_a_linear_load_and_stay_where_the_load_does_not_respond(tmp_p
         content = tried_cell.path.loaded().read()
         share = np.where(cut, content.feed[content.block_at(middle)] / programmed, 1.0)
         tried.append(share)
-        return np.vstack([constant + slope * share, np.zeros((2, len(ends)))]), np.full(16, 0.5 + 0.5 * len(tried) % 2)
+        load = np.vstack([constant + slope * share, np.zeros((2, len(ends)))])
+        return np.tile(load, (16, 1, 1)), np.full(16, 0.5 + 0.5 * len(tried) % 2)
 
     cut = ~path.rapid[path.block_at(middle)]
     programmed = np.where(cut, path.feed[path.block_at(middle)], 1.0)
     monkeypatch.setattr(module, "_loads", loads)
-    monkeypatch.setattr(module, "_within_time", lambda cell, path, ends, share, limit: share)
+    monkeypatch.setattr(module, "_within_time", lambda cell, path, ends, aiming, limit: aiming(0.95))
     wanted = np.clip((0.95 - constant) / slope, 0.25, 1.3)
     module.scheduled(cell, "none", "SPLINE")
     assert tried[-1][cut] == pytest.approx(np.where(constant > 1.0, 1.0, wanted)[cut], abs=0.02)
