@@ -188,7 +188,7 @@ def _verdict(
 
 
 FORMER, PROGRAMMED = "former", "as_programmed"  #: names of a program that stays, and of one without a correction
-DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
+DRAWN_OF = 5  #: robots of the verdict for one robot of each unknown: six know the larger shares to a fifth
 
 
 def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Finding]:

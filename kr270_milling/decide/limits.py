@@ -16,13 +16,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from kr270_milling.base.column import column
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
-from kr270_milling.cell.plant import Plant, coarser, perturbed
+from kr270_milling.cell.plant import Plant, coarser, numbers_of, robot_of
 from kr270_milling.decide.part.surface import SLOPE
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.imperfections import Imperfections
@@ -66,7 +67,7 @@ class Limit:
 def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     """The unknowns of a cell along the reference of a program, the largest share first.
 
-    count: robots drawn for each unknown, at least two; four know a share to about a half of it.
+    count: robots for each unknown, at least two.
     """
     model, assumed = coarser(cell), cell.uncertainty
     if assumed.learned.size:  # a measured part ties the unknowns to each other
@@ -80,8 +81,8 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     for name, (keys, _) in UNKNOWNS.items():
         left = {key: values[key] for key in keys}
         if any(np.any(value) for value in left.values()):
-            rng, other = np.random.default_rng(SEED), model.replace(uncertainty=known.replace(**left))
-            drawn += [(name, perturbed(other, rng)) for _ in range(count)]
+            other = model.replace(uncertainty=known.replace(**left))
+            drawn += [(name, robot_of(other, row)) for row in _hypercube(count, numbers_of(other))]
     with ThreadPoolExecutor(at_once(path_of(model))) as pool:
         ran_rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))
     size = {}
@@ -91,6 +92,21 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     total = sum(size.values())
     rows = (Limit(name, value / total, UNKNOWNS[name][1]) for name, value in size.items() if total > 0.0)
     return tuple(sorted(rows, key=lambda row: -row.share))
+
+
+def _hypercube(count: int, numbers: int) -> np.ndarray:
+    """Numbers behind robots that cover each number evenly, (count, numbers): a Latin hypercube [McKay1979].
+
+    Each number takes the middles of equally probable ranges, scaled to a variance of 1, in a random order that is
+    hardly correlated with those of the six numbers before it: the numbers of an unknown are neighbours. So few robots
+    know a variance that as many drawn ones know to a half.
+    """
+    rng, levels = np.random.default_rng(SEED), ndtri((np.arange(count) + 0.5) / count)
+    columns, orders, near = [levels / levels.std()], 100, 6
+    while len(columns) < numbers:
+        tried = rng.permuted(np.tile(columns[0], (orders, 1)), axis=1)
+        columns.append(tried[np.argmin(np.square(tried @ np.transpose(columns[-near:])).sum(axis=1))])
+    return np.column_stack(columns)
 
 
 def _across(model: Cell, ran: PassResult) -> np.ndarray:
@@ -123,7 +139,7 @@ def limit_line(rows: tuple[Limit, ...]) -> str:
 
 
 def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str]:
-    """Lines: what to measure, and how many of the robots would meet the tolerance then; the best first.
+    """Lines: what to measure, and how many more of the robots would meet the tolerance then; the best first.
 
     shares: errors of the simulated robots as shares of the tolerance, (n,); None: no tolerance is given.
     """
@@ -134,4 +150,5 @@ def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str
     return [
         f"measure: {row.name}, {row.measurement}: from {now} to about {row.within(shares)} of {shares.size} robots"
         for row in best
-    ]
+        if row.within(shares) > now
+    ] or ["no measurement of one unknown alone brings more robots within the tolerance"]
