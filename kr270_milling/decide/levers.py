@@ -107,7 +107,9 @@ def scheduled(
     programmed: else another tenth may miss each stretch. r(f), their largest load in a stretch as a share of its limit
     (``_loads``), is taken as linear in the feed f, through its last two values; the first slope is r / f. Where a feed
     of 0 would leave 90 % of the load, it does not respond to the feed: the edges plough, or the servo lags. The
-    programmed feed stays. Where the path would take too long, all stretches aim at the same larger load.
+    programmed feed stays. The error of the next stretch is a load, too, since the arm still swings there. A slope is at
+    most 2 r / f: no error grows faster than the square of the feed. Where the path would take too long, all stretches
+    aim at the same larger load.
 
     method: that plans the correction in these rounds; motion: of the programs; count(done, total): in robots;
     longest [ns]: duration of the path, default ``RATIOS[-1]`` times the programmed one.
@@ -138,8 +140,9 @@ def scheduled(
         tried = cell.replace(path=cell.path.loaded().replace(content=path.with_feeds(ends, share)))
         rows, shares = _loads(tried, method, motion, ends, functools.partial(report, turn))
         if not turn:
-            kept = np.argsort(np.nan_to_num(shares, nan=FAILED))[: math.ceil(ENOUGH * PLANNED)]
-        loads = rows[kept].max(axis=0)
+            chosen = np.argsort(np.nan_to_num(shares, nan=FAILED))[: math.ceil(ENOUGH * PLANNED)]
+        loads = rows[chosen].max(axis=0)
+        loads = np.vstack([loads, np.append(loads[0, 1:], 0.0)])  # the arm still swings in the next stretch
         enough = bool(np.sum(shares <= 1.0) >= ENOUGH * PLANNED)
         seconds = path_of(tried).target.duration_ns
         within = int(np.sum(shares <= 1.0))
@@ -151,8 +154,9 @@ def scheduled(
             moved = share - before[1]
             own = np.abs(moved) > 0.02
             slope = np.where(own, (loads - before[0]) / np.where(own, moved, 1.0), slope)
+            slope = np.minimum(slope, 2.0 * loads / share)
         still = slope * share < (1.0 - UNMOVED) * loads
-        silent = (still & (loads > 1.0)).any(axis=0)
+        silent = (still & (loads > 1.0))[:-1].any(axis=0)
         before, aiming = (loads, share), functools.partial(_aimed, share, loads, slope, still, least, most)
         share = _within_time(cell, path, ends, aiming, min(longest, RATIOS[-1] * programmed))
         if np.abs(share - before[1]).max() < 0.01:
