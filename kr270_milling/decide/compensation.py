@@ -141,8 +141,8 @@ def compensate(
     if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
         with progress("limits"):
             program = written_trajectory(cell, revised.reference, motion)
-            # robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
-            rows = limits(cell, program, max(2, robots // 8))
+            # six robots of each unknown know the larger shares to a fifth
+            rows = limits(cell, program, max(2, robots // 5))
     shares = cell.uncertainty.least_backlash, cell.uncertainty.backlash
     backlash = backlash_statement(cell.arm.backlash, shares, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)

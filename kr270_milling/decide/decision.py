@@ -18,13 +18,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from kr270_milling.base.column import as_dict, column, computed
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
-from kr270_milling.cell.plant import Plant, coarser, perturbed
+from kr270_milling.cell.plant import Plant, coarser, numbers_of, robot_of
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.part.assessment import Judgement, um_text
 from kr270_milling.decide.part.surface import SLOPE
@@ -71,7 +72,7 @@ class Limit:
 def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     """The unknowns of a cell along the reference of a program, the largest share first.
 
-    count: robots drawn for each unknown, at least two; four know a share to about a half of it.
+    count: robots for each unknown, at least two.
     """
     model, assumed = coarser(cell), cell.uncertainty
     if assumed.learned.size:  # a measured part ties the unknowns to each other
@@ -85,9 +86,8 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     for name, (keys, _) in UNKNOWNS.items():
         left = {key: values[key] for key in keys}
         if any(np.any(value) for value in left.values()):
-            # the seed of these robots is beyond those of verdicts and of ``robust``
-            rng, other = np.random.default_rng(1_000_001), model.replace(uncertainty=known.replace(**left))
-            drawn += [(name, perturbed(other, rng)) for _ in range(count)]
+            other = model.replace(uncertainty=known.replace(**left))
+            drawn += [(name, robot_of(other, row)) for row in _hypercube(count, numbers_of(other))]
     with ThreadPoolExecutor(at_once(path_of(model))) as pool:
         ran_rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))
     size = {}
@@ -97,6 +97,22 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
     total = sum(size.values())
     rows = (Limit(name, value / total, UNKNOWNS[name][1]) for name, value in size.items() if total > 0.0)
     return tuple(sorted(rows, key=lambda row: -row.share))
+
+
+def _hypercube(count: int, numbers: int) -> np.ndarray:
+    """Numbers behind robots that cover each number evenly, (count, numbers): a Latin hypercube [McKay1979].
+
+    Each number takes the middles of equally probable ranges, scaled to a variance of 1, in a random order that is
+    hardly correlated with those of the six numbers before it: the numbers of an unknown are neighbours. So few robots
+    know a variance that as many drawn ones know to a half.
+    """
+    # the seed of these robots is beyond those of verdicts and of ``robust``
+    rng, levels = np.random.default_rng(1_000_001), ndtri((np.arange(count) + 0.5) / count)
+    columns, orders, near = [levels / levels.std()], 100, 6
+    while len(columns) < numbers:
+        tried = rng.permuted(np.tile(columns[0], (orders, 1)), axis=1)
+        columns.append(tried[np.argmin(np.square(tried @ np.transpose(columns[-near:])).sum(axis=1))])
+    return np.column_stack(columns)
 
 
 def _across(model: Cell, ran: PassResult) -> np.ndarray:
@@ -124,7 +140,7 @@ def _deviation(model: Cell, robot: Cell, reference: Trajectory, scored: tuple[np
 
 
 def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str]:
-    """Lines: what to measure, and how many of the robots would meet the tolerance then; the best first.
+    """Lines: what to measure, and how many more of the robots would meet the tolerance then; the best first.
 
     shares: errors of the simulated robots as shares of the tolerance, (n,); None: no tolerance is given.
     """
@@ -135,7 +151,8 @@ def measurements(rows: tuple[Limit, ...], shares: np.ndarray | None) -> list[str
     return [
         f"measure: {row.name}, {row.measurement}: from {now} to about {row.within(shares)} of {shares.size} robots"
         for row in best
-    ]
+        if row.within(shares) > now
+    ] or ["no measurement of one unknown alone brings more robots within the tolerance"]
 
 
 YES, CAUTION, NO = "yes", "caution", "no"

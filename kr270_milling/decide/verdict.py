@@ -188,7 +188,7 @@ def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]
     return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
 
 
-def _each_robot(
+def each_robot(
     nominal: Cell, robots: int, seed: int, job: Callable[[int, Cell], Row], count: Callable[[int], object]
 ) -> list[Row]:
     """Draw robots and return the result of a job for each, in the order of drawing; count(done): after each robot."""
@@ -255,7 +255,7 @@ def monte_carlo(
             rows = run_sample(plant, target, (target, *chosen), gauge)
             return rows, _tracked(cell, plant, gauge) if k < learning else None
 
-        return _each_robot(nominal, samples, seed, run, count)
+        return each_robot(nominal, samples, seed, run, count)
 
     quick, difference = coarser(cell), None
     robots = drawn(quick)
@@ -266,7 +266,7 @@ def monte_carlo(
         def full_error(_: int, robot: Cell) -> float:
             return float(run_sample(robot, target, [revised], gauge, 1)[0, 0])
 
-        full = np.array(_each_robot(cell, min(CHECKED, samples), seed, full_error, lambda done: None))
+        full = np.array(each_robot(cell, min(CHECKED, samples), seed, full_error, lambda done: None))
         both = rows[: len(full), 1, 0]
         alike = np.isnan(full) & np.isnan(both)  # fails either way
         difference = float(np.where(alike, 0.0, np.abs(full - both)).max())
@@ -334,20 +334,19 @@ def drawn_errors(
     robots: int,
     seed: int,
     count: Callable[[int], object] = lambda done: None,
-    gauge: Gauge | None = None,
     first: int = 0,
 ) -> np.ndarray:
     """Errors [m] of drawn robots along references of a program, and their shares of the tolerance, (robots, k, 2).
 
-    count(done): called after each robot; gauge: default that of the cell; first: number of the first pass of a robot.
+    count(done): called after each robot; first: number of the first pass of a robot.
     """
     nominal, target = coarser(cell), path_of(cell).target
-    gauge = gauge or gauge_of(nominal)
+    gauge = gauge_of(nominal)
 
     def errors(_: int, robot: Cell) -> np.ndarray:
         return run_sample(robot, target, references, gauge, first)
 
-    return np.array(_each_robot(nominal, robots, seed, errors, count))
+    return np.array(each_robot(nominal, robots, seed, errors, count))
 
 
 def run_sample(

@@ -125,6 +125,14 @@ def test_the_only_unknown_has_the_whole_band_and_a_measurement_of_it_brings_ever
     assert shares["servo lag"] == pytest.approx(0.0, abs=1e-9)  # every robot has the same lag
 
 
+def test_six_robots_know_the_shares_of_many_within_a_fifth(tmp_path):
+    part = small_part(tmp_path, GCODE, *MOVING, "cutting.detail=engagement")
+    few, many = ({row.name: row.share for row in limits(part, path_of(part).target, n)} for n in (6, 24))
+    largest = [name for name, share in many.items() if share > 0.1]
+    assert len(largest) > 1
+    assert [few[name] for name in largest] == pytest.approx([many[name] for name in largest], rel=0.2)
+
+
 def test_a_method_is_recommended_only_where_methods_were_compared():
     assert decision(verdict=plants(50)).recommended_method is None
     assert decision().method_text == "method: inverse, as set"
