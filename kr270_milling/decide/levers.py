@@ -107,7 +107,6 @@ def scheduled(
     method: that plans the correction in these rounds; motion: of the programs; count(done, total): in robots;
     longest [ns]: duration of the path, default ``RATIOS[-1]`` times the programmed one.
     """
-    aim = 0.95  # load at which the feeds aim: the linear rule misses by some percent
     path, settings = cell.path.loaded().read(), cell.compensation
     if not isinstance(path, Toolpath) or not any(cell.tolerances.of()):
         raise InputError("compensation.feed", NEEDS)
@@ -183,13 +182,14 @@ def _aimed(share, loads, slope, still, least, most, level: float) -> np.ndarray:
 def _within_time(
     cell: Cell, path: Toolpath, ends: np.ndarray, aiming: Callable[[float], np.ndarray], limit: float
 ) -> np.ndarray:
-    """Return the shares that aim at the least load, from ``AIM`` on, with which the path takes at most a time [ns]."""
+    """Return the shares that aim at the least load, from ``aim`` on, with which the path takes at most a time [ns]."""
 
     def late(level: float) -> bool:
         content = path.with_feeds(ends, aiming(level))
         return path_of(cell.replace(path=cell.path.loaded().replace(content=content))).target.duration_ns > limit
 
-    low, high, highest = AIM, AIM, 100.0  # with a higher load the feeds are the programmed ones at least
+    aim = 0.95  # load at which the feeds aim: the linear rule misses by some percent
+    low, high, highest = aim, aim, 100.0  # with a higher load the feeds are the programmed ones at least
     while late(high) and high < highest:
         low, high = high, 1.5 * high
     for _ in range(5 if high > low else 0):
