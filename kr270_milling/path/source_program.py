@@ -27,17 +27,22 @@ class Refusal:
 class ProgramTool:
     """A tool of the program, as far as its words and comments describe it."""
 
-    name: str  #: as ``path.tool`` selects it, "T1"
+    name: str  #: as ``path.tool`` selects it, "T1"; "T1_2" for a second run of T1
     description: str = ""  #: name in its comment
     diameter: float = 0.0  #: [m], 0: the program does not say
     teeth: int = 0  #: 0: the program does not say
-    line: int = 0  #: line of its first tool change
+    line: int = 0  #: line of its tool change, or where a further run begins
     cuts: int = 0  #: cutting blocks that it makes
-    last_cut: int = 0  #: line of the last of them
+    changed_as: str = ""  #: name of the tool in the program: that of the first run
     corner_radius: float = 0.0  #: [m], 0: sharp corners, or the program does not say
     kind: str = ""  #: kind of a tool that is no flat end mill; "": a flat one, or the program does not say
     inserts: bool = False  #: its comment names inserts, or a kind of mill that has inserts
     length_offset: bool = False  #: the program switches on a length for this tool (G43)
+
+    @property
+    def first(self) -> bool:
+        """Return whether this is the first run of the tool."""
+        return self.name == self.changed_as
 
     @property
     def label(self) -> str:

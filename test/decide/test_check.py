@@ -21,9 +21,9 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.check import check
+from kr270_milling.decide.check_arm import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
 from kr270_milling.decide.findings import violations
-from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.robot import pose
 

@@ -19,7 +19,7 @@ from kr270_milling.base.frames import rotation_from_abc, rotation_from_quaternio
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
 from kr270_milling.path.cam.readers import READERS, PathReader, read_path_file, read_toolpath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 
 VALID = {
     ".nc": b"G21 G90 (a)\nG0 X0 Y0 Z0\nG1 X1 F100\nG2 X5 Y4 I4 J0\nG3 X0 Y0 R6\nG91 G20\nG1 X-.5 F4\nM30\n",

@@ -1,4 +1,4 @@
-"""Straight cuts of a tilted cutter of revolution, and the quadrature of the mean force over its edge.
+"""Straight cuts of a cutter of revolution, upright and tilted, and the quadrature of the mean force over its edge.
 
 The quadrature needs no map: a convex tool on a straight way first meets each point of the material with the part of its
 surface where d.n > 0. It sums the law over all such places inside the stock.
@@ -10,7 +10,6 @@ import numpy as np
 from samples.cuttings import LAWS
 
 from kr270_milling.physics.cutting import AL7075_T6, Cutting, EngagementCut, Stock, Tool
-from kr270_milling.physics.cutting.profile import outline
 
 RADIUS, TEETH, FEED = 5e-3, 4, 0.125e-3  # [m]; feed per tooth
 SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
@@ -25,6 +24,7 @@ TOOLS = {
     "ball": FLAT.replace(type="ball"),
     "bull": FLAT.replace(type="bull_nose", corner_radius=1e-3),
     "taper": FLAT.replace(type="tapered", taper=math.radians(20.0), tip_diameter=4e-3),
+    "point": FLAT.replace(type="tapered", taper=math.radians(45.0)),
 }
 
 
@@ -34,38 +34,49 @@ def axis_of(tilt) -> np.ndarray:
     return np.array([math.sin(lead), math.cos(lead) * math.sin(lean), math.cos(lead) * math.cos(lean)])
 
 
-def edge(tool: Tool) -> tuple[np.ndarray, ...]:
-    """Radius, height, kappa and length [m], [rad] of small pieces of the edge, and of 15 mm of the cylinder."""
-    points = np.vstack([outline(tool), [outline(tool)[-1, 0], outline(tool)[-1, 1] + 15e-3]])
+def edge(tool: Tool) -> np.ndarray:
+    """Radius, height, kappa and length [m], [rad] of small pieces of the edge, and of 15 mm of the cylinder, (4, n)."""
+    corner = {"ball": RADIUS, "bull_nose": tool.corner_radius}.get(tool.type, 0.0)
+    taper = tool.taper if tool.type == "tapered" else 0.0
+    tip = tool.tip_diameter / 2 if taper else RADIUS - corner
     rows = []
-    for before, after in zip(points, points[1:], strict=False):
-        count = max(4, int(np.linalg.norm(after - before) / 10e-6))
-        middle = (np.arange(count)[:, None] + 0.5) / count
-        step = (after - before) / count
-        kappa, length = math.atan2(step[1], step[0]), float(np.hypot(*step))
-        rows.append(np.column_stack([before + middle * (after - before), np.full((count, 2), [kappa, length])]))
-    return tuple(column[:, None] for column in np.vstack(rows).T)
+
+    def straight(radius: float, height: float, kappa: float, length: float) -> None:
+        along, piece = np.linspace(0.0, length, max(4, int(length / 5e-6)), endpoint=False, retstep=True)
+        along = along + piece / 2
+        rows.append([radius + along * math.cos(kappa), height + along * math.sin(kappa), kappa + 0 * along,
+                     piece + 0 * along])  # fmt: skip
+
+    straight(0.0, 0.0, 0.0, tip)
+    kappa, turn = np.linspace(0.0, math.pi / 2, 1600, endpoint=False, retstep=True)
+    kappa = kappa + turn / 2
+    rows.append([tip + corner * np.sin(kappa), corner * (1 - np.cos(kappa)), kappa, corner * turn + 0 * kappa])
+    top = (RADIUS - tip) / math.tan(taper) if taper else corner
+    straight(tip, 0.0, math.pi / 2 - taper, math.hypot(top, RADIUS - tip) if taper else 0.0)
+    straight(RADIUS, top, math.pi / 2, 15e-3)
+    table = np.hstack(rows)
+    return table[:, table[3] > 0.0]
 
 
-def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, top: float, inside, turns: int = 1440):
+def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, top: float, inside):
     """Mean force (3,) [N] and torque [N m]; inside(points) [m]: whether places from the tip are in the stock.
 
     top [m]: of the stock above the tip.
     """
-    pieces = np.hstack(edge(tool))
-    below = pieces[:, 1] * axis[2] - pieces[:, 0] * math.hypot(*axis[:2]) < top
-    r, h, kappa, length = (column[:, None] for column in pieces[below].T)
-    ahead = move - np.dot(move, axis) * axis
+    pieces = edge(tool)
+    below = pieces[1] * axis[2] - pieces[0] * math.hypot(*axis[:2]) < top
+    r, h, kappa, length = pieces[:, below, None]
+    ahead = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
     ahead = ahead / np.linalg.norm(ahead)
     side = np.cross(axis, ahead)
-    phi = ((np.arange(turns) + 0.5) / turns * 2.0 - 1.0) * math.pi
+    phi = ((np.arange(720) + 0.5) / 720 * 2.0 - 1.0) * math.pi
     out = np.cos(phi)[:, None] * ahead + np.sin(phi)[:, None] * side
     normal = np.sin(kappa)[..., None] * out - np.cos(kappa)[..., None] * axis
     feed = normal @ move
     cuts = (feed > 1e-12) & inside(r[..., None] * out + h[..., None] * axis)
     f_t, f_r, f_a = np.where(cuts, cutting.active.per_depth(np.where(cuts, feed, 1e-9) / passes), 0.0)
     f_a = np.where(kappa == 0.0, 0.0, f_a)  # the force along an end edge is left out
-    weight = TEETH / turns * length
+    weight = TEETH / phi.size * length
     along = -np.cos(kappa)[..., None] * out - np.sin(kappa)[..., None] * axis  # towards the tip
     tooth = tool.sense * np.cross(axis, out)
     force = -f_t[..., None] * tooth - f_r[..., None] * normal + f_a[..., None] * along
@@ -74,13 +85,14 @@ def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, top: flo
 
 def lowest(tool: Tool, axis) -> float:
     """Return the height of the lowest point of a tilted tool above its tip [m]."""
-    return float(min(h * axis[2] - r * math.hypot(*axis[:2]) for r, h in outline(tool)))
+    r, h, _, _ = edge(tool)
+    return float(min(0.0, np.min(h * axis[2] - r * math.hypot(*axis[:2]))))
 
 
 def swept_widths(tool: Tool, depth: float, tilt) -> tuple[float, float]:
     """Return the least and largest y that a tool cuts below the top on its way along x [m], on the nodes of the map."""
     axis = axis_of(tilt)
-    r, h, *_ = edge(tool)
+    r, h, *_ = edge(tool)[:, :, None]
     phi = np.linspace(-math.pi, math.pi, 721)
     first = np.array([axis[2], 0.0, -axis[0]]) / math.hypot(axis[0], axis[2])
     second = np.cross(axis, first)
@@ -96,7 +108,7 @@ def measured(tool: Tool, cutting: Cutting, tilt, sides, depth=2e-3, dt=4e-3, gri
     """
     axis, n = axis_of(tilt), round(SPEED * dt / MICRO_STEP)
     stock = Stock(min=np.array([0.0, sides[0], -12e-3]), max=np.array([32e-3, sides[1], 0.0]), grid_step=grid_step)
-    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, bins, tilts=True)
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, bins, tilts=any(tilt))
     step = VELOCITY * n * MICRO_STEP / SPEED
     x = np.arange(-3.0 * RADIUS, 18e-3, step)
     path = np.column_stack([x, 0.0 * x, 0.0 * x - depth - lowest(tool, axis)])
@@ -118,12 +130,11 @@ def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> flo
     """
     axis, n, side = axis_of(tilt), round(SPEED * dt / MICRO_STEP), 12e-3
     stock = Stock(min=np.array([0.0, -side, -14e-3]), max=np.array([40e-3, side, 0.0]), grid_step=1e-4)
-    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=True)
-    step = (
-        VELOCITY * n * MICRO_STEP / SPEED * np.array([math.cos(math.radians(slope)), 0, -math.sin(math.radians(slope))])
-    )
-    way = np.arange(-12e-3, 1e-3, np.linalg.norm(step))
-    path = np.array([20e-3, 0.0, -2e-3 - lowest(tool, axis)]) + way[:, None] * step / np.linalg.norm(step)
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=any(tilt))
+    size, down = VELOCITY * n * MICRO_STEP / SPEED, math.radians(slope)
+    step = size * np.array([math.cos(down), 0.0, -math.sin(down)])
+    way = np.arange(-12e-3, 1e-3, size)
+    path = np.array([20e-3, 0.0, -2e-3 - lowest(tool, axis)]) + way[:, None] * step / size
     wrench, _, _ = cut.along(path, n * np.arange(way.size), axes=np.tile(axis, (way.size, 1)))
     chosen, exact = np.flatnonzero(way > -1e-3), []
     lag = 0.5 + math.pi / TEETH / (n * MICRO_STEP)  # the middle of a step, and half a pitch of the teeth
@@ -134,7 +145,7 @@ def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> flo
             return (places[..., 2] + z < 0.0) & (np.abs(places[..., 1]) < side)
 
         passes = n * MICRO_STEP * TEETH / (2 * math.pi)
-        exact.append(quadrature(tool, cutting, axis, step, passes, -tip[2], inside, turns=720)[0])
+        exact.append(quadrature(tool, cutting, axis, step, passes, -tip[2], inside)[0])
     force, mean = wrench[chosen, :3].mean(axis=0), np.mean(exact, axis=0)
     return float(np.abs(force - mean).max() / np.linalg.norm(mean))
 

@@ -17,7 +17,6 @@ STRAIGHT_ON = (
     0.05  #: [rad], a smaller turn is no corner and costs 0.13 % of the radius: LinuxCNC, TOLERANCE_CONCAVE_CORNER
 )
 FULL = 2 * math.pi
-FIT = "the tool does not fit into the corner before this move without a gouge; take a smaller tool"
 BACK = "the path turns back by almost half a turn before this move, into a corner that is narrower than the tool"
 ROUNDING = 10e-6  #: [m] of the places of a program: a move back beside the last one by less is on the same line
 
@@ -77,6 +76,7 @@ class Stroke(NamedTuple):
 
 def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]:
     """Return the moves of the tool for each stroke, or the sentence of a refusal; None: a move of another kind."""
+    fit = "the tool does not fit into the corner before this move without a gouge; take a smaller tool"
     results: list[list[Stroke] | str | None] = [None if stroke is None else [] for stroke in strokes]
     rows = _rounded(strokes, results)
     shift = 0j  # of the tool from the contour
@@ -136,7 +136,7 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
                 reason, inside = (BACK if shorter * abs(math.sin(turn)) > ROUNDING else ""), False
             if cusp or inside:
                 place = _meeting(last, stroke, side, radius, begin)
-                start, reason = (first, FIT) if place is None else (place, "")
+                start, reason = (first, fit) if place is None else (place, "")
                 for k, n in tail if not reason else ():
                     row = results[k]
                     if isinstance(row, list):

@@ -14,28 +14,24 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.comments import operation_name
-from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.gcode import flow
 from kr270_milling.path.cam.gcode.expressions import NUMBER, ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.words import SILENT_M, word_of
 from kr270_milling.path.cam.machine import INCH, MM, Machine
-from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN
 
-BEGIN = re.compile(r"BEGIN PGM (.*?) ?(MM|INCH)")
 #: words of a block; a sign alone is the direction of a circle
 WORD = re.compile(
     r"(FMAX|FAUTO|R0(?![0-9.])|RL|RR|DR|DL|IPA|IPR|PA|PR|MB|LA|I?[XYZABC]|[RFMST]) ?"
     rf"([-+]?(?:{NUMBER.pattern}|Q[0-9]+|MAX)|[-+])?"
 )
-CONDITION = re.compile(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)")
-ASSIGNED = re.compile(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)")
 LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?)?")
 SILENT = re.compile(
     r"BLK FORM|TOOL DEF|STOP\Z|FUNCTION RESET (?!TCPM)|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z"
@@ -45,7 +41,6 @@ RESETS = re.compile(r"CYCL DEF (?:8|10|11|19)\.[0-9]+")
 SHIFT = re.compile(r"(?:CYCL DEF 7\.[0-9]+|TRANS DATUM)(?: DATUM SHIFT| AXIS| RESET)?")
 HOLES = re.compile(r"CYCL DEF (200|201|203|205|240) ")
 COMMA = re.compile(r"(?<=[0-9]),(?=[0-9])(?=[^\"]*(?:\"[^\"]*\"[^\"]*)*\Z)")  #: of a number, not of a name
-TCPM = re.compile(r"FUNCTION (RESET )?TCPM\b(?!.*AXIS SPAT)")
 #: PLANE -> its angles and the axes of the rotations: of the fixed axes in small letters
 PLANES = {"SPATIAL": (("SPA", "SPB", "SPC"), "xyz"), "EULER": (("EULPR", "EULNU", "EULROT"), "ZXZ")}
 ADVICE = {
@@ -55,7 +50,6 @@ ADVICE = {
     "PLANE": "let the CAM output PLANE SPATIAL or PLANE EULER",
     "TCH PROBE": "leave probing out of this program",
 }
-OTHERS = "let the CAM output L, C, CR, CT, LP and CP"
 SPINDLE = {3: 1, 13: 1, 4: -1, 14: -1, 5: 0}
 #: M words that move nothing: those of G-code but for cycles, datums, feeds on arcs and rotary axes; another tool in its
 #: place, rotary axes on the short way, errors of tools, look-ahead, ends of such modes
@@ -135,18 +129,18 @@ class _Conversational(Machine):
             self._comment(comment, text)
         if not text:
             return index
-        if match := BEGIN.fullmatch(text):
+        if match := re.fullmatch(r"BEGIN PGM (.*?) ?(MM|INCH)", text):
             self.unit = INCH if match[2] == "INCH" else MM
             self.program.title = self.program.title or match[1]
         elif text.startswith("END PGM"):
             self.ended = True
         elif match := LABEL.fullmatch(text):
             return self._label(match, index)
-        elif match := CONDITION.fullmatch(text):
+        elif match := re.fullmatch(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)", text):
             left, right = self._value(match[1]), self._value(match[3])
             holds = {"EQU": left == right, "NE": left != right, "GT": left > right, "LT": left < right}[match[2]]
             return self._place_of(match[4]) if holds else index
-        elif match := ASSIGNED.fullmatch(text):
+        elif match := re.fullmatch(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)", text):
             self.variables.set(int(match[1]), self._value(match[2]))
         elif word in self.moving:
             self._block(word, text[len(word) :])
@@ -160,7 +154,7 @@ class _Conversational(Machine):
             self._define(match[1], text)
         elif text.startswith("CYCL CALL"):
             self._call_cycle(text[9:])
-        elif match := TCPM.match(text):
+        elif match := re.match(r"FUNCTION (RESET )?TCPM\b(?!.*AXIS SPAT)", text):
             self.program.count("FUNCTION TCPM")
             self.follow_tip(match[1] is None)
         elif SHIFT.match(text):
@@ -174,7 +168,9 @@ class _Conversational(Machine):
         else:
             known = next((name for name in ADVICE if text.startswith(name)), "")
             reason = "" if known else f"{short(text)!r} is not read"
-            self.program.refuse(short(text), reason, ADVICE.get(known, OTHERS), lost=True)
+            self.program.refuse(
+                short(text), reason, ADVICE.get(known, "let the CAM output L, C, CR, CT, LP and CP"), lost=True
+            )
         return index
 
     def _shift(self, text: str) -> None:
@@ -543,8 +539,8 @@ def _statements(lines: list[str]) -> list[tuple[int, str, str]]:
         code = COMMA.sub(".", " ".join(code.upper().split()))
         if open_statement:
             first, before, remark = out[-1]
-            out[-1] = first, f"{before} {code}", remark
-        elif code or comment:
+            out[-1] = first, f"{before} {code}".strip(), remark
+        elif code or comment or continued:
             out.append((number, code, comment.strip()))
         open_statement = continued
     return out

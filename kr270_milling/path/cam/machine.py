@@ -16,8 +16,7 @@ import numpy as np
 from kr270_milling.base.frames import Pose
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points, nurbs_points
 from kr270_milling.path.cam.contour import Stroke, planned
-from kr270_milling.path.cam.drilling import Cycle
-from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES
 from kr270_milling.path.toolpath import REACH, TOP
 from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, tool_along

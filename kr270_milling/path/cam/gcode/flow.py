@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import read_lines, short
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.path.cam.gcode import ENDINGS
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
@@ -23,8 +23,6 @@ from kr270_milling.path.cam.gcode.words import MACROS
 
 MOST_BLOCKS = 1_000_000  #: lines that a program with sub-programs or loops runs; assumed
 DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVELS
-#: of files with a sub-program, from the folder of the program; those of the first folder with such a file count
-FOLDERS = (".", "subroutines", "subs")
 MOST_FILES, MOST_BYTES = 100, 16_000_000  #: files with sub-programs of a program, bytes of each; assumed
 #: a text that has one of these somewhere may jump
 MAY_JUMP = re.compile(
@@ -40,12 +38,8 @@ CONTROL = re.compile(
 NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 #: a comment; the words before a bracket are not the name of a cycle here
 REMARK = re.compile(r"\([^)]*\)|;.*")
-HEADER = re.compile(r"[O:]0*([0-9]+)")
-SINUMERIK = re.compile(r"(?:%_N_|PROC)(L[0-9]+)", re.I)
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 MISSING = "the sub-program {} is not in this file, and no file of this name that has it is beside it"
-NUMBERED = re.compile(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])")  #: calls of a number
-LOCAL = re.compile(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?")
 ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
 #: letters of G65 -> numbers of the parameters (Fanuc, argument specification I)
 ARGUMENTS = dict(zip("ABCIJKDEFHQRSTUVWXYZ", (*range(1, 10), 11, *range(17, 27)), strict=True))
@@ -147,9 +141,11 @@ class Flow:
     @cached_property
     def _beside(self) -> dict[str, list[Path]]:
         """Return the files of sub-programs by the name or number that calls them: 7 for O0007.nc, L100, POCKET."""
+        # of files with a sub-program, from the folder of the program; those of the first folder with such a file count
+        folders = (".", "subroutines", "subs")
         main = self.files[0][1]
         files: dict[str, list[Path]] = {}
-        for folder in FOLDERS[::-1]:
+        for folder in folders[::-1]:
             names: dict[str, list[Path]] = {}
             with contextlib.suppress(OSError):  # no such folder
                 for path in sorted((main.parent / folder).iterdir()):
@@ -170,11 +166,11 @@ class Flow:
             text = "".join(REMARK.sub("", self.lines[index]).split()).upper()
             if match := NUMBER.match(text.lstrip("/")):
                 self.numbers.setdefault((part, int(match[1])), []).append(index)
-            if match := HEADER.fullmatch(text):
+            if match := re.fullmatch(r"[O:]0*([0-9]+)", text):
                 names.setdefault(match[1], index + 1)
                 if not part:
                     self.heads.add(index + 1)
-            elif match := SINUMERIK.match(text):
+            elif match := re.match(r"(?:%_N_|PROC)(L[0-9]+)", text, re.I):
                 names[match[1].upper()] = index + 1  # PROC follows %_N_
             elif match := CONTROL.fullmatch(text):
                 control = _Line(_label(match["label"] or ""), match["word"] or match["fanuc"], match["rest"] or "")
@@ -183,9 +179,10 @@ class Flow:
                 self.controls[index] = control
                 self._pair(index, control, opened, names)
                 calls |= {f"SUB {control.label}"} if control.word == "CALL" else set()
-            if "P" in text and (match := NUMBERED.match(text)):
+            # calls of a number
+            if "P" in text and (match := re.match(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])", text)):
                 calls |= {match[1], f"{int(match[1]) % 10_000}"}  # P30012 is three times O12
-            elif "L" in text and (match := LOCAL.fullmatch(text)):
+            elif "L" in text and (match := re.fullmatch(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?", text)):
                 calls.add(f"L{match[1]}")
         self.faults += [(index, f"{word} of {label or 'its loop'} has no end") for index, label, word in opened]
         return calls
